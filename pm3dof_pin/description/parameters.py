@@ -1,0 +1,252 @@
+"""The tripod's parameters: one YAML file read into typed, checked SI numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.exceptions import DescriptionError
+
+Vector = NDArray[np.float64]
+
+_SI_UNITS = ("1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3")
+_TO_SI: dict[str, Callable[[float], float]] = {
+    **dict.fromkeys(_SI_UNITS, float),
+    # in decimal digits, so that 240.272 mm is the double nearest to 0.240272 m and not its neighbour
+    "mm": lambda number: float(Decimal(repr(number)).scaleb(-3)),
+    "deg": math.radians,
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One entry of the YAML file: a number or a list of numbers with its origin.
+
+    Attributes:
+        value: the number or numbers as printed, in `unit`.
+        unit: unit of `value`.
+        symbol: the chapter's sign, or "none".
+        status: "printed", "inferred" or "chosen".
+        source: table, equation or reason.
+    """
+
+    value: float | tuple[float, ...]
+    unit: str
+    symbol: str
+    status: str
+    source: str
+
+    @property
+    def si(self) -> float | tuple[float, ...]:
+        """The value in SI units and radians."""
+        convert = _TO_SI[self.unit]
+        return tuple(map(convert, self.value)) if isinstance(self.value, tuple) else convert(self.value)
+
+
+@dataclass(frozen=True, eq=False)
+class TripodParameters:
+    """A tripod of n actuated prismatic-universal-spherical legs and a passive prismatic-universal leg, in SI units.
+
+    Geometry and symbols: D. Zhang, Parallel Robotic Machine Tools (Springer 2010), Fig. 8.1, Tables 8.1 and 8.2.
+
+    Attributes:
+        name: name of the machine.
+        base_joint_angles: alpha_i, direction of B_i about z, shape=(n,) [rad].
+        platform_joint_angles: beta_i, direction of E_i about the platform's z, shape=(n,) [rad].
+        base_radius: l_b, radius of B_i [m].
+        platform_radius: l_e, radius of E_i [m].
+        link_length: l, length of every link [m].
+        guide_slope: gamma, slope of the guideways over the base plane [rad].
+        guide_heading: direction of a guideway in plan, counted from the outward radius [rad].
+        platform_joint_height: z_0, height of E_i over O_e in the platform frame [m].
+        clamp_depth_ratio: (z_min - z_b) / (z_max - z_min), which places the clamp of the passive leg.
+        slider_home: middle of the slider's travel along the guideway from B_i [m].
+        slider_stroke: travel to either side of the middle [m].
+        spherical_limit: greatest angle between a link and its spherical joint's axis [rad].
+        spherical_axis_inclination: inclination of that axis from the platform's normal towards its centre [rad].
+        universal_limit: greatest angle about each axis of a universal joint, to either side [rad].
+        passive_slider_margin: stops of the passive prismatic joint beyond z_min, z_max, as a ratio of z_max - z_min.
+        actuator_stiffness: k_a along the guideway [N/m].
+        link_stiffness: k_t along the link [N/m].
+        bending_stiffness: E I of the passive leg [N m^2].
+        torsional_stiffness: G J of the passive leg [N m^2].
+        platform_mass, link_mass, slider_mass, passive_leg_mass, cross_mass: masses [kg].
+        platform_moments, link_moments: principal moments of inertia, shape=(3,) [kg m^2].
+        tilt_range: printed working range of theta_x and theta_y, shape=(2,) [rad].
+        height_range: printed working range of z_e, shape=(2,) [m].
+        quantities: every entry of the file with its unit, status and source, by "section.key".
+    """
+
+    name: str
+    base_joint_angles: Vector
+    platform_joint_angles: Vector
+    base_radius: float
+    platform_radius: float
+    link_length: float
+    guide_slope: float
+    guide_heading: float
+    platform_joint_height: float
+    clamp_depth_ratio: float
+    slider_home: float
+    slider_stroke: float
+    spherical_limit: float
+    spherical_axis_inclination: float
+    universal_limit: float
+    passive_slider_margin: float
+    actuator_stiffness: float
+    link_stiffness: float
+    bending_stiffness: float
+    torsional_stiffness: float
+    platform_mass: float
+    link_mass: float
+    slider_mass: float
+    passive_leg_mass: float
+    cross_mass: float
+    platform_moments: Vector
+    link_moments: Vector
+    tilt_range: Vector
+    height_range: Vector
+    quantities: Mapping[str, Quantity]
+
+    @property
+    def leg_count(self) -> int:
+        """Number of actuated legs, n."""
+        return len(self.base_joint_angles)
+
+    @classmethod
+    def load(cls, path: Path | str | None = None) -> TripodParameters:
+        """Read the parameters of a tripod.
+
+        Args:
+            path: YAML file with the layout of `robots/pm3dof_description/config/pm3dof.yaml`, which is the default.
+
+        Raises:
+            DescriptionError: a number is missing, is no finite number, has an unknown unit or a wrong sign or length.
+        """
+        path = Path(path) if path is not None else default_parameters_path()
+        sections = read_mapping(path)
+        reader = _Reader(path, _quantities(path, sections))
+        alpha = reader.vector("geometry.base_joint_angles")
+        return cls(
+            name=_name(path, sections),
+            base_joint_angles=alpha,
+            platform_joint_angles=reader.vector("geometry.platform_joint_angles", len(alpha)),
+            base_radius=reader.positive("geometry.base_radius"),
+            platform_radius=reader.positive("geometry.platform_radius"),
+            link_length=reader.positive("geometry.link_length"),
+            guide_slope=reader.number("geometry.guide_slope"),
+            guide_heading=reader.number("geometry.guide_heading"),
+            platform_joint_height=reader.number("geometry.platform_joint_height"),
+            clamp_depth_ratio=reader.positive("geometry.clamp_depth_ratio"),
+            slider_home=reader.number("joints.slider_home"),
+            slider_stroke=reader.positive("joints.slider_stroke"),
+            spherical_limit=reader.positive("joints.spherical_limit"),
+            spherical_axis_inclination=reader.number("joints.spherical_axis_inclination"),
+            universal_limit=reader.positive("joints.universal_limit"),
+            passive_slider_margin=reader.positive("joints.passive_slider_margin"),
+            actuator_stiffness=reader.positive("stiffness.actuator"),
+            link_stiffness=reader.positive("stiffness.link"),
+            bending_stiffness=reader.positive("stiffness.passive_leg_bending"),
+            torsional_stiffness=reader.positive("stiffness.passive_leg_torsion"),
+            platform_mass=reader.positive("inertia.platform_mass"),
+            link_mass=reader.positive("inertia.link_mass"),
+            slider_mass=reader.positive("inertia.slider_mass"),
+            passive_leg_mass=reader.positive("inertia.passive_leg_mass"),
+            cross_mass=reader.positive("inertia.cross_mass"),
+            platform_moments=reader.vector("inertia.platform_moments", 3),
+            link_moments=reader.vector("inertia.link_moments", 3),
+            tilt_range=reader.vector("printed_working_range.tilt", 2),
+            height_range=reader.vector("printed_working_range.height", 2),
+            quantities=reader.quantities,
+        )
+
+
+def default_parameters_path() -> Path:
+    """Return the path of the chapter's machine."""
+    return robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml"
+
+
+def read_quantities(path: Path | str) -> dict[str, Quantity]:
+    """Read every quantity of any robot's parameter file, keyed "section.name".
+
+    Raises:
+        DescriptionError: an entry lacks a key, has an unknown unit or status, or is not made of finite numbers.
+    """
+    path = Path(path)
+    return _quantities(path, read_mapping(path))
+
+
+def _name(path: Path, sections: Mapping[str, Any]) -> str:
+    name = sections.get("name")
+    if not isinstance(name, str) or not name:
+        raise DescriptionError(path, "name", "expected the name of the machine")
+    return name
+
+
+def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Quantity]:
+    """Every quantity of a parameter file, keyed "section.name"."""
+    return {
+        f"{section}.{name}": _quantity(path, f"{section}.{name}", entry)
+        for section, entries in sections.items()
+        if isinstance(entries, dict)
+        for name, entry in entries.items()
+    }
+
+
+def _quantity(path: Path, key: str, entry: Any) -> Quantity:
+    if not isinstance(entry, dict) or not {"value", "unit", "status", "source"} <= set(entry):
+        raise DescriptionError(path, key, "expected value, unit, status and source")
+    unit, status = str(entry["unit"]), str(entry["status"])
+    if unit not in _TO_SI:
+        raise DescriptionError(path, f"{key}.unit", f"'{unit}' is unknown, expected one of {', '.join(_TO_SI)}")
+    if status not in ("printed", "inferred", "chosen"):
+        raise DescriptionError(path, f"{key}.status", f"'{status}' is unknown, expected printed, inferred or chosen")
+    raw = entry["value"]
+    numbers = raw if isinstance(raw, list) else [raw]
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
+            raise DescriptionError(path, f"{key}.value", f"'{number}' is not a finite number")
+    value = tuple(float(number) for number in numbers) if isinstance(raw, list) else float(raw)
+    return Quantity(value, unit, str(entry.get("symbol", "none")), status, str(entry["source"]))
+
+
+class _Reader:
+    """Takes SI numbers out of the quantities of one file, and complains with the file's name."""
+
+    def __init__(self, path: Path, quantities: Mapping[str, Quantity]) -> None:
+        self.path = path
+        self.quantities = quantities
+
+    def number(self, key: str) -> float:
+        value = self._si(key)
+        if isinstance(value, tuple):
+            raise DescriptionError(self.path, f"{key}.value", "expected one number, not a list")
+        return value
+
+    def positive(self, key: str) -> float:
+        value = self.number(key)
+        if value <= 0.0:
+            raise DescriptionError(self.path, f"{key}.value", f"{value} is not positive")
+        return value
+
+    def vector(self, key: str, length: int | None = None) -> Vector:
+        value = self._si(key)
+        if not isinstance(value, tuple) or (length is not None and len(value) != length):
+            raise DescriptionError(self.path, f"{key}.value", f"expected a list of {length or 'several'} numbers")
+        vector = np.array(value)
+        vector.setflags(write=False)
+        return vector
+
+    def _si(self, key: str) -> float | tuple[float, ...]:
+        if key not in self.quantities:
+            raise DescriptionError(self.path, key, "is missing; expected value, unit, status and source")
+        return self.quantities[key].si

@@ -1,0 +1,163 @@
+"""All errors of the package: one base class, one class per cause.
+
+Every message names the thing that is wrong, where it stands and what was expected; the same data is kept on the
+exception for programs that catch it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
+    """List the known names; of many, those that are most like the name."""
+    if len(known) <= most:
+        return ", ".join(known)
+    alike = difflib.get_close_matches(name, known, n=most, cutoff=0.0)
+    return f"{', '.join(alike)} and {len(known) - len(alike)} more"
+
+
+class PM3DofError(Exception):
+    """Base class of every error this package raises on purpose."""
+
+
+class UnknownRobotError(PM3DofError):
+    """A robot was asked for by a name or path that does not exist."""
+
+    def __init__(self, name: str, known: Sequence[str]) -> None:
+        self.name = name
+        self.known = tuple(known)
+        super().__init__(
+            f"no robot '{name}': expected one of {', '.join(self.known)}, "
+            "or the path of a URDF with its closures file beside it"
+        )
+
+
+class DescriptionError(PM3DofError):
+    """A description file is missing, cannot be read, or says something it must not say.
+
+    Attributes:
+        path: the file.
+        element: the key, tag or line inside the file.
+        expected: what should stand there.
+    """
+
+    def __init__(self, path: Path | str, element: str, expected: str) -> None:
+        self.path = Path(path)
+        self.element = element
+        self.expected = expected
+        super().__init__(f"{self.path}: {element}: {expected}")
+
+
+class FrameNotFoundError(PM3DofError):
+    """A frame is named that the model does not have."""
+
+    def __init__(self, frame: str, where: str, known: Sequence[str]) -> None:
+        self.frame = frame
+        self.where = where
+        self.known = tuple(known)
+        super().__init__(f"{where}: no frame '{frame}' in the model; it has {_nearest(frame, self.known)}")
+
+
+class JointNotFoundError(PM3DofError):
+    """A joint is named that the model does not have."""
+
+    def __init__(self, joint: str, where: str, known: Sequence[str]) -> None:
+        self.joint = joint
+        self.where = where
+        self.known = tuple(known)
+        super().__init__(f"{where}: no joint '{joint}' in the model; it has {_nearest(joint, self.known)}")
+
+
+class InvalidValueError(PM3DofError, ValueError):
+    """An argument is not a number that can be worked with (NaN, infinite, of the wrong shape or sign)."""
+
+    def __init__(self, name: str, value: object, expected: str) -> None:
+        self.name = name
+        self.value = value
+        self.expected = expected
+        super().__init__(f"{name} = {value}: expected {expected}")
+
+
+class UnreachablePoseError(PM3DofError):
+    """No joint variables exist that bring the tool to this pose."""
+
+
+class ConvergenceError(PM3DofError):
+    """An iterative solver stopped short of its tolerance.
+
+    Attributes:
+        residual: what was left, in the unit the message says.
+        steps: iterations done.
+    """
+
+    def __init__(self, task: str, residual: float, unit: str, steps: int, advice: str = "") -> None:
+        self.residual = residual
+        self.steps = steps
+        super().__init__(
+            f"{task} did not converge: residual {residual:.3e} {unit} after {steps} steps"
+            + (f"; {advice}" if advice else "")
+        )
+
+
+class SingularConfigurationError(PM3DofError):
+    """A quantity does not exist because the mechanism is in a singular configuration, which the message names."""
+
+
+class FreeDirectionError(SingularConfigurationError):
+    """A compliance does not exist: the frame can move with all springs at rest. The message names the directions."""
+
+
+class RigidDirectionError(SingularConfigurationError):
+    """A stiffness does not exist: no spring gives in some direction. The message names the directions."""
+
+
+class OutputError(PM3DofError):
+    """A file or folder cannot be written. Nothing was left half-written."""
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        self.path = Path(path)
+        self.reason = reason
+        super().__init__(f"cannot write {self.path}: {reason}")
+
+
+class ServerError(PM3DofError):
+    """The viewer cannot listen where it was told to."""
+
+
+class BrowserError(PM3DofError):
+    """No browser was found, or it did not do what was asked of it."""
+
+
+class MeasurementError(PM3DofError):
+    """A file of measurements cannot be used as it is.
+
+    Attributes:
+        path: the file.
+        rows: lines of the file that are meant, the header being line 1; empty where all of them are.
+    """
+
+    def __init__(self, path: Path | str, problem: str, rows: Sequence[int] = ()) -> None:
+        self.path = Path(path)
+        self.rows = tuple(rows)
+        super().__init__(f"{self.path}: {lines_in_words(self.rows)}{problem}")
+
+
+def lines_in_words(rows: Sequence[int], most: int = 10) -> str:
+    """Return "line 3: ", "lines 3, 5, 9: " or nothing, long lists cut short."""
+    if not rows:
+        return ""
+    listed = ", ".join(str(row) for row in rows[:most])
+    more = f" and {len(rows) - most} more" if len(rows) > most else ""
+    return f"line{'s' if len(rows) > 1 else ''} {listed}{more}: "
+
+
+class MissingPackageError(PM3DofError):
+    """An optional package is needed that is not installed."""
+
+    def __init__(self, package: str, extra: str, task: str) -> None:
+        self.package = package
+        self.extra = extra
+        super().__init__(f"{task} needs {package}: install it, or pm3dof-pin[{extra}]")
