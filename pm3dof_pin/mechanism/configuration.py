@@ -1,0 +1,206 @@
+"""One configuration of a mechanism, with everything that hangs on it computed at its own q."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
+
+if TYPE_CHECKING:
+    from pm3dof_pin.mechanism.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """A joint or closure outside its range.
+
+    Attributes:
+        name: the joint (`joint[k]` for component k of a joint with several), or `frame_a-frame_b` of the closure.
+        kind: "joint", or "swing", the angle between the z axes of a closure's two frames.
+        value: where it is [m, rad].
+        lower: least value allowed [m, rad].
+        upper: greatest value allowed [m, rad].
+    """
+
+    name: str
+    kind: Literal["joint", "swing"]
+    value: float
+    lower: float
+    upper: float
+
+
+class Configuration:
+    """A mechanism at one q: placements, Jacobians and closure errors. Read-only.
+
+    Made by :meth:`Mechanism.configuration`. The closure error and its Jacobian are computed when the object is made,
+    frames when they are asked for, all from this q and nothing else; q cannot change, so nothing can be stale. The
+    loops need not be closed: see :attr:`closure_residual`.
+
+    Velocities v, shape=(nv,), are Pinocchio's (tangent) velocities. Twists are [v; omega], linear part first. All
+    arrays are read-only.
+
+    Args:
+        mechanism: the mechanism.
+        q: joint configuration, shape=(nq,) [m, rad; cosine and sine for a continuous joint].
+
+    Raises:
+        InvalidValueError: q has another shape, is not finite, or holds a cosine-sine pair or quaternion of a length
+            other than 1.
+    """
+
+    __slots__ = ("_closure_error", "_constraint_jacobian", "_mechanism", "_q")
+
+    def __init__(self, mechanism: Mechanism, q: ArrayLike) -> None:
+        self._mechanism = mechanism
+        self._q = mechanism.checked_positions(q)
+        self._closure_error, self._constraint_jacobian = mechanism.loop_kinematics.closures(self._q)
+        for array in (self._q, self._closure_error, self._constraint_jacobian):
+            frozen(array)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._mechanism, np.array(self._q))
+
+    def __repr__(self) -> str:
+        return f"Configuration({self._mechanism.name}, q={self._q}, closure_residual={self.closure_residual:.3e})"
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The mechanism this is a configuration of."""
+        return self._mechanism
+
+    @property
+    def q(self) -> Vector:
+        """Joint configuration, shape=(nq,) [m, rad]."""
+        return self._q
+
+    @property
+    def closure_error(self) -> Vector:
+        """Closure error e, shape=(m,), closure after closure.
+
+        For a 3d closure, the position of frame b's origin in frame a [m], axes of frame a; for a 6d closure log6 of the
+        placement of frame b in frame a [m, rad].
+        """
+        return self._closure_error
+
+    @property
+    def closure_residual(self) -> float:
+        """Greatest absolute entry of the closure error [m, rad]; 0 without closures."""
+        return float(np.abs(self._closure_error).max(initial=0.0))
+
+    @property
+    def constraint_jacobian(self) -> Matrix:
+        """Constraint Jacobian G, shape=(m, nv): de/dt = G v with e the :attr:`closure_error`.
+
+        Exact at any q. On a closed loop G v is the velocity of frame b against frame a, in the axes of frame a. A force
+        (6d: wrench) f on frame b with -f on frame a, in the same axes, has the generalised forces G^T f.
+        """
+        return self._constraint_jacobian
+
+    @property
+    def tool_placement(self) -> pin.SE3:
+        """Placement of the tool frame in the world.
+
+        Raises:
+            DescriptionError: the mechanism has no tool frame.
+        """
+        return self._placement(self._mechanism.tool_frame_id)
+
+    @property
+    def tool_jacobian(self) -> Matrix:
+        """Jacobian of the tool point J, shape=(6, nv): twist [v; omega] = J v, world axes.
+
+        Raises:
+            DescriptionError: the mechanism has no tool frame.
+        """
+        return self._jacobian(self._mechanism.tool_frame_id)
+
+    def frame_placement(self, name: str) -> pin.SE3:
+        """Compute the placement of a frame in the world.
+
+        Args:
+            name: a link or frame of the model.
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+        """
+        return self._placement(self._mechanism.frame_id(name))
+
+    def frame_jacobian(self, name: str) -> Matrix:
+        """Compute the Jacobian of a frame's origin, shape=(6, nv): twist [v; omega] = J v, world axes.
+
+        Args:
+            name: a link or frame of the model.
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+        """
+        return self._jacobian(self._mechanism.frame_id(name))
+
+    @property
+    def actuated_positions(self) -> Vector:
+        """Coordinates u of the actuated joints, in their order, shape=(number of actuated joints,) [m, rad]."""
+        return self._joint_positions(self._mechanism.actuated_joints)
+
+    @property
+    def motion_coordinates(self) -> Vector:
+        """Values of the mechanism's motion coordinates, in their order [m, rad]; empty if it has none."""
+        return self._joint_positions(self._mechanism.motion_coordinates)
+
+    def joint_position(self, name: str) -> float:
+        """Return the coordinate of a joint with one freedom [m, rad]; the angle in (-pi, pi] of a continuous joint.
+
+        Raises:
+            JointNotFoundError: the model has no such joint.
+            InvalidValueError: the joint has several freedoms.
+        """
+        return self._mechanism.single_joint(name).coordinate(self._q)
+
+    def swing(self, closure: int) -> float:
+        """Return the angle between the z axes of a closure's two frames [rad], in [0, pi].
+
+        Args:
+            closure: position of the closure in :attr:`Mechanism.closures`.
+        """
+        loop = self._mechanism.closures[closure]
+        x, y, z = self.frame_placement(loop.frame_a).actInv(self.frame_placement(loop.frame_b)).rotation[:, 2]
+        return math.atan2(math.hypot(x, y), z)
+
+    def violated_limits(self, *, tolerance: float = 1e-9) -> tuple[LimitViolation, ...]:
+        """Return the joints outside their limits and the closures beyond their swing, in the model's order.
+
+        Args:
+            tolerance: excess that still counts as inside, for rounding [m, rad].
+        """
+        mechanism, q = self._mechanism, self._q
+        outside = (q < mechanism.lower_limits - tolerance) | (q > mechanism.upper_limits + tolerance)
+        violations = [
+            LimitViolation(
+                mechanism.coordinate_names[k],
+                "joint",
+                float(q[k]),
+                float(mechanism.lower_limits[k]),
+                float(mechanism.upper_limits[k]),
+            )
+            for k in np.flatnonzero(outside)
+        ]
+        for index, loop in enumerate(mechanism.closures):
+            if loop.swing_limit is not None and (swing := self.swing(index)) > loop.swing_limit + tolerance:
+                violations.append(
+                    LimitViolation(f"{loop.frame_a}-{loop.frame_b}", "swing", swing, 0.0, loop.swing_limit)
+                )
+        return tuple(violations)
+
+    def _placement(self, frame_id: int) -> pin.SE3:
+        return self._mechanism.loop_kinematics.frame_placement(self._q, frame_id)
+
+    def _jacobian(self, frame_id: int) -> Matrix:
+        return frozen(self._mechanism.loop_kinematics.frame_jacobian(self._q, frame_id, pin.LOCAL_WORLD_ALIGNED))
+
+    def _joint_positions(self, names: tuple[str, ...]) -> Vector:
+        return frozen(np.array([self.joint_position(name) for name in names]))

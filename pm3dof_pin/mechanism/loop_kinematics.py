@@ -1,0 +1,126 @@
+"""Closure errors and constraint Jacobians out of Pinocchio, always at the configuration asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.mechanism.arrays import Matrix, Vector
+
+_CLOSED = 1e-13
+"""Closure error that counts as none beside rounding [m, rad]."""
+
+
+class LoopKinematics(threading.local):
+    """Pinocchio's work space for one mechanism, one for each thread.
+
+    Pinocchio fills the data of a constraint only when told to (`calc`) and hands out stale rows otherwise. Here every
+    method starts from q, runs each step that its result depends on, and returns fresh arrays: nothing is remembered
+    between two calls, and no other code touches the work space. (The bindings hand out a matrix of one column as a
+    vector, hence the reshaping.)
+
+    Args:
+        model: the tree.
+        constraint_models: point or frame anchors of Pinocchio, in the order of their rows.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        constraint_models: Sequence[pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel],
+    ) -> None:
+        self._model = model
+        self._data = model.createData()
+        self._constraints = pin.StdVec_ConstraintModel()
+        self._constraint_datas = pin.StdVec_ConstraintData()
+        for constraint_model in constraint_models:
+            constraint = pin.ConstraintModel(constraint_model)
+            self._constraints.append(constraint)
+            self._constraint_datas.append(constraint.createData())
+        self._pairs = list(zip(self._constraints, self._constraint_datas, strict=True))
+        self.rows = _row_slices([constraint.residualSize() for constraint in self._constraints])
+        """Rows of each closure, shape=(number of closures,)."""
+        self.row_count = sum(rows.stop - rows.start for rows in self.rows)
+        self._details = [
+            (rows, constraint_data.extract(), rows.stop - rows.start == 6)
+            for rows, constraint_data in zip(self.rows, self._constraint_datas, strict=True)
+        ]
+
+    def closures(self, q: Vector) -> tuple[Vector, Matrix]:
+        """Compute the closure error e and its derivative G, de/dt = G v.
+
+        Args:
+            q: configuration, shape=(nq,).
+
+        Returns:
+            e, shape=(m,): for a point closure the position of frame b's origin in frame a [m]; for a frame closure
+            log6 of the placement of b in a [m, rad]. G, shape=(m, nv): the exact derivative of e at any q, closed or
+            not. Pinocchio's own rows for frame closures are Ad(M) J_b - J_a, M the placement of b in a, which is the
+            derivative of log6(M) only where the loop is closed; Jlog6(M) Ad(M)^-1 makes them so everywhere.
+        """
+        jacobian = self._constraint_rows(q)
+        error = np.empty(self.row_count)
+        for rows, detail, is_frame in self._details:
+            error[rows] = detail.constraint_position_error
+            if is_frame:
+                placement = detail.c1Mc2
+                jacobian[rows] = pin.Jlog6(placement) @ placement.actionInverse @ jacobian[rows]
+        return error, jacobian
+
+    def jacobians_over(
+        self, positions: Matrix, frame_id: int, reference: pin.ReferenceFrame
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Compute what :meth:`closures` and :meth:`frame_jacobian` do at many configurations, in one loop.
+
+        Args:
+            positions: configurations, shape=(n, nq).
+            frame_id: the frame.
+            reference: its axes.
+
+        Returns:
+            e, shape=(n, m), G, shape=(n, m, nv), and J, shape=(n, 6, nv).
+        """
+        count, nv = len(positions), self._model.nv
+        errors, closures = np.empty((count, self.row_count)), np.empty((count, self.row_count, nv))
+        frames = np.empty((count, 6, nv))
+        for k, q in enumerate(positions):
+            closures[k] = self._constraint_rows(q)
+            error = errors[k]
+            for rows, detail, _ in self._details:
+                error[rows] = detail.constraint_position_error
+            # the joint Jacobians are those of this q
+            frames[k] = pin.getFrameJacobian(self._model, self._data, frame_id, reference).reshape(6, nv)
+        # where a loop is closed, Pinocchio's rows for frame closures are exact to the closure error
+        has_frames = any(is_frame for _, _, is_frame in self._details)
+        open_loops = np.abs(errors).max(axis=1, initial=0.0) > _CLOSED
+        for index in np.flatnonzero(open_loops) if has_frames else ():
+            errors[index], closures[index] = self.closures(positions[index])
+        return errors, closures, frames
+
+    def _constraint_rows(self, q: Vector) -> Matrix:
+        """Fill the work space at q and return Pinocchio's constraint Jacobian, shape=(m, nv)."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        for constraint, constraint_data in self._pairs:
+            constraint.calc(self._model, self._data, constraint_data)
+        stacked = pin.getConstraintsJacobian(self._model, self._data, self._constraints, self._constraint_datas)
+        rows: Matrix = stacked.reshape(self.row_count, self._model.nv)
+        return rows
+
+    def frame_placement(self, q: Vector, frame_id: int) -> pin.SE3:
+        """Compute the placement of a frame in the world."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return pin.updateFramePlacement(self._model, self._data, frame_id).copy()
+
+    def frame_jacobian(self, q: Vector, frame_id: int, reference: pin.ReferenceFrame) -> Matrix:
+        """Compute the Jacobian of a frame, shape=(6, nv), linear part first."""
+        jacobian: Matrix = pin.computeFrameJacobian(self._model, self._data, q, frame_id, reference)
+        return jacobian.reshape(6, self._model.nv)
+
+
+def _row_slices(sizes: Sequence[int]) -> list[slice]:
+    ends = np.cumsum([0, *sizes])
+    return [slice(int(start), int(end)) for start, end in pairwise(ends)]

@@ -1,0 +1,490 @@
+"""A mechanism: a tree of bodies on Pinocchio, its loop closures, and which joints are driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.description.closures import LoopClosure, read_closures
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import (
+    ConvergenceError,
+    DescriptionError,
+    FrameNotFoundError,
+    InvalidValueError,
+    JointNotFoundError,
+    UnreachablePoseError,
+)
+from pm3dof_pin.mechanism.arrays import Vector, finite_array, frozen
+from pm3dof_pin.mechanism.assembly import Assembly, assemble
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
+from pm3dof_pin.mechanism.model_files import read_model
+
+_NORM_TOLERANCE = 1e-9
+_HOME = "home"
+
+
+@dataclass(frozen=True)
+class SingleJoint:
+    """A joint with one freedom: where its coordinate and its rate stand in q and v.
+
+    Attributes:
+        name: its name.
+        q_index: first index in q.
+        v_index: index in v.
+        is_continuous: q holds the cosine and the sine of its angle.
+    """
+
+    name: str
+    q_index: int
+    v_index: int
+    is_continuous: bool
+
+    def coordinate(self, q: Vector) -> float:
+        """Read the joint's coordinate out of q [m, rad]."""
+        if self.is_continuous:
+            return float(np.arctan2(q[self.q_index + 1], q[self.q_index]))
+        return float(q[self.q_index])
+
+    def set_coordinate(self, q: Vector, value: float) -> None:
+        """Write the joint's coordinate into q [m, rad]."""
+        if self.is_continuous:
+            q[self.q_index : self.q_index + 2] = np.cos(value), np.sin(value)
+        else:
+            q[self.q_index] = value
+
+
+class Mechanism:
+    """A closed-chain (or serial) mechanism. Not to be changed once made; its arrays are read-only.
+
+    The configurations it finds are geometry: limits of joints and closures are not looked at, so ask
+    :meth:`Configuration.violated_limits`.
+
+    Example:
+        >>> mechanism = Mechanism.load("pm3dof")
+        >>> configuration = mechanism.forward_geometry([0.01, 0.0, 0.0])
+        >>> configuration.tool_placement
+
+    Args:
+        model: tree of bodies and joints; copied.
+        closures: loop closures between frames of the model; none for a serial robot.
+        actuated_joints: driven joints, each with one freedom. If none are named, a mechanism without closures has all
+            its joints with one freedom driven, one with closures none.
+        tool_frame: frame meant by "the tool"; where it is needed and not named, an error says so.
+        motion_coordinates: joints, each with one freedom, whose rates are the platform's independent motions.
+        springs: entries of the description's springs, unread.
+        characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
+            are decided [m]. By default the root mean square distance of joints, closure points and tool from their
+            centroid at the neutral configuration.
+        source: file the names come from, for messages.
+
+    Attributes:
+        name: name of the robot.
+        model: Pinocchio's model. Treat it as read-only.
+        closures: the loop closures.
+        actuated_joints: names of the driven joints, in the order of u.
+        passive_joints: names of all other joints, in the model's order.
+        tool_frame: name of the tool frame, or None.
+        motion_coordinates: names of the joints that are the motion coordinates; may be empty.
+        springs: entries of the description's springs, unread.
+        actuated_indices: indices of the driven joints' rates in v, shape=(number of driven joints,).
+        passive_indices: indices of all other rates in v.
+        lower_limits: least value of each entry of q, shape=(nq,) [m, rad]; -inf where there is none.
+        upper_limits: greatest value of each entry of q, shape=(nq,) [m, rad]; inf where there is none.
+        coordinate_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
+        named_configurations: joint configurations by name, each of shape=(nq,).
+        characteristic_length: see the argument [m].
+        velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
+            shape=(nv,).
+        closure_scale: the same for the entries of the closure error, shape=(m,).
+        loop_kinematics: the mechanism's work space, one for each thread.
+
+    Raises:
+        FrameNotFoundError: a closure or the tool names a frame that the model does not have.
+        JointNotFoundError: an actuated joint or motion coordinate is not in the model.
+        DescriptionError: such a joint has several freedoms, or a closure joins two frames of one body.
+        InvalidValueError: the characteristic length is not a positive number.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        closures: Iterable[LoopClosure] = (),
+        *,
+        actuated_joints: Iterable[str] = (),
+        tool_frame: str | None = None,
+        motion_coordinates: Iterable[str] = (),
+        springs: Iterable[Mapping[str, Any]] = (),
+        characteristic_length: float | None = None,
+        source: Path | str | None = None,
+    ) -> None:
+        self.model = model.copy()
+        self.name: str = model.name
+        self.closures = tuple(closures)
+        self.tool_frame = tool_frame
+        self.springs = tuple(springs)
+        self._source = str(source if source is not None else model.name)
+        self._frame_ids = _frame_ids(self.model)
+        self._single_joints = _single_joints(self.model)
+
+        driven = tuple(actuated_joints) or (() if self.closures else tuple(self._single_joints))
+        self.actuated_joints = self._checked_joints(driven, "name_mot")
+        self.passive_joints = tuple(name for name in list(model.names)[1:] if name not in set(self.actuated_joints))
+        self.motion_coordinates = self._checked_joints(tuple(motion_coordinates), "motion_coordinates")
+        self.actuated_indices = self.velocity_indices(self.actuated_joints)
+        self.passive_indices = frozen(np.setdiff1d(np.arange(model.nv), self.actuated_indices))
+
+        self.lower_limits = frozen(_limits(model, model.lowerPositionLimit, -np.inf))
+        self.upper_limits = frozen(_limits(model, model.upperPositionLimit, np.inf))
+        self.coordinate_names = _coordinate_names(model)
+        self.named_configurations: Mapping[str, Vector] = MappingProxyType(
+            {entry.key(): frozen(np.array(entry.data())) for entry in model.referenceConfigurations}
+        )
+
+        if tool_frame is not None:
+            self._frame_id(tool_frame, f"{self._source}: tool_frame")
+        self.loop_kinematics = LoopKinematics(
+            self.model, [self._constraint(index, loop) for index, loop in enumerate(self.closures)]
+        )
+        length = self._typical_length() if characteristic_length is None else characteristic_length
+        if not (np.isfinite(length) and length > 0.0):
+            raise InvalidValueError("characteristic_length", length, "a positive length [m]")
+        self.characteristic_length = float(length)
+        self.velocity_scale = frozen(np.where(_is_translation(self.model), self.characteristic_length, 1.0))
+        self.closure_scale = frozen(self._closure_scale())
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> Mechanism:
+        """Load a mechanism from its description.
+
+        Args:
+            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+            characteristic_length: see :class:`Mechanism` [m].
+
+        Raises:
+            UnknownRobotError: no such robot.
+            DescriptionError: a file is missing, unreadable or not of its form.
+            FrameNotFoundError: the closures file names a frame that the URDF does not have.
+            JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+        """
+        files = find_robot(name_or_path)
+        closures = read_closures(files.closures)
+        return cls(
+            read_model(files.urdf, files.srdf),
+            closures.closures,
+            actuated_joints=closures.actuated_joints,
+            tool_frame=closures.tool_frame,
+            motion_coordinates=closures.motion_coordinates,
+            springs=closures.springs,
+            characteristic_length=characteristic_length,
+            source=files.closures,
+        )
+
+    @property
+    def source(self) -> str:
+        """File that the names of frames, joints and springs come from, for messages."""
+        return self._source
+
+    def __repr__(self) -> str:
+        return (
+            f"Mechanism({self.name}: {self.model.njoints - 1} joints, {len(self.actuated_joints)} actuated, "
+            f"{len(self.closures)} closures, tool {self.tool_frame})"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        keywords = {
+            "actuated_joints": self.actuated_joints,
+            "tool_frame": self.tool_frame,
+            "motion_coordinates": self.motion_coordinates,
+            "springs": self.springs,
+            "characteristic_length": self.characteristic_length,
+            "source": self._source,
+        }
+        return _rebuild, (self.model, self.closures, keywords)
+
+    @cached_property
+    def home(self) -> Configuration:
+        """The named configuration "home", or else Pinocchio's neutral one, which need not be assembled."""
+        return self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
+
+    def configuration(self, q: ArrayLike) -> Configuration:
+        """Make the read-only configuration at q.
+
+        Args:
+            q: joint configuration, shape=(nq,) [m, rad]. The loops need not be closed.
+
+        Raises:
+            InvalidValueError: q has another shape, is not finite, or is not normalised.
+        """
+        return Configuration(self, q)
+
+    def assemble(
+        self, guess: Configuration | ArrayLike | None = None, *, held: Mapping[str, ArrayLike] | None = None
+    ) -> Configuration:
+        """Close the loops.
+
+        Args:
+            guess: configuration to start from, one near to which is found; the home configuration by default.
+            held: joints to hold, with their coordinates [m, rad]; shape=(joint's nq,) for one with several freedoms.
+
+        Raises:
+            ConvergenceError: no closed configuration was found.
+            JointNotFoundError: a held joint is not in the model.
+            InvalidValueError: the guess or a held value is not finite or of the wrong shape.
+        """
+        result = assemble(self, guess, held=held)
+        return self._closed(result, "closing the loops", "try a guess nearer to an assembled configuration")
+
+    def forward_geometry(
+        self, actuated_positions: ArrayLike, guess: Configuration | ArrayLike | None = None
+    ) -> Configuration:
+        """Find the configuration that belongs to the actuated joints' coordinates.
+
+        Args:
+            actuated_positions: u, shape=(number of actuated joints,) [m, rad].
+            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
+
+        Raises:
+            ConvergenceError: no closed configuration was found.
+            InvalidValueError: u or the guess is not finite or of the wrong shape.
+        """
+        held = self._named_values("actuated_positions", self.actuated_joints, actuated_positions)
+        result = assemble(self, guess, held=held)
+        return self._closed(
+            result, f"forward geometry at u = {list(held.values())}", "u may be out of reach, or the guess too far away"
+        )
+
+    def inverse_geometry(
+        self, pose: pin.SE3 | ArrayLike, guess: Configuration | ArrayLike | None = None
+    ) -> Configuration:
+        """Find a configuration that brings the tool to a pose.
+
+        Args:
+            pose: placement of the tool frame in the world as a `pin.SE3` or a homogeneous matrix, shape=(4, 4); or its
+                position alone, shape=(3,) [m], the orientation being left free.
+            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
+
+        Raises:
+            UnreachablePoseError: no closed configuration was found with the tool there.
+            DescriptionError: the mechanism has no tool frame.
+            InvalidValueError: the pose or the guess is not finite, of the wrong shape, or the matrix is no placement.
+        """
+        result = assemble(self, guess, pose=pose)
+        return self._reached(result, f"tool pose {_one_line(pose)}")
+
+    def at_motion_coordinates(self, values: ArrayLike, guess: Configuration | ArrayLike | None = None) -> Configuration:
+        """Find the configuration at given values of the motion coordinates.
+
+        Args:
+            values: coordinates of the joints :attr:`motion_coordinates`, in their order [m, rad].
+            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
+
+        Raises:
+            UnreachablePoseError: no closed configuration was found there.
+            DescriptionError: the mechanism has no motion coordinates.
+            InvalidValueError: the values or the guess are not finite or of the wrong shape.
+        """
+        if not self.motion_coordinates:
+            raise DescriptionError(self._source, "motion_coordinates", "is missing, expected names of joints")
+        held = self._named_values("motion coordinates", self.motion_coordinates, values)
+        pose = ", ".join(f"{name} = {value:.9g}" for name, value in held.items())
+        return self._reached(assemble(self, guess, held=held), pose)
+
+    @property
+    def tool_frame_id(self) -> int:
+        """Pinocchio's index of the tool frame.
+
+        Raises:
+            DescriptionError: the mechanism has none.
+        """
+        if self.tool_frame is None:
+            raise DescriptionError(self._source, "tool_frame", "is missing, expected the name of a frame")
+        return self._frame_ids[self.tool_frame]
+
+    def frame_id(self, name: str) -> int:
+        """Return Pinocchio's index of a frame; a link goes before a joint of the same name.
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+        """
+        return self._frame_id(name, self.name)
+
+    def single_joint(self, name: str) -> SingleJoint:
+        """Return where the coordinate and rate of a joint with one freedom stand.
+
+        Raises:
+            JointNotFoundError: the model has no such joint.
+            InvalidValueError: the joint has several freedoms.
+        """
+        if (joint := self._single_joints.get(name)) is None:
+            self._require_joint(name, self.name)
+            raise InvalidValueError("joint", name, "a joint with one freedom")
+        return joint
+
+    def velocity_indices(self, joints: Iterable[str]) -> NDArray[np.intp]:
+        """Return the indices in v of joints with one freedom, in the order given.
+
+        Raises:
+            JointNotFoundError: the model has no such joint.
+            InvalidValueError: a joint has several freedoms.
+        """
+        return frozen(np.array([self.single_joint(name).v_index for name in joints], dtype=np.intp))
+
+    def checked_positions(self, q: ArrayLike) -> Vector:
+        """Return q as a new array, having checked that it is a configuration of this mechanism.
+
+        Raises:
+            InvalidValueError: q has another shape, is not finite, or holds a cosine-sine pair or quaternion not of
+                length 1.
+        """
+        positions = finite_array("q", q, (self.model.nq,))
+        if self.model.nq != self.model.nv and not pin.isNormalized(self.model, positions, _NORM_TOLERANCE):
+            raise InvalidValueError("q", positions, "cosine-sine pairs and quaternions of length 1")
+        return positions
+
+    def held_positions(self, q: Vector, held: Mapping[str, ArrayLike]) -> tuple[Vector, NDArray[np.intp]]:
+        """Set joints to their held values.
+
+        Args:
+            q: joint configuration, shape=(nq,).
+            held: joints with their coordinates.
+
+        Returns:
+            q with these values, and the indices in v that stay free to move.
+
+        Raises:
+            JointNotFoundError: the model has no such joint.
+            InvalidValueError: a value is not finite or of the wrong shape.
+        """
+        q, free = np.array(q), np.ones(self.model.nv, dtype=bool)
+        for name, value in held.items():
+            self._require_joint(name, "held joints")
+            joint = self.model.joints[self.model.getJointId(name)]
+            single = self._single_joints.get(name)
+            numbers = finite_array(f"held joint {name}", value, () if single else (joint.nq,))
+            if single:
+                single.set_coordinate(q, float(numbers))
+            else:
+                q[joint.idx_q : joint.idx_q + joint.nq] = numbers
+            free[joint.idx_v : joint.idx_v + joint.nv] = False
+        return self.checked_positions(q), np.flatnonzero(free)
+
+    def _named_values(self, what: str, names: tuple[str, ...], values: ArrayLike) -> dict[str, float]:
+        numbers = finite_array(f"{what} ({', '.join(names)})", values, (len(names),))
+        return {name: float(number) for name, number in zip(names, numbers, strict=True)}
+
+    def _closed(self, result: Assembly, task: str, advice: str) -> Configuration:
+        if not result.converged:
+            raise ConvergenceError(task, result.residual, "m or rad", result.steps, advice)
+        return result.configuration
+
+    def _reached(self, result: Assembly, pose: str) -> Configuration:
+        if not result.converged:
+            raise UnreachablePoseError(
+                f"{self.name}: no assembled configuration found at {pose}: residual {result.residual:.3e} m or rad "
+                f"after {result.steps} steps; the pose may be out of reach, or the guess too far away"
+            )
+        return result.configuration
+
+    def _constraint(
+        self, index: int, loop: LoopClosure
+    ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
+        where = f"{self._source}: closed_loop[{index}]"
+        frame_a, frame_b = (self.model.frames[self._frame_id(name, where)] for name in (loop.frame_a, loop.frame_b))
+        if frame_a.parentJoint == frame_b.parentJoint:
+            raise DescriptionError(
+                self._source,
+                f"closed_loop[{index}]",
+                f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two",
+            )
+        anchor = pin.PointAnchorConstraintModel if loop.type == "3d" else pin.FrameAnchorConstraintModel
+        return anchor(self.model, frame_a.parentJoint, frame_a.placement, frame_b.parentJoint, frame_b.placement)
+
+    def _checked_joints(self, names: tuple[str, ...], element: str) -> tuple[str, ...]:
+        for name in names:
+            self._require_joint(name, f"{self._source}: {element}")
+            if name not in self._single_joints:
+                raise DescriptionError(self._source, element, f"'{name}' has several freedoms, expected one")
+        return names
+
+    def _require_joint(self, name: str, where: str) -> None:
+        if not self.model.existJointName(name):
+            raise JointNotFoundError(name, where, list(self.model.names)[1:])
+
+    def _frame_id(self, name: str, where: str) -> int:
+        if name not in self._frame_ids:
+            raise FrameNotFoundError(name, where, sorted(self._frame_ids))
+        return self._frame_ids[name]
+
+    def _typical_length(self) -> float:
+        data, neutral = self.model.createData(), pin.neutral(self.model)
+        pin.framesForwardKinematics(self.model, data, neutral)
+        named = [name for loop in self.closures for name in (loop.frame_a, loop.frame_b)]
+        named += [self.tool_frame] if self.tool_frame is not None else []
+        points = [data.oMi[joint].translation for joint in range(1, self.model.njoints)]
+        points += [data.oMf[self._frame_ids[name]].translation for name in named]
+        if not points:
+            return 1.0
+        radius = float(np.sqrt(np.mean(np.sum((points - np.mean(points, axis=0)) ** 2, axis=1))))
+        return radius if radius > np.sqrt(np.finfo(float).eps) else 1.0
+
+    def _closure_scale(self) -> Vector:
+        scale = np.ones(self.loop_kinematics.row_count)
+        for rows in self.loop_kinematics.rows:
+            scale[rows.start : rows.start + 3] = self.characteristic_length
+        return scale
+
+
+def _rebuild(model: pin.Model, closures: Sequence[LoopClosure], keywords: Mapping[str, Any]) -> Mechanism:
+    return Mechanism(model, closures, **keywords)
+
+
+def _frame_ids(model: pin.Model) -> dict[str, int]:
+    """Index the frames by name; of frames with the same name, a body's wins."""
+    ids: dict[str, int] = {}
+    for index, frame in enumerate(model.frames):
+        if frame.name not in ids or frame.type == pin.FrameType.BODY:
+            ids[frame.name] = index
+    return ids
+
+
+def _single_joints(model: pin.Model) -> dict[str, SingleJoint]:
+    return {
+        model.names[index]: SingleJoint(model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2)
+        for index, joint in enumerate(model.joints)
+        if index > 0 and joint.nv == 1
+    }
+
+
+def _coordinate_names(model: pin.Model) -> tuple[str, ...]:
+    names = []
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        names += [name] if joint.nq == 1 else [f"{name}[{k}]" for k in range(joint.nq)]
+    return tuple(names)
+
+
+def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
+    """Put `unlimited` where Pinocchio has no limit: cosines, sines, quaternions, and its greatest number."""
+    limited = np.array(list(model.hasConfigurationLimit()), dtype=bool) & (np.abs(limits) < np.finfo(float).max)
+    return np.where(limited, limits, unlimited)
+
+
+def _is_translation(model: pin.Model) -> NDArray[np.bool_]:
+    """Tell which entries of v are velocities along an axis, without any rotation, shape=(nv,)."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return np.array([not rotation.any() for rotation in data.J.reshape(6, model.nv)[3:].T], dtype=bool)
+
+
+def _one_line(pose: pin.SE3 | ArrayLike) -> str:
+    numbers = pose.homogeneous if isinstance(pose, pin.SE3) else np.asarray(pose)
+    return np.array2string(numbers, separator=", ", precision=6).replace("\n", "")
