@@ -1,0 +1,93 @@
+"""The forces of actuators and loop closures that balance a load on the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
+from pm3dof_pin.mechanism import Configuration, singularities
+from pm3dof_pin.mechanism.arrays import Vector, frozen
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms
+
+BALANCE_TOLERANCE = 1e-9
+"""Part of the load on motions that no actuator holds, up to which it counts as rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorForces:
+    """Forces of the actuators and of the loop closures.
+
+    Attributes:
+        actuator_forces: forces f along the actuated joints, in their order, positive as their coordinates,
+            shape=(number of actuated joints,) [N, N m].
+        closure_forces: force (6d: wrench) lambda on frame b of each closure, its opposite being on frame a, in the axes
+            of frame a, one closure after the other, shape=(m,) [N, N m].
+        residual: greatest entry of what is left of the balance [N]; moments are divided by the characteristic length.
+        actuator_forces_unique: whether no other actuator forces balance the load. If others do, as with more actuators
+            than freedoms, these are the shortest in scaled numbers.
+        closure_forces_unique: whether no other closure forces balance the load with these actuator forces. If others
+            do, as with redundant closures, rigid bodies do not tell which act, and these are the shortest in scaled
+            numbers.
+    """
+
+    actuator_forces: Vector
+    closure_forces: Vector
+    residual: float
+    actuator_forces_unique: bool
+    closure_forces_unique: bool
+
+
+def balance(
+    configuration: Configuration, load: Vector, *, reference: float, tolerance: float = RANK_TOLERANCE
+) -> ActuatorForces:
+    """Solve A^T f + G^T lambda = load for the forces of the actuators and of the loop closures.
+
+    A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the freedoms, the
+    actuators are found from (A Z)^T f = Z^T load, then the closures from what is left, both by singular value
+    decomposition in scaled numbers: lengths are divided by the characteristic length, forces along an axis multiplied
+    by it.
+
+    Args:
+        configuration: an assembled configuration.
+        load: generalised forces to be balanced, shape=(nv,) [N, N m].
+        reference: size of what the load is the sum of, shape=() [N m], which its rounding goes by.
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        SingularConfigurationError: the load works on a motion that the actuated joints do not hold.
+        InvalidValueError: the loops are not closed.
+    """
+    mechanism = configuration.mechanism
+    here = Freedoms(configuration, tolerance)
+    scaled = here.scale * load
+    work = float(np.linalg.norm(here.locked.motions.T @ scaled))
+    if work > BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled))):
+        raise SingularConfigurationError(
+            f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, here, tolerance)}; "
+            f"residual {work / mechanism.characteristic_length:.3e} N; q = {np.array2string(configuration.q)}"
+        )
+    actuators = here.locked.inverse.T @ scaled
+    left = scaled - here.actuators.T @ actuators
+    closures = here.closures.inverse.T @ left
+    left -= here.closures.rows.T @ closures
+    return ActuatorForces(
+        frozen(actuators / here.scale[mechanism.actuated_indices]),
+        frozen(closures / mechanism.closure_scale),
+        float(np.abs(left).max(initial=0.0)) / mechanism.characteristic_length,
+        here.locked.rank.rank == len(actuators),
+        here.constraint_rank.rank == len(closures),
+    )
+
+
+def _name(configuration: Configuration, here: Freedoms, tolerance: float) -> str:
+    """Say what is wrong with a configuration whose actuated joints do not hold it."""
+    free = f"{here.locked.motions.shape[1]} freedoms are left with the actuated joints at rest"
+    if configuration.mechanism.tool_frame is None:
+        return free
+    try:
+        kinds = [singularity.type for singularity in singularities(configuration, tolerance=tolerance)]
+    except ConvergenceError:
+        return free
+    return f"{' and '.join(kinds)} singularity, {free}" if kinds else free

@@ -1,0 +1,191 @@
+"""Inverse dynamics: the actuator forces of a motion that keeps the loops closed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
+from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
+from pm3dof_pin.dynamics.mass_matrix import mass_matrix
+from pm3dof_pin.dynamics.statics import weight_scale
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.mechanism import Configuration
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms, Restriction
+from pm3dof_pin.mechanism.payloads import Payloads
+
+_CONSISTENT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Velocity and acceleration of all joints.
+
+    Attributes:
+        velocity: v, shape=(nv,) [m/s, rad/s].
+        acceleration: dv/dt, shape=(nv,) [m/s^2, rad/s^2].
+        idle: motions left when the given joints are at rest, the actuated joints and the tool then being so too, such
+            as the spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In `velocity` and
+            `acceleration` they have the share that makes these shortest in scaled numbers.
+    """
+
+    velocity: Vector
+    acceleration: Vector
+    idle: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamics:
+    """The forces of a motion, and the motion.
+
+    Attributes:
+        forces: of the actuators and the loop closures.
+        velocity: v, shape=(nv,) [m/s, rad/s].
+        acceleration: dv/dt, shape=(nv,) [m/s^2, rad/s^2].
+    """
+
+    forces: ActuatorForces
+    velocity: Vector
+    acceleration: Vector
+
+
+def inverse_dynamics(
+    configuration: Configuration,
+    rates: ArrayLike,
+    accelerations: ArrayLike,
+    *,
+    joints: Iterable[str] | None = None,
+    payloads: Payloads | None = None,
+    wrenches: Wrenches | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> InverseDynamics:
+    """Compute the actuator forces of a motion, given by some joints' rates and accelerations.
+
+    The motion of all joints follows from the loops, :func:`loop_motion`; the recursive Newton-Euler algorithm gives the
+    forces of the open tree, and virtual work on the freedoms gives those of the actuators. Rigid bodies, no friction.
+    Idle freedoms are not driven: they accelerate as the forces make them.
+
+    Args:
+        configuration: an assembled configuration.
+        rates: of the given joints, shape=(number of them,) [m/s, rad/s].
+        accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
+        joints: joints, each with one freedom, that tell the motion, such as the mechanism's `motion_coordinates`; the
+            actuated joints by default.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        SingularConfigurationError: the joints do not tell the motion here, or no actuator forces drive it.
+        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is no
+            good number.
+        FrameNotFoundError: a payload or wrench names a frame that the model does not have.
+        JointNotFoundError: the model has no such joint.
+        DescriptionError: the mechanism has no tool frame.
+    """
+    mechanism = configuration.mechanism
+    motion = loop_motion(configuration, rates, accelerations, joints=joints, tolerance=tolerance)
+    model = model_with_payloads(mechanism, payloads)
+    external = generalised_forces(configuration, wrenches)
+    load = pin.rnea(model, model.createData(), np.array(configuration.q), motion.velocity, motion.acceleration)
+    load = load - external
+    free = np.zeros(model.nv)
+    if motion.idle.size:
+        mass = mass_matrix(configuration, payloads=payloads)
+        free = _free_acceleration(motion.idle, mass, load)
+        load = load + mass @ free
+    reference = weight_scale(model, mechanism.characteristic_length)
+    reference += float(np.linalg.norm(mechanism.velocity_scale * external))
+    forces = balance(configuration, load, reference=reference, tolerance=tolerance)
+    return InverseDynamics(forces, motion.velocity, frozen(motion.acceleration + free))
+
+
+def loop_motion(
+    configuration: Configuration,
+    rates: ArrayLike,
+    accelerations: ArrayLike,
+    *,
+    joints: Iterable[str] | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> JointMotion:
+    """Compute the motion of all joints from that of some, with the loops kept closed: G v = 0, G dv/dt + dG/dt v = 0.
+
+    Args:
+        configuration: an assembled configuration.
+        rates: of the given joints, shape=(number of them,) [m/s, rad/s].
+        accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
+        joints: joints, each with one freedom; the actuated joints by default.
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        SingularConfigurationError: actuated joints or the tool can move while the given joints are at rest.
+        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is no
+            good number.
+        JointNotFoundError: the model has no such joint.
+        DescriptionError: the mechanism has no tool frame.
+    """
+    mechanism = configuration.mechanism
+    names = mechanism.actuated_joints if joints is None else tuple(joints)
+    indices = mechanism.velocity_indices(names)
+    here = Freedoms(configuration, tolerance)
+    given = here.over(np.eye(len(here.scale))[indices])
+    if Restriction(here.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
+        raise SingularConfigurationError(
+            f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
+            f"are at rest; q = {np.array2string(configuration.q)}"
+        )
+    start = finite_array("rates", rates, indices.shape) / here.scale[indices]
+    wanted = finite_array("accelerations", accelerations, indices.shape) / here.scale[indices]
+    v = _reached("rates", given, start, np.zeros_like(here.scale))
+    drift = closure_acceleration(configuration, here.scale * v)
+    a = _reached("accelerations", given, wanted, -here.closures.inverse @ (drift / mechanism.closure_scale))
+    return JointMotion(frozen(here.scale * v), frozen(here.scale * a), frozen(here.scale[:, None] * given.motions))
+
+
+def closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
+    """Compute dG/dt v, the acceleration of the closure error at a velocity that keeps the loops closed.
+
+    It is the acceleration of frame b against frame a with dv/dt = 0: G dv/dt = -dG/dt v.
+
+    Args:
+        configuration: an assembled configuration.
+        velocity: v with G v = 0, shape=(nv,).
+
+    Returns:
+        In the axes of frame a, linear part first, one closure after the other, shape=(m,) [m/s^2, rad/s^2].
+    """
+    mechanism = configuration.mechanism
+    model, data = mechanism.model, mechanism.model.createData()
+    pin.forwardKinematics(model, data, np.array(configuration.q), velocity, np.zeros(model.nv))
+    drift = np.zeros(len(configuration.closure_error))
+    for loop, rows in zip(mechanism.closures, mechanism.loop_kinematics.rows, strict=True):
+        a, b = (
+            pin.getFrameClassicalAcceleration(model, data, mechanism.frame_id(frame), pin.LOCAL_WORLD_ALIGNED)
+            for frame in (loop.frame_a, loop.frame_b)
+        )
+        to_a = configuration.frame_placement(loop.frame_a).rotation.T
+        relative = np.concatenate([to_a @ (b.linear - a.linear), to_a @ (b.angular - a.angular)])
+        drift[rows] = relative[: rows.stop - rows.start]
+    return drift
+
+
+def _reached(what: str, given: Restriction, wanted: Vector, start: Vector) -> Vector:
+    """Add the shortest freedom to a scaled velocity or acceleration that gives the joints what is wanted of them."""
+    missing = wanted - given.rows @ start
+    motion: Vector = start + given.inverse @ missing
+    left = np.linalg.norm(wanted - given.rows @ motion)
+    if left > _CONSISTENT * (np.linalg.norm(wanted) + np.linalg.norm(given.rows @ start)):
+        raise InvalidValueError(what, wanted, "what the loops allow")
+    return motion
+
+
+def _free_acceleration(idle: Matrix, mass: Matrix, load: Vector) -> Vector:
+    """Return the acceleration of motions that nothing drives, whose generalised forces then vanish."""
+    rates = np.linalg.lstsq(idle.T @ mass @ idle, -idle.T @ load)[0]  # a motion without mass stays at rest
+    free: Vector = idle @ rates
+    return free

@@ -1,0 +1,56 @@
+"""Mass matrices: of the tree of bodies, and of the motions that keep its loops closed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.dynamics.loads import model_with_payloads
+from pm3dof_pin.mechanism import Configuration, null_space
+from pm3dof_pin.mechanism.arrays import Matrix, finite_array, frozen
+from pm3dof_pin.mechanism.payloads import Payloads
+
+
+def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:
+    """Compute the mass matrix M of the tree of bodies, loops open, shape=(nv, nv) [kg, kg m, kg m^2].
+
+    Args:
+        configuration: where.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+
+    Raises:
+        FrameNotFoundError: a payload names a frame that the model does not have.
+        InvalidValueError: a payload's mass is negative or no finite number.
+    """
+    model = model_with_payloads(configuration.mechanism, payloads)
+    upper = np.triu(pin.crba(model, model.createData(), np.array(configuration.q)).reshape(model.nv, model.nv))
+    return frozen(upper + np.triu(upper, 1).T)
+
+
+def manifold_mass_matrix(
+    configuration: Configuration, motions: ArrayLike | None = None, *, payloads: Payloads | None = None
+) -> Matrix:
+    """Compute the mass matrix on the constraint manifold, Z^T M Z: the kinetic energy is half of c^T (Z^T M Z) c.
+
+    Args:
+        configuration: an assembled configuration.
+        motions: Z, velocities that keep the loops closed, shape=(nv, p), v = Z c; by default those of
+            :func:`~pm3dof_pin.mechanism.null_space`. With :func:`~pm3dof_pin.mechanism.independent_motions` it is the
+            mass matrix that belongs to the motion coordinates.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+
+    Returns:
+        Symmetric, shape=(p, p).
+
+    Raises:
+        FrameNotFoundError: a payload names a frame that the model does not have.
+        InvalidValueError: a payload or `motions` is no good number, or the loops are not closed.
+    """
+    z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
+    product = z.T @ mass_matrix(configuration, payloads=payloads) @ z
+    return frozen(0.5 * (product + product.T))
+
+
+def _checked(configuration: Configuration, motions: ArrayLike) -> Matrix:
+    return finite_array("motions", motions, (configuration.mechanism.model.nv, np.shape(motions)[-1]))

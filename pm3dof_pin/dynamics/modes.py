@@ -1,0 +1,146 @@
+"""Natural frequencies and mode shapes of an elastic mechanism at a configuration, and over many.
+
+The motions that keep the loops closed are Z, which strain the springs, with Z^T K_q Z = 1
+(:mod:`pm3dof_pin.elastic.motions`), and N, which leave them all at rest. No spring resists N: these are the modes of
+frequency zero, known from kinematics, not from a small eigenvalue. In the other modes the momentum along N vanishes,
+
+    Z' = Z - N (N^T M N)^-1 N^T M Z,
+
+and the eigenvalues of Z'^T M Z' are 1 / omega^2. Small vibrations without load and damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.dynamics.mass_matrix import mass_matrix
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.motions import elastic_motions
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Configuration
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.mechanism.payloads import Payloads
+
+_NO_MASS = 1e-13
+"""Part of the greatest 1 / omega^2 below which a motion counts as one without mass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Natural modes at a configuration.
+
+    Attributes:
+        configuration: where, of the mechanism with virtual joints.
+        frequencies: of the modes that strain springs, rising, shape=(k,) [Hz].
+        shapes: velocities of all joints in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1.
+        twists: twists [v; omega] of the tool in these modes, world axes, shape=(6, k).
+        free_motions: basis of the motions with all springs at rest, the modes of frequency zero, shape=(nv, u),
+            orthonormal in scaled numbers.
+        free_twists: twists of the tool in the free motions, shape=(6, u).
+        without_mass: number of modes that strain springs and move no mass; they have no frequency.
+    """
+
+    configuration: Configuration
+    frequencies: Vector
+    shapes: Matrix
+    twists: Matrix
+    free_motions: Matrix
+    free_twists: Matrix
+    without_mass: int
+
+
+def natural_modes(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    *,
+    count: int | None = None,
+    payloads: Payloads | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> Modes:
+    """Compute the natural modes at a configuration.
+
+    Args:
+        model: the mechanism with its springs.
+        configuration: an assembled one, see :meth:`ElasticModel.configuration`.
+        count: number of modes to return, from the lowest on; all by default.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        InvalidValueError: the loops are not closed, a payload or `count` is no good number, or a length that a joint
+            changes is not positive.
+        FrameNotFoundError: a payload names a frame that the model does not have.
+        DescriptionError: the mechanism has no tool frame.
+    """
+    if count is not None and count < 0:
+        raise InvalidValueError("count", count, "a number of modes, not negative")
+    where = model.configuration(configuration)
+    motions = elastic_motions(model, where, tolerance=tolerance)
+    mass = mass_matrix(where, payloads=payloads)
+    inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
+    kept = inverse_squares > _NO_MASS * inverse_squares.max(initial=0.0)
+    chosen = np.flatnonzero(kept)[::-1][:count]
+    shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), where)
+    return Modes(
+        configuration=where,
+        frequencies=frozen(1.0 / (2.0 * np.pi * np.sqrt(inverse_squares[chosen]))),
+        shapes=frozen(shapes),
+        twists=frozen(where.tool_jacobian @ shapes),
+        free_motions=motions.unstrained,
+        free_twists=frozen(where.tool_jacobian @ motions.unstrained),
+        without_mass=int(np.count_nonzero(~kept)),
+    )
+
+
+def natural_frequencies(
+    model: ElasticModel,
+    positions: ArrayLike,
+    *,
+    count: int,
+    payloads: Payloads | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> Vector:
+    """Compute the lowest natural frequencies at many configurations.
+
+    Args:
+        model: the mechanism with its springs.
+        positions: q of the rigid mechanism, assembled, shape=(..., nq) [m, rad]; NaN where there is none, as for poses
+            out of reach.
+        count: number of frequencies at each.
+        payloads: see :func:`natural_modes`.
+        tolerance: see :func:`natural_modes`.
+
+    Returns:
+        Rising, shape=(..., count) [Hz]; NaN where q is, and where there are fewer modes.
+
+    Raises:
+        PM3DofError: see :func:`natural_modes`.
+    """
+    q = np.asarray(positions, dtype=np.float64)
+    frequencies = np.full((*q.shape[:-1], count), np.nan)
+    for index in np.ndindex(q.shape[:-1]):
+        if not np.isnan(q[index]).any():
+            found = natural_modes(model, q[index], count=count, payloads=payloads, tolerance=tolerance).frequencies
+            frequencies[index][: len(found)] = found
+    return frequencies
+
+
+def _vibrations(elastic: Matrix, free: Matrix, mass: Matrix) -> tuple[Vector, Matrix]:
+    """Return 1 / omega^2, rising, and the motions, of unit strain energy twice over, shapes=(e,), (nv, e)."""
+    moved = elastic - free @ np.linalg.lstsq(free.T @ mass @ free, free.T @ mass @ elastic)[0]
+    inverse_squares, directions = np.linalg.eigh(moved.T @ mass @ moved)
+    return inverse_squares, moved @ directions
+
+
+def _with_definite_sign(shapes: Matrix, configuration: Configuration) -> Matrix:
+    """Turn each shape so that its greatest scaled entry is positive."""
+    if not shapes.size:
+        return shapes
+    scaled = shapes / configuration.mechanism.velocity_scale[:, None]
+    greatest = np.abs(np.round(scaled / np.abs(scaled).max(axis=0), 6)).argmax(axis=0)
+    turned: Matrix = shapes * np.sign(scaled[greatest, np.arange(shapes.shape[1])])
+    return turned

@@ -1,0 +1,52 @@
+"""Holding forces: what the actuators and the loop closures bear while the mechanism stands still."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
+from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
+from pm3dof_pin.mechanism import Configuration
+from pm3dof_pin.mechanism.arrays import Vector
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.mechanism.payloads import Payloads
+
+
+def holding_forces(
+    configuration: Configuration,
+    *,
+    payloads: Payloads | None = None,
+    wrenches: Wrenches | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> ActuatorForces:
+    """Compute the forces that hold a configuration against gravity, payloads and wrenches.
+
+    Virtual work on rigid bodies without friction: A^T f + G^T lambda = tau_g - sum J^T w, tau_g being the generalised
+    forces that hold the tree of bodies, payloads included, against `model.gravity`.
+
+    Args:
+        configuration: an assembled configuration.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        SingularConfigurationError: no actuator forces hold the mechanism here, as at a parallel singularity.
+        FrameNotFoundError: a payload or wrench names a frame that the model does not have.
+        InvalidValueError: a payload or wrench is no good number, or the loops are not closed.
+    """
+    mechanism = configuration.mechanism
+    model = model_with_payloads(mechanism, payloads)
+    gravity = pin.computeGeneralizedGravity(model, model.createData(), np.array(configuration.q))
+    external = generalised_forces(configuration, wrenches)
+    reference = weight_scale(model, mechanism.characteristic_length)
+    reference += float(np.linalg.norm(mechanism.velocity_scale * external))
+    return balance(configuration, gravity - external, reference=reference, tolerance=tolerance)
+
+
+def weight_scale(model: pin.Model, length: float) -> float:
+    """Return the weight of all moving bodies times a length [N m]."""
+    mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
+    gravity: Vector = model.gravity.linear
+    return float(mass * np.linalg.norm(gravity) * length)

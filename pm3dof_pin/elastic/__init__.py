@@ -1,0 +1,100 @@
+"""Elastic mechanisms: springs, the 6 x 6 Cartesian stiffness of any frame, loaded stiffness and buckling, indices.
+
+Names are loaded when they are first used: the indices need neither Pinocchio nor a compiler.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pm3dof_pin.elastic.buckling import BucklingLoad, buckling_load
+    from pm3dof_pin.elastic.condensation import (
+        CartesianCompliance,
+        cartesian_compliance,
+        transformed_compliance,
+        transformed_stiffness,
+        twist_transform,
+    )
+    from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
+    from pm3dof_pin.elastic.loaded import (
+        LoadedEquilibrium,
+        equilibrium_path,
+        load_deflection,
+        loaded_equilibrium,
+    )
+    from pm3dof_pin.elastic.loads import Loads
+    from pm3dof_pin.elastic.springs import (
+        AxialSpring,
+        BeamSpring,
+        CantileverSpring,
+        ClosureSpring,
+        JointLength,
+        JointSpring,
+        Spring,
+        read_springs,
+    )
+    from pm3dof_pin.elastic.sweep import compliance_over
+
+_HOMES = {
+    "AxialSpring": "springs",
+    "BeamSpring": "springs",
+    "BucklingLoad": "buckling",
+    "CantileverSpring": "springs",
+    "CartesianCompliance": "condensation",
+    "ClosureSpring": "springs",
+    "ElasticModel": "elastic_model",
+    "JointLength": "springs",
+    "JointSpring": "springs",
+    "LoadedEquilibrium": "loaded",
+    "Loads": "loads",
+    "Spring": "springs",
+    "SpringBlock": "elastic_model",
+    "buckling_load": "buckling",
+    "cartesian_compliance": "condensation",
+    "compliance_over": "sweep",
+    "equilibrium_path": "loaded",
+    "load_deflection": "loaded",
+    "loaded_equilibrium": "loaded",
+    "read_springs": "springs",
+    "transformed_compliance": "condensation",
+    "transformed_stiffness": "condensation",
+    "twist_transform": "condensation",
+}
+
+__all__ = [
+    "AxialSpring",
+    "BeamSpring",
+    "BucklingLoad",
+    "CantileverSpring",
+    "CartesianCompliance",
+    "ClosureSpring",
+    "ElasticModel",
+    "JointLength",
+    "JointSpring",
+    "LoadedEquilibrium",
+    "Loads",
+    "Spring",
+    "SpringBlock",
+    "buckling_load",
+    "cartesian_compliance",
+    "compliance_over",
+    "equilibrium_path",
+    "load_deflection",
+    "loaded_equilibrium",
+    "read_springs",
+    "transformed_compliance",
+    "transformed_stiffness",
+    "twist_transform",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'pm3dof_pin.elastic' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"pm3dof_pin.elastic.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

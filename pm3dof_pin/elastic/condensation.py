@@ -1,0 +1,211 @@
+"""The 6 x 6 Cartesian compliance and stiffness of any frame of a closed-chain mechanism, by condensation.
+
+With the motions of :mod:`pm3dof_pin.elastic.motions`, C = (J Z) (J Z)^T at a frame with Jacobian J, and K = C^-1. It is
+the solution J dq/dw of
+
+    [ K_q  G^T ] [dq    ]   [J^T w]
+    [ G     0  ] [lambda] = [0    ]
+
+with all that this system does not say when it is singular. A frame that can move with all springs at rest has free
+directions: no compliance, but a stiffness that is zero there. A frame that the springs cannot move in a direction is
+rigid in it: no stiffness, but a compliance that is zero there. Both are reported by name, never inverted through.
+Motions with the springs and the frame at rest, such as a link that spins about its own axis, do no harm, and neither do
+redundant constraints.
+
+For a serial robot with springs k at its joints C = J diag(1/k) J^T comes out, the special case without G.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.elastic.directions import direction_names, range_and_complement
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
+from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
+from pm3dof_pin.mechanism import Configuration, RankDecision
+from pm3dof_pin.mechanism.arrays import Matrix, frozen
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianCompliance:
+    """The elastic behaviour of one frame at one configuration.
+
+    Twists are [v; omega], wrenches [f; m], at the frame's origin, world axes. "Orthonormal in scaled numbers": with
+    lengths divided by the characteristic length.
+
+    Attributes:
+        frame: the frame.
+        motions: how the mechanism can move, with the rank decisions on its closures.
+        spring_names: names of the springs, in the order of `contributions`.
+        spring_coordinates: names of the joints that springs are at, in the order of `spring_forces`.
+        spring_forces: generalised forces in the springs for unit wrenches on the frame, the map a from wrenches to
+            spring forces, shape=(s, 6). A wrench that would work on a free direction counts without that part.
+        contributions: compliance that each spring adds, a_j K_j^-1 a_j^T, shape=(number of springs, 6, 6). Their sum is
+            the compliance.
+        free_directions: twists that the frame can have with all springs at rest, orthonormal in scaled numbers,
+            shape=(6, f).
+        rigid_directions: twists that the frame cannot have at all, orthonormal in scaled numbers, shape=(6, r).
+        free_rank: the decision on the frame's twists with all springs at rest.
+        elastic_rank: the decision on its twists when springs are strained, free directions left out.
+    """
+
+    frame: str
+    motions: ElasticMotions
+    spring_names: tuple[str, ...]
+    spring_coordinates: tuple[str, ...]
+    spring_forces: Matrix
+    contributions: Matrix
+    free_directions: Matrix
+    rigid_directions: Matrix
+    free_rank: RankDecision
+    elastic_rank: RankDecision
+    _twists: Matrix
+    _held: Matrix
+
+    @property
+    def configuration(self) -> Configuration:
+        """Where, of the mechanism with virtual joints."""
+        return self.motions.configuration
+
+    @property
+    def exists(self) -> bool:
+        """Whether both compliance and stiffness exist, each the inverse of the other."""
+        return not (self.free_directions.size or self.rigid_directions.size)
+
+    @cached_property
+    def compliance(self) -> Matrix:
+        """C, twist = C wrench, symmetric, shape=(6, 6) [m/N, 1/N, rad/(N m)]; singular in rigid directions.
+
+        Raises:
+            FreeDirectionError: the frame has free directions; the message names them.
+        """
+        if self.free_directions.size:
+            raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
+        return frozen(self._twists @ self._twists.T)
+
+    @cached_property
+    def stiffness(self) -> Matrix:
+        """K, wrench = K twist, symmetric, shape=(6, 6) [N/m, N, N m/rad]; singular in free directions.
+
+        Raises:
+            RigidDirectionError: the frame has rigid directions; the message names them.
+        """
+        if self.rigid_directions.size:
+            raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
+        # (P Z') (P Z')^T inverted by the triangle of an orthogonal decomposition: half the digits of a product are safe
+        rows = self._held.T @ self._twists
+        size = np.linalg.norm(rows, axis=1)
+        triangle = np.linalg.qr((rows / size[:, None]).T)[1]
+        root = np.linalg.solve(triangle.T, self._held.T / size[:, None])
+        return frozen(root.T @ root)
+
+    def _message(self, what: str, directions: Matrix) -> str:
+        q = " ".join(f"{value:.4g}" for value in self.configuration.q)
+        return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = ({q})"
+
+
+def cartesian_compliance(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    *,
+    frame: str | None = None,
+    tolerance: float = RANK_TOLERANCE,
+) -> CartesianCompliance:
+    """Compute the elastic behaviour of a frame, unloaded but for the wrenches that probe it.
+
+    Args:
+        model: the elastic mechanism.
+        configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad].
+        frame: the frame; the tool by default.
+        tolerance: singular values below this times their reference count as zero.
+
+    Raises:
+        FrameNotFoundError: the model has no such frame.
+        DescriptionError: no frame is given, and the mechanism has no tool frame.
+        InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
+    """
+    where = model.configuration(configuration)
+    motions = elastic_motions(model, where, tolerance=tolerance)
+    jacobian = where.tool_jacobian if frame is None else where.frame_jacobian(frame)
+    name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
+
+    twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
+    scaled = jacobian / twist_scale[:, None]
+    reference = tolerance * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
+    free, held, free_rank = range_and_complement(scaled @ motions.unstrained, reference)
+    moved, rigid, elastic_rank = range_and_complement(held.T @ scaled @ motions.kinematic, reference)
+
+    twists = twist_scale[:, None] * (held @ (held.T @ (scaled @ motions.elastic)))
+    strains = motions.whitened @ twists.T
+    root = model.scaled_compliance_root(where)
+    return CartesianCompliance(
+        frame=name,
+        motions=motions,
+        spring_names=model.spring_names,
+        spring_coordinates=model.spring_coordinates,
+        spring_forces=frozen(np.linalg.solve(root.T, strains)),
+        contributions=frozen(_contributions(model, strains)),
+        free_directions=frozen(twist_scale[:, None] * free),
+        rigid_directions=frozen(twist_scale[:, None] * (held @ rigid)),
+        free_rank=free_rank,
+        elastic_rank=elastic_rank,
+        _twists=frozen(twists),
+        _held=frozen(held @ moved / twist_scale[:, None]),
+    )
+
+
+def twist_transform(origin: ArrayLike, target: ArrayLike, rotation: ArrayLike | None = None) -> Matrix:
+    """Return X with twist_B = X twist_A, for two frames A and B on one body.
+
+    Args:
+        origin: A, the point that twist_A belongs to, shape=(3,) [m].
+        target: B, the point that twist_B belongs to, shape=(3,) [m].
+        rotation: R with (coordinates in B's axes) = R (coordinates in A's axes), shape=(3, 3); by default the axes are
+            the same. Points are given in A's axes.
+
+    Returns:
+        shape=(6, 6): v_B = R (v_A + omega x (B - A)), omega_B = R omega.
+    """
+    x, y, z = np.asarray(target, dtype=float) - np.asarray(origin, dtype=float)
+    turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
+    transform = np.zeros((6, 6))
+    transform[:3, :3] = transform[3:, 3:] = turn
+    transform[:3, 3:] = turn @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    return transform
+
+
+def transformed_stiffness(stiffness: ArrayLike, transform: ArrayLike) -> Matrix:
+    """Return K_A = X^T K_B X, the stiffness in frame A of a body whose stiffness in frame B is known.
+
+    Args:
+        stiffness: K_B, shape=(..., 6, 6).
+        transform: X of :func:`twist_transform`, twist_B = X twist_A, shape=(..., 6, 6).
+    """
+    x = np.asarray(transform, dtype=float)
+    transformed: Matrix = np.swapaxes(x, -1, -2) @ np.asarray(stiffness, dtype=float) @ x
+    return transformed
+
+
+def transformed_compliance(compliance: ArrayLike, transform: ArrayLike) -> Matrix:
+    """Return C_B = X C_A X^T, the compliance in frame B of a body whose compliance in frame A is known.
+
+    Args:
+        compliance: C_A, shape=(..., 6, 6).
+        transform: X of :func:`twist_transform`, twist_B = X twist_A, shape=(..., 6, 6).
+    """
+    x = np.asarray(transform, dtype=float)
+    transformed: Matrix = x @ np.asarray(compliance, dtype=float) @ np.swapaxes(x, -1, -2)
+    return transformed
+
+
+def _contributions(model: ElasticModel, strains: Matrix) -> Matrix:
+    """Return each spring's part of the compliance out of its strains in units of the springs, shape=(s, 6)."""
+    ends = np.cumsum([len(block.indices) for block in model.blocks])
+    parts = np.split(strains, ends[:-1])
+    return np.stack([part.T @ part for part in parts])

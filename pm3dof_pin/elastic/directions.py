@@ -1,0 +1,46 @@
+"""Directions of a frame that are free or rigid: found by singular values, and named."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.mechanism import RankDecision
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
+
+_NO_PART = 1e-6
+
+
+def decide_rank(values: Vector, threshold: float) -> RankDecision:
+    """Count the singular values above a threshold, and keep both for whoever wants to look."""
+    return RankDecision(int(np.count_nonzero(values > threshold)), threshold, frozen(values))
+
+
+def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDecision]:
+    """Return orthonormal bases of what columns span and of its complement, and how the rank was decided."""
+    left, values, _ = np.linalg.svd(columns) if columns.size else (np.eye(len(columns)), np.zeros(0), None)
+    rank = decide_rank(values, threshold)
+    return left[:, : rank.rank], left[:, rank.rank :], rank
+
+
+def direction_names(twists: Matrix) -> str:
+    """Say in words which ways twists [v; omega] go, in world axes.
+
+    Args:
+        twists: shape=(6, k) [m, rad].
+    """
+    return "; ".join(_named(twist) for twist in twists.T)
+
+
+def _named(twist: Vector) -> str:
+    translation, rotation = twist[:3], twist[3:]
+    turn, shift = np.linalg.norm(rotation), np.linalg.norm(translation)
+    if turn <= _NO_PART:
+        return f"translation along {_numbers(translation / shift)}"
+    if shift <= _NO_PART:
+        return f"rotation about {_numbers(rotation / turn)}"
+    return f"rotation about {_numbers(rotation / turn)} with translation {_numbers(translation / turn)} m/rad"
+
+
+def _numbers(vector: Vector) -> str:
+    # adding zero turns minus zero into zero
+    return f"({', '.join(f'{number + 0.0:.6g}' for number in np.round(vector, 9))})"

@@ -1,0 +1,351 @@
+"""A mechanism with its springs: the tree with virtual joints, and the stiffness of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.elastic.springs import (
+    AxialSpring,
+    CantileverSpring,
+    JointLength,
+    JointSpring,
+    Spring,
+    read_springs,
+)
+from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class SpringBlock:
+    """The stiffness of one spring over its joints: every entry is a coefficient times a power of the spring's length.
+
+    Attributes:
+        name: the spring.
+        indices: entries of v of its joints, in the order of its matrix, shape=(n,).
+        coefficients: shape=(n, n).
+        exponents: powers of the length, shape=(n, n); zero where it has no length that changes.
+        length: the joint that changes its length, or None.
+    """
+
+    name: str
+    indices: Indices
+    coefficients: Matrix
+    exponents: NDArray[np.int64]
+    length: JointLength | None
+
+    def stiffness(self, length: float) -> Matrix:
+        """Return the stiffness at a length [m], shape=(n, n) [N/m, N, N m/rad]."""
+        stiffness: Matrix = self.coefficients * length**self.exponents
+        return stiffness
+
+    def stiffness_derivatives(self, length: float) -> tuple[Matrix, Matrix]:
+        """Return the first and second derivatives of the stiffness by the length, shape=(n, n) each."""
+        first = self.coefficients * self.exponents * length ** (self.exponents - 1)
+        second = self.coefficients * self.exponents * (self.exponents - 1) * length ** (self.exponents - 2)
+        return first, second
+
+
+class ElasticModel:
+    """A mechanism with its springs. Not to be changed once made.
+
+    Joints are of three kinds. Those of springs are elastic: the virtual joints, and the joints that joint springs are
+    at. Actuated joints without a spring are locked. All others are passive and move freely.
+
+    Example:
+        >>> elastic = ElasticModel.load("pm3dof")
+        >>> cartesian_compliance(elastic, elastic.rigid.home).stiffness
+
+    Args:
+        mechanism: the rigid mechanism.
+        springs: its springs; by default those of its description.
+
+    Attributes:
+        rigid: the mechanism as described.
+        mechanism: the mechanism with virtual joints; the loops of both are closed at the same places.
+        springs: the springs.
+        blocks: the stiffness of each spring over its joints.
+        spring_indices: entries of v of `mechanism` that springs are at, block after block, shape=(s,).
+        locked_indices: entries of v of actuated joints without a spring.
+        passive_indices: all other entries of v.
+
+    Raises:
+        FrameNotFoundError: a spring stands at a joint or frame that is not there.
+        JointNotFoundError: a spring or its length names a joint that is not there.
+        DescriptionError: an entry of the description's springs is wrong, the mechanism has no springs, two of them have
+            one name or are at one joint, or the unit of a joint spring is not that of its joint.
+    """
+
+    def __init__(self, mechanism: Mechanism, springs: Iterable[Spring] | None = None) -> None:
+        self.rigid = mechanism
+        self.springs = read_springs(mechanism.springs, mechanism.source) if springs is None else tuple(springs)
+        if not self.springs:
+            raise DescriptionError(mechanism.source, "springs", "is missing or empty, expected at least one spring")
+        self._check_joints()
+        virtual = insert_virtual_joints(mechanism, self.springs)
+        self.mechanism = virtual.mechanism
+        self._q_indices = virtual.q_indices
+        self.blocks = tuple(_block(self.mechanism, spring, virtual.joints.get(spring.name)) for spring in self.springs)
+        self.spring_indices: Indices = frozen(np.concatenate([block.indices for block in self.blocks]))
+        self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
+        held = np.concatenate([self.spring_indices, self.locked_indices])
+        self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), held))
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:
+        """Load a mechanism and its springs from its description.
+
+        Args:
+            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+            characteristic_length: see :class:`~pm3dof_pin.mechanism.Mechanism` [m].
+
+        Raises:
+            PM3DofError: see :meth:`Mechanism.load <pm3dof_pin.mechanism.Mechanism.load>` and :class:`ElasticModel`.
+        """
+        return cls(Mechanism.load(name_or_path, characteristic_length=characteristic_length))
+
+    def __repr__(self) -> str:
+        return f"ElasticModel({self.rigid.name}: {len(self.springs)} springs, {self.mechanism.model.nv} velocities)"
+
+    @property
+    def spring_names(self) -> tuple[str, ...]:
+        """Names of the springs, in their order."""
+        return tuple(spring.name for spring in self.springs)
+
+    @cached_property
+    def spring_coordinates(self) -> tuple[str, ...]:
+        """Name of the joint of each entry of :attr:`spring_indices`."""
+        names = {self.mechanism.single_joint(joint).v_index: joint for joint in _single_joints(self.mechanism.model)}
+        return tuple(names[int(index)] for index in self.spring_indices)
+
+    def embed(self, q: ArrayLike) -> Vector:
+        """Return the positions with all virtual joints at zero.
+
+        Args:
+            q: positions of the rigid mechanism, shape=(..., nq of `rigid`) [m, rad].
+
+        Returns:
+            shape=(..., nq of `mechanism`).
+
+        Raises:
+            InvalidValueError: q has another shape.
+        """
+        rigid = np.asarray(q, dtype=np.float64)
+        if rigid.shape[-1:] != (self.rigid.model.nq,):
+            expected = f"shape (..., {self.rigid.model.nq}), a q of the rigid mechanism"
+            raise InvalidValueError("q", f"array of shape {rigid.shape}", expected)
+        positions = np.zeros((*rigid.shape[:-1], self.mechanism.model.nq))
+        positions[..., self._q_indices] = rigid
+        return positions
+
+    def project(self, q: ArrayLike) -> Vector:
+        """Return the positions of the rigid mechanism's joints, shape=(..., nq of `rigid`), out of those of all joints.
+
+        Raises:
+            InvalidValueError: q has another shape.
+        """
+        elastic = np.asarray(q, dtype=np.float64)
+        if elastic.shape[-1:] != (self.mechanism.model.nq,):
+            expected = f"shape (..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
+            raise InvalidValueError("q", f"array of shape {elastic.shape}", expected)
+        positions: Vector = elastic[..., self._q_indices]
+        return positions
+
+    def configuration(self, configuration: Configuration | ArrayLike) -> Configuration:
+        """Return the configuration of the mechanism with virtual joints.
+
+        Args:
+            configuration: a configuration of the rigid mechanism or its q, which has its virtual joints at zero; or a
+                configuration of :attr:`mechanism`, which is returned as it is.
+
+        Raises:
+            InvalidValueError: a configuration of another mechanism, or no q of the rigid one.
+        """
+        if not isinstance(configuration, Configuration):
+            return self.mechanism.configuration(self.embed(self.rigid.checked_positions(configuration)))
+        if configuration.mechanism is self.mechanism:
+            return configuration
+        if configuration.mechanism is self.rigid:
+            return self.mechanism.configuration(self.embed(configuration.q))
+        raise InvalidValueError("configuration", configuration, f"one of {self.rigid} or its elastic model")
+
+    def length(self, block: SpringBlock, configuration: Configuration) -> float:
+        """Return the length of a spring whose length a joint changes [m]; 1 for any other spring.
+
+        Raises:
+            InvalidValueError: the length is not positive.
+        """
+        if block.length is None:
+            return 1.0
+        length = block.length.at_zero + configuration.joint_position(block.length.joint)
+        if length <= 0.0:
+            expected = f"a positive length: '{block.length.joint}' is too far down"
+            raise InvalidValueError(f"length of spring '{block.name}'", length, expected)
+        return length
+
+    def joint_stiffness(self, configuration: Configuration | ArrayLike) -> Matrix:
+        """Return K_q over all velocities of :attr:`mechanism`, zero for passive and locked joints, shape=(nv, nv).
+
+        Args:
+            configuration: see :meth:`configuration`.
+
+        Raises:
+            InvalidValueError: a length that a joint changes is not positive, or see :meth:`configuration`.
+        """
+        where = self.configuration(configuration)
+        stiffness = np.zeros((self.mechanism.model.nv, self.mechanism.model.nv))
+        for block in self.blocks:
+            stiffness[np.ix_(block.indices, block.indices)] = block.stiffness(self.length(block, where))
+        return stiffness
+
+    def energy_derivatives(self, configuration: Configuration, deflections: Vector) -> tuple[Vector, Matrix]:
+        """Return the first and second derivatives of the springs' energy U = d^T K_q(q) d / 2.
+
+        A length that a joint changes loads that joint as well: with d held, U depends on q through K_q.
+
+        Args:
+            configuration: a configuration of :attr:`mechanism`.
+            deflections: d, by how much each velocity's joint stands off its place at rest, shape=(nv,).
+
+        Returns:
+            dU/dq, shape=(nv,), and the matrix of second derivatives, shape=(nv, nv).
+        """
+        nv = self.mechanism.model.nv
+        gradient, hessian = np.zeros(nv), np.zeros((nv, nv))
+        for block in self.blocks:
+            length, d = self.length(block, configuration), deflections[block.indices]
+            stiffness = block.stiffness(length)
+            gradient[block.indices] += stiffness @ d
+            hessian[np.ix_(block.indices, block.indices)] += stiffness
+            if block.length is not None:
+                first, second = block.stiffness_derivatives(length)
+                joint = self.mechanism.single_joint(block.length.joint).v_index
+                gradient[joint] += 0.5 * d @ first @ d
+                hessian[joint, joint] += 0.5 * d @ second @ d
+                hessian[joint, block.indices] += first @ d
+                hessian[block.indices, joint] += first @ d
+        return gradient, hessian
+
+    @cached_property
+    def compliance_root(self) -> tuple[Matrix, NDArray[np.float64]]:
+        """A root U of the springs' compliance, K^-1 = U U^T over :attr:`spring_indices`, where all lengths are 1 m.
+
+        At other lengths row i of U is to be multiplied by the spring's length to the power of entry i of the second
+        array: a cantilever's translations go with L^(3/2), its rotations and its elongation with L^(1/2).
+
+        Returns:
+            U, block diagonal and lower triangular, shape=(s, s); and the powers, shape=(s,).
+        """
+        size = len(self.spring_indices)
+        root, powers = np.zeros((size, size)), np.zeros(size)
+        start = 0
+        for block in self.blocks:
+            rows = slice(start, start + len(block.indices))
+            root[rows, rows] = _compliance_root(block.coefficients)
+            powers[rows] = -0.5 * block.exponents.diagonal()
+            start = rows.stop
+        return frozen(root), frozen(powers)
+
+    def scaled_compliance_root(self, configuration: Configuration) -> Matrix:
+        """Return the root U of :attr:`compliance_root` at a configuration of :attr:`mechanism`, shape=(s, s)."""
+        root, powers = self.compliance_root
+        lengths = [np.full(len(block.indices), self.length(block, configuration)) for block in self.blocks]
+        scaled: Matrix = root * (np.concatenate(lengths) ** powers)[:, None]
+        return scaled
+
+    def _check_joints(self) -> None:
+        names, at_joints = set(), set()
+        for spring in self.springs:
+            if spring.name in names:
+                raise self._error(spring.name, "the name is taken, expected another")
+            names.add(spring.name)
+            if isinstance(spring, JointSpring):
+                if spring.joint in at_joints:
+                    raise self._error(spring.name, f"joint '{spring.joint}' has a spring already, expected one")
+                at_joints.add(spring.joint)
+                unit = "N/m" if self._translates(spring.name, spring.joint) else "N m/rad"
+                if spring.unit != unit:
+                    raise self._error(spring.name, f"expected the unit {unit} of joint '{spring.joint}'")
+            length = spring.length if isinstance(spring, CantileverSpring) else None
+            if isinstance(length, JointLength) and not self._translates(spring.name, length.joint):
+                raise self._error(spring.name, f"length: '{length.joint}' turns, expected a joint that slides")
+
+    def _translates(self, spring: str, name: str) -> bool:
+        """Tell whether a joint, which is to have one freedom, slides."""
+        model = self.rigid.model
+        if not model.existJointName(name):
+            raise JointNotFoundError(name, f"{self.rigid.source}: spring '{spring}'", list(model.names)[1:])
+        joint = model.joints[model.getJointId(name)]
+        if joint.nv != 1:
+            raise self._error(spring, f"joint '{name}' has several freedoms, expected one")
+        data = model.createData()
+        jacobian = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
+        return not jacobian[3:, joint.idx_v].any()
+
+    def _error(self, spring: str, expected: str) -> DescriptionError:
+        return DescriptionError(self.rigid.source, f"spring '{spring}'", expected)
+
+
+def _block(mechanism: Mechanism, spring: Spring, joints: tuple[str, ...] | None) -> SpringBlock:
+    if isinstance(spring, JointSpring):
+        joints = (spring.joint,)
+    assert joints is not None
+    length = None
+    if isinstance(spring, (JointSpring, AxialSpring)):
+        coefficients = np.array([[spring.stiffness]])
+        exponents = np.zeros((1, 1), dtype=np.int64)
+    elif isinstance(spring, CantileverSpring):
+        coefficients, exponents = _cantilever(spring)
+        if isinstance(spring.length, JointLength):
+            length = spring.length
+        else:
+            coefficients, exponents = coefficients * spring.length**exponents, np.zeros_like(exponents)
+    else:
+        coefficients, exponents = np.array(spring.matrix), np.zeros(spring.matrix.shape, dtype=np.int64)
+    indices = mechanism.velocity_indices(joints)
+    return SpringBlock(spring.name, indices, frozen(coefficients), frozen(exponents), length)
+
+
+def _cantilever(spring: CantileverSpring) -> tuple[Matrix, NDArray[np.int64]]:
+    """Return coefficients and powers of L of the stiffness of an Euler-Bernoulli cantilever's tip, z along the beam.
+
+    The inverse of the compliance L^3/(3 E I), L^2/(2 E I), L/(E I) of bending in each plane, L/(G J) and L/(E A).
+    """
+    ei = spring.bending_stiffness
+    coefficients, exponents = np.zeros((6, 6)), np.zeros((6, 6), dtype=np.int64)
+    for translation, rotation, sign in ((0, 4, -1.0), (1, 3, 1.0)):
+        pair = np.ix_([translation, rotation], [translation, rotation])
+        coefficients[pair] = [[12.0 * ei, sign * 6.0 * ei], [sign * 6.0 * ei, 4.0 * ei]]
+        exponents[pair] = [[-3, -2], [-2, -1]]
+    coefficients[5, 5], exponents[5, 5] = spring.torsional_stiffness, -1
+    if spring.axial_stiffness is None:
+        kept = np.array([0, 1, 3, 4, 5])
+    else:
+        kept = np.arange(6)
+        coefficients[2, 2], exponents[2, 2] = spring.axial_stiffness, -1
+    return coefficients[np.ix_(kept, kept)], exponents[np.ix_(kept, kept)]
+
+
+def _compliance_root(stiffness: Matrix) -> Matrix:
+    """Return the lower triangular U with U U^T = K^-1, by way of a unit diagonal."""
+    scale = 1.0 / np.sqrt(stiffness.diagonal())
+    scaled = stiffness * np.outer(scale, scale)
+    # K = R R^T with R upper triangular gives K^-1 = R^-T R^-1, and R^-T is lower triangular
+    upper = np.linalg.cholesky(scaled[::-1, ::-1])[::-1, ::-1]
+    root: Matrix = scale[:, None] * np.linalg.inv(upper).T
+    return root
+
+
+def _single_joints(model: pin.Model) -> list[str]:
+    return [name for name, joint in list(zip(model.names, model.joints, strict=True))[1:] if joint.nv == 1]

@@ -1,0 +1,153 @@
+"""What an engineer reads from a 6 x 6 stiffness: directions, blocks, ellipsoids, eigenvalues, conditioning.
+
+All functions broadcast: K and C have shape (..., 6, 6), order x, y, z, rx, ry, rz. A translation and a rotation can
+only be compared through a length; where one is needed it is an argument, the characteristic length [m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.elastic.kernels import inverse_definite
+from pm3dof_pin.exceptions import InvalidValueError
+
+Array = NDArray[np.float64]
+Motion = Literal["translation", "rotation"]
+OtherMotions = Literal["free", "held"]
+
+_MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
+_BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """Principal values and directions of a symmetric 3 x 3 matrix, the least first.
+
+    Attributes:
+        values: principal stiffnesses or compliances, shape=(..., 3).
+        axes: their directions as columns, a right-handed frame, shape=(..., 3, 3).
+    """
+
+    values: Array
+    axes: Array
+
+
+def compliance(stiffness: ArrayLike) -> Array:
+    """Return C = K^-1, symmetric, shape=(..., 6, 6) [m/N, 1/N, rad/(N m)].
+
+    NaN where K is NaN or not positive definite to rounding: there some motion is free.
+    """
+    inverse: Array = inverse_definite(np.asarray(stiffness, dtype=float))
+    return inverse
+
+
+def stiffness(compliance: ArrayLike) -> Array:
+    """Return K = C^-1, symmetric, shape=(..., 6, 6) [N/m, N, N m/rad].
+
+    NaN where C is NaN or not positive definite to rounding: there some motion is held rigidly.
+    """
+    inverse: Array = inverse_definite(np.asarray(compliance, dtype=float))
+    return inverse
+
+
+def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: Motion = "translation") -> Array:
+    """Return the stiffness that a probe feels, 1 / (d^T C d): the tool pushed or turned along d, free in all else.
+
+    Args:
+        compliance: C, shape=(..., 6, 6).
+        direction: unit vectors d, shape=(..., 3); normalised here.
+        motion: "translation" (a force along d) or "rotation" (a moment about d).
+
+    Returns:
+        shape=(...) [N/m or N m/rad].
+
+    Raises:
+        InvalidValueError: a direction of length zero or not finite.
+    """
+    d = np.asarray(direction, dtype=float)
+    length = np.linalg.norm(d, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(length) & (length > 0.0)):
+        raise InvalidValueError("direction", d.tolist(), "finite vectors longer than zero")
+    d = d / length
+    block = _block(compliance, motion)
+    felt: Array = 1.0 / np.einsum("...i,...ij,...j->...", d, block, d)
+    return felt
+
+
+def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", others: OtherMotions = "free") -> Array:
+    """Return the 3 x 3 stiffness of the translations or the rotations by themselves.
+
+    Args:
+        compliance: C, shape=(..., 6, 6).
+        motion: which three.
+        others: "free": no moment (force) acts in the other three, inv(C_ff); "held": the other three stay put, K_ff.
+
+    Returns:
+        shape=(..., 3, 3) [N/m or N m/rad].
+    """
+    if others == "held":
+        return _block(stiffness(compliance), motion)
+    inverse: Array = inverse_definite(_block(compliance, motion))
+    return inverse
+
+
+def ellipsoid(matrix: ArrayLike) -> Ellipsoid:
+    """Return principal values and axes of a symmetric 3 x 3 block, shape=(..., 3, 3).
+
+    Of a stiffness block, the first axis is the softest direction; of a compliance block, the stiffest.
+    """
+    block = np.asarray(matrix, dtype=float)
+    finite = np.all(np.isfinite(block), axis=(-1, -2))
+    values, axes = np.linalg.eigh(np.where(finite[..., None, None], block, np.eye(3)))
+    axes[..., 2] *= np.sign(np.linalg.det(axes))[..., None]
+    values[~finite], axes[~finite] = np.nan, np.nan
+    return Ellipsoid(values, axes)
+
+
+def characteristic_length(stiffness: ArrayLike) -> Array:
+    """Return sqrt(tr K_rr / tr K_tt) [m], at which rotations and translations are equally stiff on average."""
+    translation, rotation = (np.trace(_block(stiffness, motion), axis1=-2, axis2=-1) for motion in _MOTIONS)
+    length: Array = np.sqrt(rotation / translation)
+    return length
+
+
+def eigenvalues(stiffness: ArrayLike, length: ArrayLike) -> Array:
+    """Return the eigenvalues of K with rotations measured as motions at a characteristic length.
+
+    With D = diag(1, 1, 1, 1/h, 1/h, 1/h) these are the eigenvalues of D K D, all in N/m.
+
+    Args:
+        stiffness: K, shape=(..., 6, 6).
+        length: characteristic length h, shape=(...) [m].
+
+    Returns:
+        ascending, shape=(..., 6) [N/m].
+
+    Raises:
+        InvalidValueError: a length that is not positive.
+    """
+    h = np.asarray(length, dtype=float)
+    if np.any(h <= 0.0):
+        raise InvalidValueError("length", h.tolist(), "positive lengths")
+    scale = np.ones((*h.shape, 6))
+    scale[..., 3:] = 1.0 / h[..., None]
+    scaled = np.asarray(stiffness, dtype=float) * scale[..., :, None] * scale[..., None, :]
+    finite = np.all(np.isfinite(scaled), axis=(-1, -2))
+    values = np.linalg.eigvalsh(np.where(finite[..., None, None], scaled, np.eye(6)))
+    return np.where(finite[..., None], values, np.nan)
+
+
+def condition_number(stiffness: ArrayLike, length: ArrayLike) -> Array:
+    """Return the ratio of the largest to the least eigenvalue of K at a characteristic length, shape=(...)."""
+    values = eigenvalues(stiffness, length)
+    ratio: Array = values[..., -1] / values[..., 0]
+    return ratio
+
+
+def _block(matrix: ArrayLike, motion: Motion) -> Array:
+    rows = _BLOCKS[motion]
+    return np.asarray(matrix, dtype=float)[..., rows, rows]

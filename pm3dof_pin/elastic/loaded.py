@@ -1,0 +1,306 @@
+"""Elastic mechanisms under load: the equilibrium, and the tangent stiffness there.
+
+The springs are at rest in a given configuration. Under loads the mechanism stands where
+
+    dU/dq = forces(q) + G^T lambda   and   closure error = 0,
+
+U being the springs' energy and lambda the forces in the closures. A small wrench dw more meets the tangent stiffness:
+in
+
+    [ H  -G^T ] [dq     ]   [J^T dw]
+    [ G    0  ] [dlambda] = [0     ],    H = d^2U/dq^2 - d(forces + G^T lambda)/dq,
+
+the compliance is J dq/dw. On the motions Z of :mod:`pm3dof_pin.elastic.motions`, on which Z^T K_q Z = 1, Z^T H Z is 1
+plus the stiffness that the loads add or take away; where its least eigenvalue comes down to zero the mechanism buckles.
+Motions that no spring holds but a load does, as gravity does a pendulum, take part.
+
+Deflections within one beam or cantilever spring are to be small: its stiffness is that of its tip, and bending does not
+shorten it. Cut a slender beam into several where an axial force comes near its own E I / L^2; the error of a column's
+buckling load then falls with the square of their number.
+
+H is symmetric if the loads have a potential. A moment that keeps its direction in the world has none, unless the body
+turns about one axis only: the tangent stiffness is not symmetric then (J. Kovecses and J. Angeles, Multibody System
+Dynamics 18, 2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.elastic.directions import direction_names, range_and_complement
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.load_path import LoadPath
+from pm3dof_pin.elastic.loaded_state import LoadedState
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError, RigidDirectionError
+from pm3dof_pin.mechanism import Configuration
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen
+from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+
+EQUILIBRIUM_TOLERANCE = 1e-10
+"""Imbalance that counts as none, as a part of the size of the loads."""
+
+_LONGEST_STEP = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedEquilibrium:
+    """Where an elastic mechanism stands under loads.
+
+    Attributes:
+        factor: what the loads were multiplied by.
+        steps: Newton steps done.
+        state: motions, forces and tangent stiffness there.
+    """
+
+    factor: float
+    steps: int
+    state: LoadedState
+
+    @property
+    def configuration(self) -> Configuration:
+        """The configuration under load, of the mechanism with virtual joints."""
+        return self.state.configuration
+
+    @property
+    def residual(self) -> float:
+        """Greatest generalised force out of balance [N or N m]."""
+        return float(np.abs(self.state.unbalanced).max(initial=0.0))
+
+    @property
+    def least_eigenvalue(self) -> float:
+        """Least eigenvalue of Z^T H Z (of its symmetric part, if the loads have no potential).
+
+        1 without loads, or less if some motions are held by loads alone; zero where it buckles, negative beyond.
+        """
+        return self.state.least_eigenvalue
+
+    @property
+    def stable(self) -> bool:
+        """Whether the equilibrium resists every motion."""
+        return self.state.least_eigenvalue > 0.0
+
+    @property
+    def closure_forces(self) -> Vector:
+        """Force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the axes of frame a.
+
+        One closure after the other, shape=(m,) [N, N m]. Where constraints are redundant, one of many solutions.
+        """
+        return frozen(self.state.closure_forces.copy())
+
+    @property
+    def spring_deflections(self) -> Vector:
+        """By how much each joint with a spring stands off its place at rest, shape=(s,) [m, rad].
+
+        In the order of :attr:`ElasticModel.spring_coordinates`.
+        """
+        return frozen(self.state.deflections[self.state.model.spring_indices])
+
+    def displacement(self, frame: str | None = None) -> Vector:
+        """Return how far a frame has moved from where it is with the springs at rest.
+
+        Args:
+            frame: the frame; the tool by default.
+
+        Returns:
+            Displacement of its origin and rotation vector, world axes, shape=(6,) [m, rad].
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+            DescriptionError: no frame is given, and the mechanism has no tool frame.
+        """
+        before, after = (
+            where.tool_placement if frame is None else where.frame_placement(frame)
+            for where in (self.state.rest, self.configuration)
+        )
+        turned = pin.log3(after.rotation @ before.rotation.T)
+        return frozen(np.concatenate([after.translation - before.translation, turned]))
+
+    def tangent_compliance(self, frame: str | None = None) -> Matrix:
+        """Return the tangent compliance of a frame: its twist for a small wrench more at its origin, world axes.
+
+        Args:
+            frame: the frame; the tool by default.
+
+        Returns:
+            shape=(6, 6) [m/N, 1/N, rad/(N m)], symmetric if the loads have a potential.
+
+        Raises:
+            FreeDirectionError: the frame moves freely in some direction.
+            FrameNotFoundError: the model has no such frame.
+            DescriptionError: no frame is given, and the mechanism has no tool frame.
+        """
+        jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
+        free = range_and_complement(jacobian @ self.state.idle_motions / unit, self._threshold(jacobian))[0]
+        if free.size:
+            raise FreeDirectionError(f"{self._named(frame)} moves freely under load: {direction_names(unit * free)}")
+        twists = jacobian @ self.state.bearing_motions
+        compliance: Matrix = twists @ np.linalg.solve(self.state.tangent, twists.T)
+        return frozen(compliance)
+
+    def tangent_stiffness(self, frame: str | None = None) -> Matrix:
+        """Return the tangent stiffness of a frame, the inverse of :meth:`tangent_compliance`.
+
+        Args:
+            frame: the frame; the tool by default.
+
+        Returns:
+            shape=(6, 6) [N/m, N, N m/rad], symmetric if the loads have a potential.
+
+        Raises:
+            RigidDirectionError: no spring gives in some direction.
+            FreeDirectionError: the frame moves freely in some direction.
+            FrameNotFoundError: the model has no such frame.
+            DescriptionError: no frame is given, and the mechanism has no tool frame.
+        """
+        jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
+        motions = self.state.motions
+        moved = jacobian @ np.hstack([motions.kinematic, motions.unstrained])
+        rigid = range_and_complement(moved / unit, self._threshold(jacobian))[1]
+        if rigid.size:
+            raise RigidDirectionError(f"{self._named(frame)} is rigid: {direction_names(unit * rigid)}")
+        compliance = self.tangent_compliance(frame)
+        scale: Vector = 1.0 / np.linalg.norm(jacobian @ self.state.bearing_motions, axis=1)
+        scales = np.outer(scale, scale)
+        stiffness: Matrix = scales * np.linalg.inv(scales * compliance)
+        return frozen(stiffness)
+
+    @property
+    def _twist_unit(self) -> Vector:
+        return np.repeat([self.state.model.mechanism.characteristic_length, 1.0], 3)
+
+    def _jacobian(self, frame: str | None) -> Matrix:
+        return self.configuration.tool_jacobian if frame is None else self.configuration.frame_jacobian(frame)
+
+    def _named(self, frame: str | None) -> str:
+        return f"frame '{frame or self.state.model.mechanism.tool_frame}'"
+
+    def _threshold(self, jacobian: Matrix) -> float:
+        scaled = jacobian * self.state.model.mechanism.velocity_scale / self._twist_unit[:, None]
+        return RANK_TOLERANCE * float(np.linalg.norm(scaled, 2))
+
+
+def loaded_equilibrium(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    loads: Loads,
+    *,
+    guess: Configuration | None = None,
+    tolerance: float = EQUILIBRIUM_TOLERANCE,
+    max_steps: int = 60,
+) -> LoadedEquilibrium:
+    """Find where an elastic mechanism stands under loads.
+
+    Newton's method with the exact tangent stiffness and a line search; the loops are closed after each step. Actuated
+    joints hold their place, through their springs if they have such.
+
+    Args:
+        model: the elastic mechanism.
+        configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
+        loads: what acts on it.
+        guess: configuration to start from, of the mechanism with virtual joints; that at rest by default.
+        tolerance: imbalance that counts as none, as a part of the size of the loads.
+        max_steps: Newton steps to give up after.
+
+    Raises:
+        ConvergenceError: no equilibrium was found: the loads may be more than the mechanism bears, or want to be
+            applied in steps, see :func:`load_deflection`.
+        FrameNotFoundError: a load acts on a frame that the model does not have.
+        InvalidValueError: a load is not finite or of the wrong shape, the loops are not closed, or a length that a
+            joint changes is not positive.
+        DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
+    """
+    path = LoadPath(model, configuration, loads, None, tolerance=tolerance, max_steps=max_steps)
+    state, steps = path.equilibrium(1.0, path.rest if guess is None else model.configuration(guess))
+    return LoadedEquilibrium(1.0, steps, state)
+
+
+def load_deflection(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    loads: Loads,
+    factors: ArrayLike,
+    *,
+    permanent: Loads | None = None,
+    tolerance: float = EQUILIBRIUM_TOLERANCE,
+    max_steps: int = 60,
+) -> tuple[LoadedEquilibrium, ...]:
+    """Follow the equilibrium while the loads grow: the load-deflection curve at given loads.
+
+    The path from one factor to the next is followed by its arc length, so that no equilibrium is taken for one that
+    only looks near. It ends at a limit point: see :func:`equilibrium_path` for what comes after it.
+
+    Args:
+        model: the elastic mechanism.
+        configuration: see :func:`loaded_equilibrium`.
+        loads: loads, which are multiplied by each factor in turn.
+        factors: in the order in which they are applied, from no loads on, shape=(n,).
+        permanent: loads that always act in full.
+        tolerance: see :func:`loaded_equilibrium`.
+        max_steps: Newton steps under the permanent loads to give up after.
+
+    Returns:
+        An equilibrium for each factor.
+
+    Raises:
+        ConvergenceError: the path turns round before a factor is reached; the message says where.
+        FrameNotFoundError: see :func:`loaded_equilibrium`.
+        InvalidValueError: see there, or the factors are not finite or no list.
+        DescriptionError: see there.
+    """
+    targets = finite_array("factors", factors, (np.size(factors),))
+    path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
+    state, _ = path.equilibrium(0.0, path.rest)
+    point = path.begin(state, float(np.abs(targets).max(initial=0.0)) or 1.0)
+    curve = []
+    for target in targets:
+        point = path.follow(point, float(target), _LONGEST_STEP)
+        curve.append(LoadedEquilibrium(point.factor, point.steps, point.state))
+    return tuple(curve)
+
+
+def equilibrium_path(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    loads: Loads,
+    increment: float,
+    count: int,
+    *,
+    permanent: Loads | None = None,
+    tolerance: float = EQUILIBRIUM_TOLERANCE,
+    max_steps: int = 60,
+) -> tuple[LoadedEquilibrium, ...]:
+    """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
+
+    Args:
+        model: the elastic mechanism.
+        configuration: see :func:`loaded_equilibrium`.
+        loads: loads, which are multiplied by a factor that the path finds.
+        increment: factor that the first step would go to if the mechanism were linear and the load alone counted; all
+            steps have the same length, or less where the path bends.
+        count: number of equilibria after the first, at factor 0.
+        permanent: loads that always act in full.
+        tolerance: see :func:`loaded_equilibrium`.
+        max_steps: Newton steps under the permanent loads to give up after.
+
+    Returns:
+        The equilibria with their factors.
+
+    Raises:
+        ConvergenceError: the path could not be followed; the message says from where.
+        FrameNotFoundError: see :func:`loaded_equilibrium`.
+        InvalidValueError: see there, or the increment is not a positive number.
+        DescriptionError: see there.
+    """
+    if not (np.isfinite(increment) and increment > 0.0):
+        raise InvalidValueError("increment", increment, "a positive number")
+    path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
+    state, _ = path.equilibrium(0.0, path.rest)
+    points = [path.begin(state, increment)]
+    for _ in range(count):
+        points.append(path.advance(points[-1], 1.0)[0])
+    return tuple(LoadedEquilibrium(point.factor, point.steps, point.state) for point in points)

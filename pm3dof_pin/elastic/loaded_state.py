@@ -1,0 +1,215 @@
+"""An elastic mechanism at one configuration under loads, and Newton's way from one to the next."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loads import AppliedLoads
+from pm3dof_pin.elastic.motions import elastic_motions
+from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.mechanism import Configuration
+from pm3dof_pin.mechanism.arrays import Matrix, Vector
+from pm3dof_pin.mechanism.freedoms import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+
+_IDLE = 1e-9  # stiffness that the loads give to a motion with the springs at rest, as a part of their size
+_CLOSING_STEPS = 20
+_LONGEST_STEP = 0.3  # rad, or characteristic lengths
+_SHORTEST_FRACTION = 1e-5
+_LEAST_GAIN = 1e-4
+
+
+class LoadedState:
+    """What is out of balance at a configuration, and the tangent stiffness there.
+
+    Args:
+        model: the elastic mechanism.
+        rest: configuration with the springs at rest, of `model.mechanism`.
+        loads: the loads.
+        configuration: an assembled configuration of `model.mechanism`.
+
+    Attributes:
+        motions: how the mechanism can move.
+        deflections: by how much each joint stands off its place with the springs at rest, shape=(nv,).
+        closure_forces: lambda, force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the
+            axes of frame a, shape=(m,).
+        unbalanced: generalised forces out of balance, shape=(nv,).
+        basis: motions Z: those of the springs with Z^T K_q Z = 1, then those with the springs at rest, measured on the
+            size of the loads, shape=(nv, k).
+        residual: unbalanced forces on these motions, shape=(k,).
+    """
+
+    def __init__(
+        self, model: ElasticModel, rest: Configuration, loads: AppliedLoads, configuration: Configuration
+    ) -> None:
+        self.model, self.rest, self.configuration = model, rest, configuration
+        self._loads = loads
+        self.motions = elastic_motions(model, configuration, tolerance=RANK_TOLERANCE)
+        self.deflections: Vector = pin.difference(
+            model.mechanism.model, np.array(rest.q), np.array(configuration.q)
+        ).reshape(model.mechanism.model.nv)
+        gradient, self._springs_hessian = model.energy_derivatives(configuration, self.deflections)
+        forces = loads.forces(configuration)
+        self.closure_forces: Vector = self.motions.closing.T @ (gradient - forces)
+        self.unbalanced: Vector = gradient - forces - configuration.constraint_jacobian.T @ self.closure_forces
+        self.unbalanced[model.locked_indices] = 0.0
+        unit = 1.0 / np.sqrt(loads.size) if loads.size > 0.0 else 1.0
+        self.basis: Matrix = np.hstack([self.motions.elastic, unit * self.motions.unstrained])
+        self.residual: Vector = self.basis.T @ (gradient - forces)
+        self.imbalance = float(np.linalg.norm(self.residual))
+        """Size of the residual; its square is twice the energy that Newton's step would release."""
+        self.load_size = float(np.linalg.norm(np.abs(self.basis).T @ np.abs(forces)))
+        """What the loads alone would put out of balance, signs apart."""
+        rounding = np.finfo(float).eps * np.abs(self._springs_hessian) @ model.mechanism.velocity_scale
+        self.rounding = float(np.linalg.norm(np.abs(self.basis).T @ rounding))
+        """What the last digits of q put out of balance."""
+
+    def balanced(self, tolerance: float) -> bool:
+        """Tell whether the imbalance is within a part of the loads, or of what can be told from rounding."""
+        return self.imbalance <= tolerance * self.load_size + self.rounding
+
+    @cached_property
+    def hessian(self) -> Matrix:
+        """H, shape=(nv, nv)."""
+        loads: Matrix = self._loads.resistance(self.configuration, self.closure_forces)
+        return self._springs_hessian + loads
+
+    @cached_property
+    def bearing_motions(self) -> Matrix:
+        """Motions of the basis that springs or loads resist, as velocities, shape=(nv, k)."""
+        return self.basis @ self._combinations[0]
+
+    @cached_property
+    def idle_motions(self) -> Matrix:
+        """Motions of the basis that nothing resists, as velocities, shape=(nv, k)."""
+        return self.basis @ self._combinations[1]
+
+    @cached_property
+    def tangent(self) -> Matrix:
+        """Z^T H Z on the bearing motions; the unit matrix where there are no loads."""
+        tangent: Matrix = self.bearing_motions.T @ self.hessian @ self.bearing_motions
+        return tangent
+
+    @cached_property
+    def least_eigenvalue(self) -> float:
+        """Least eigenvalue of the symmetric part of the tangent; infinite if nothing can move."""
+        return float(np.linalg.eigvalsh(0.5 * (self.tangent + self.tangent.T)).min(initial=np.inf))
+
+    def force(self, loads: AppliedLoads) -> Vector:
+        """Return what loads do on the bearing motions, shape=(k,)."""
+        force: Vector = self.bearing_motions.T @ loads.forces(self.configuration)
+        return force
+
+    @property
+    def bearing_residual(self) -> Vector:
+        """Unbalanced forces on the bearing motions, shape=(k,)."""
+        residual: Vector = self._combinations[0].T @ self.residual
+        return residual
+
+    def invariant(self, coordinates: Vector) -> Vector:
+        """Express a sum of bearing motions in a way that does not depend on the basis, to compare it with others.
+
+        Args:
+            coordinates: shape=(k,).
+
+        Returns:
+            Strains in units of the springs, then motions with the springs at rest in scaled numbers; as long as the
+            argument, shape=(s + nv,).
+        """
+        count = self.motions.elastic.shape[1]
+        combination = self._combinations[0] @ coordinates
+        idle = self.motions.unstrained / self.model.mechanism.velocity_scale[:, None]
+        return np.concatenate([self.motions.whitened @ combination[:count], idle @ combination[count:]])
+
+    def coordinates(self, invariant: Vector) -> Vector:
+        """Return the sum of bearing motions that comes nearest to a motion given by its :meth:`invariant`."""
+        springs = len(self.motions.whitened)
+        idle = self.motions.unstrained / self.model.mechanism.velocity_scale[:, None]
+        combination = np.concatenate([self.motions.whitened.T @ invariant[:springs], idle.T @ invariant[springs:]])
+        coordinates: Vector = self._combinations[0].T @ combination
+        return coordinates
+
+    def moved(self, velocity: Vector, loads: AppliedLoads | None = None) -> LoadedState | None:
+        """Return the state that a velocity leads to, loops closed again; None if they do not close.
+
+        Args:
+            velocity: shape=(nv,).
+            loads: the loads there; the same by default.
+        """
+        mechanism = self.model.mechanism
+        q = pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
+        configuration = mechanism.configuration(q)
+        for _ in range(_CLOSING_STEPS):
+            residual = configuration.closure_residual
+            if residual == 0.0:
+                break
+            q = pin.integrate(mechanism.model, q, -self.motions.closing @ configuration.closure_error)
+            closer = mechanism.configuration(q)
+            if closer.closure_residual >= residual:
+                break
+            configuration = closer
+        if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
+            return None
+        return LoadedState(self.model, self.rest, loads or self._loads, configuration)
+
+    @cached_property
+    def _combinations(self) -> tuple[Matrix, Matrix]:
+        """Sums of the basis that springs or loads resist, and those that nothing resists."""
+        count, springs = self.basis.shape[1], self.motions.elastic.shape[1]
+        whole = self.basis.T @ self.hessian @ self.basis
+        both = np.vstack([whole[:, springs:], whole[springs:].T])
+        values, right = np.linalg.svd(both)[1:] if both.size else (np.zeros(0), np.eye(count - springs))
+        rank = int(np.count_nonzero(values > _IDLE))
+        bearing, idle = np.zeros((count, springs + rank)), np.zeros((count, count - springs - rank))
+        bearing[:springs, :springs] = np.eye(springs)
+        bearing[springs:, springs:] = right[:rank].T
+        idle[springs:] = right[rank:].T
+        return bearing, idle
+
+
+def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) -> tuple[LoadedState, int]:
+    """Go from a state to the equilibrium by Newton's method, with a line search on the imbalance.
+
+    Args:
+        state: where to start, with the loads that are to be balanced.
+        tolerance: imbalance that counts as none, as a part of the size of the loads. One more step is tried beyond it.
+        max_steps: steps to give up after.
+
+    Returns:
+        The equilibrium and the number of steps.
+
+    Raises:
+        ConvergenceError: no equilibrium was found.
+    """
+    for step in range(max_steps):
+        balanced = state.balanced(tolerance)
+        better = _line_search(state)
+        if balanced:
+            return better or state, step + 1
+        if better is None:
+            break
+        state = better
+    residual = float(np.abs(state.unbalanced).max(initial=0.0))
+    raise ConvergenceError(
+        "the equilibrium under load",
+        residual,
+        "N or N m",
+        max_steps,
+        "the loads may be more than the mechanism bears, or want to be applied in steps",
+    )
+
+
+def _line_search(state: LoadedState) -> LoadedState | None:
+    """Return a state with less imbalance, along Newton's step; None if there is none."""
+    velocity = -state.bearing_motions @ np.linalg.lstsq(state.tangent, state.bearing_residual, rcond=None)[0]
+    longest = float(np.abs(velocity / state.model.mechanism.velocity_scale).max(initial=0.0))
+    fraction = min(1.0, _LONGEST_STEP / longest) if longest > 0.0 else 1.0
+    while fraction > _SHORTEST_FRACTION:
+        trial = state.moved(fraction * velocity)
+        if trial is not None and trial.imbalance <= (1.0 - _LEAST_GAIN * fraction) * state.imbalance:
+            return trial
+        fraction /= 2.0
+    return None

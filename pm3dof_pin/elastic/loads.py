@@ -1,0 +1,151 @@
+"""Loads on an elastic mechanism: dead wrenches, payloads, its own weight; their forces and how these change with q."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array
+from pm3dof_pin.mechanism.payloads import Payloads, add_payloads
+
+_WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointModelUniversal")
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What acts on a mechanism from outside.
+
+    Attributes:
+        wrenches: dead wrenches [f; m] on frames, at their origins, by frame: they move with the point and keep their
+            direction in the world, shape=(6,) [N, N m].
+        payloads: bodies fixed to frames, by frame, which add their weight: a point mass at the frame's origin [kg], or
+            a `pin.Inertia` in the axes of the frame.
+        own_weight: whether the mechanism's bodies have their weight, in the model's gravity.
+    """
+
+    wrenches: Mapping[str, ArrayLike] = field(default_factory=dict)
+    payloads: Payloads = field(default_factory=dict)
+    own_weight: bool = False
+
+
+class AppliedLoads:
+    """Loads on one mechanism, each times a factor.
+
+    Args:
+        mechanism: the mechanism.
+        loads: factors and loads.
+
+    Attributes:
+        size: sum of forces times the characteristic length and of moments [N m].
+
+    Raises:
+        FrameNotFoundError: the model has no such frame.
+        InvalidValueError: a wrench or mass is not finite or of the wrong shape, or a mass is negative.
+        DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
+    """
+
+    def __init__(self, mechanism: Mechanism, loads: Iterable[tuple[float, Loads]]) -> None:
+        _check_joints(mechanism)
+        self._mechanism = mechanism
+        self._wrenches: list[tuple[int, Vector]] = []
+        weightless = mechanism.model.copy()
+        weightless.gravity = pin.Motion.Zero()
+        self._weightless = (weightless, weightless.createData())
+        self._weights: list[tuple[pin.Model, pin.Data]] = []
+        length = mechanism.characteristic_length
+        self.size = 0.0
+        for factor, load in loads:
+            for name, wrench in load.wrenches.items():
+                array = factor * finite_array(f"wrench on {name}", wrench, (6,))
+                self._wrenches.append((mechanism.frame_id(name), array))
+                self.size += float(np.abs(array) @ np.repeat([length, 1.0], 3))
+            if load.own_weight or load.payloads:
+                model = _weight_model(mechanism, load, factor)
+                self._weights.append((model, model.createData()))
+                mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
+                self.size += float(mass * np.linalg.norm(model.gravity.linear)) * length
+
+    def forces(self, configuration: Configuration) -> Vector:
+        """Return the generalised forces of the loads, shape=(nv,) [N, N m]."""
+        q = np.array(configuration.q)
+        model, data = self._weightless
+        forces = np.zeros(model.nv)
+        for frame, wrench in self._wrenches:
+            jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+            forces += jacobian.reshape(6, model.nv).T @ wrench
+        for weight_model, weight_data in self._weights:
+            forces -= pin.computeGeneralizedGravity(weight_model, weight_data, q).reshape(model.nv)
+        return forces
+
+    def resistance(self, configuration: Configuration, closure_forces: Vector) -> Matrix:
+        """Return what the loads add to the tangent stiffness, -d(forces + G^T lambda)/dq, shape=(nv, nv).
+
+        The forces in the closures are taken as dead too. On motions that keep the loops closed it makes no difference:
+        G' = A(q) G has the same null space, and what dA adds is in the range of G^T.
+
+        Args:
+            configuration: an assembled configuration.
+            closure_forces: lambda, force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the
+                axes of frame a, shape=(m,).
+        """
+        q = np.array(configuration.q)
+        model, data = self._weightless
+        pin.computeJointJacobians(model, data, q)
+        external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
+        turning = np.zeros((model.nv, model.nv))
+        for frame_id, wrench in [*self._wrenches, *self._closure_wrenches(configuration, closure_forces)]:
+            frame = model.frames[frame_id]
+            joint, point = frame.parentJoint, frame.placement.translation
+            turn = data.oMi[joint].rotation
+            force, moment = turn.T @ wrench[:3], turn.T @ wrench[3:]
+            external[joint] = external[joint] + pin.Force(force, moment + np.cross(point, force))
+            # a wrench that keeps its direction in the world turns, seen from the joint
+            jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL).reshape(6, model.nv)
+            skew = pin.skew(force)
+            turning += jacobian.T @ np.vstack([skew, pin.skew(point) @ skew + pin.skew(moment)]) @ jacobian[3:]
+        resistance: Matrix = _static_derivatives(model, data, q, external) - turning
+        for weight_model, weight_data in self._weights:
+            none = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
+            resistance += _static_derivatives(weight_model, weight_data, q, none)
+        return resistance
+
+    def _closure_wrenches(self, configuration: Configuration, closure_forces: Vector) -> list[tuple[int, Vector]]:
+        """Return the wrenches of the closures on the bodies they join, world axes."""
+        wrenches = []
+        mechanism = self._mechanism
+        for closure, rows in zip(mechanism.closures, mechanism.loop_kinematics.rows, strict=True):
+            turn = configuration.frame_placement(closure.frame_a).rotation
+            local = closure_forces[rows].reshape(-1, 3) @ turn.T
+            wrench = np.concatenate([*local, np.zeros(6 - local.size)])
+            wrenches += [(mechanism.frame_id(closure.frame_a), -wrench), (mechanism.frame_id(closure.frame_b), wrench)]
+        return wrenches
+
+
+def _weight_model(mechanism: Mechanism, loads: Loads, factor: float) -> pin.Model:
+    """Return a model of what has weight, in gravity times a factor."""
+    model = mechanism.model.copy()
+    model.gravity = pin.Motion(factor * mechanism.model.gravity.vector)
+    if not loads.own_weight:
+        for joint in range(model.njoints):
+            model.inertias[joint] = pin.Inertia.Zero()
+    add_payloads(model, mechanism, loads.payloads)
+    return model
+
+
+def _static_derivatives(model: pin.Model, data: pin.Data, q: Vector, external: pin.StdVec_Force) -> Matrix:
+    derivatives: Matrix = pin.computeStaticTorqueDerivatives(model, data, q, external).reshape(model.nv, model.nv)
+    return derivatives
+
+
+def _check_joints(mechanism: Mechanism) -> None:
+    model = mechanism.model
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        if joint.shortname() in _WITHOUT_DERIVATIVES:
+            expected = f"is a {joint.shortname()}, expected joints with one freedom each for a loaded stiffness"
+            raise DescriptionError(mechanism.source, f"joint '{name}'", expected)

@@ -1,0 +1,140 @@
+"""How an elastic mechanism can move: the motions that its springs allow, and those that leave all springs at rest.
+
+The loops closed to first order, G v = 0, with v split into passive joints p and springs s, says
+
+    G_p v_p + G_s v_s = 0.
+
+The null space of G_p are the motions with all springs at rest. What is left of the equations when v_p is eliminated,
+E v_s = 0 with E = L^T G_s and L the left null space of G_p, are the relations that a statically indeterminate mechanism
+puts on its springs; rows that follow from others (redundant constraints) fall out there. All ranks are decided by
+singular value decompositions of scaled kinematic matrices, see :mod:`pm3dof_pin.mechanism.freedoms`: how stiff the
+springs are has no say in them, and a spring of 1e15 N/m does no harm beside one of 1 N m/rad.
+
+With K^-1 = U U^T the springs' compliance, v_s = U x and the energy is x^T x / 2. An orthonormal basis of the x with
+E U x = 0 gives the motions Z, Z^T K_q Z = 1, and the compliance of any frame is C = (J Z) (J Z)^T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from pm3dof_pin.elastic.directions import decide_rank
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Configuration, RankDecision
+from pm3dof_pin.mechanism.arrays import Matrix, frozen
+from pm3dof_pin.mechanism.freedoms import ASSEMBLED_TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticMotions:
+    """The freedoms of an elastic mechanism at one configuration, as velocities of all its joints.
+
+    Attributes:
+        configuration: where, of the mechanism with virtual joints.
+        elastic: basis Z of the motions that strain springs, Z^T K_q Z = 1, shape=(nv, e).
+        whitened: their springs' part in units of the springs, x of v_s = U x; orthonormal, shape=(s, e).
+        kinematic: basis of the same motions that the springs' stiffness has no part in: orthonormal in scaled numbers
+            at the springs, shape=(nv, e).
+        unstrained: basis of the motions with all springs at rest, orthonormal in scaled numbers, shape=(nv, u).
+        closing: velocity that changes the closure error by the least strain of the springs, shape=(nv, m): a step
+            `-closing @ closure_error` closes the loops to first order.
+        passive_rank: the decision on G_p.
+        relation_rank: the decision on E.
+    """
+
+    configuration: Configuration
+    elastic: Matrix
+    whitened: Matrix
+    kinematic: Matrix
+    unstrained: Matrix
+    closing: Matrix
+    passive_rank: RankDecision
+    relation_rank: RankDecision
+
+    @property
+    def redundant_constraints(self) -> int:
+        """Number of closure equations that follow from the others."""
+        return len(self.closing.T) - self.passive_rank.rank - self.relation_rank.rank
+
+
+def elastic_motions(model: ElasticModel, configuration: Configuration, *, tolerance: float) -> ElasticMotions:
+    """Compute how an elastic mechanism can move at a configuration.
+
+    Args:
+        model: the elastic mechanism.
+        configuration: an assembled configuration of its `mechanism`.
+        tolerance: singular values below this times their reference count as zero. The reference is the greatest
+            singular value of the scaled constraint Jacobian.
+
+    Raises:
+        InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
+    """
+    mechanism = model.mechanism
+    if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
+        raise InvalidValueError("configuration", configuration, "one whose loops are closed")
+    scale, rows = mechanism.velocity_scale, mechanism.closure_scale
+    closures = configuration.constraint_jacobian * scale / rows[:, None]
+    passive, springs = model.passive_indices, model.spring_indices
+    reference = float(np.linalg.norm(closures[:, np.concatenate([passive, springs])], 2)) if closures.size else 0.0
+
+    left, right, passive_rank = _decompose(closures[:, passive], tolerance * reference)
+    kept = passive_rank.rank
+    inverse = (right[:, :kept] / passive_rank.singular_values[:kept]) @ left[:, :kept].T
+    relations = left[:, kept:].T @ closures[:, springs]
+    relation_left, relation_right, relation_rank = _decompose(relations, tolerance * reference)
+    kept = relation_rank.rank
+
+    root = model.scaled_compliance_root(configuration) / scale[springs, None]
+    whitened_relations = relation_right[:, :kept].T @ root
+    span, whitened = _row_space_and_complement(whitened_relations)
+    # x of least length with relations @ root @ x equal to what is left of the closure error
+    remainder = (relation_left[:, :kept] / relation_rank.singular_values[:kept]).T @ left[:, passive_rank.rank :].T
+    restoring = (
+        span @ np.linalg.solve(whitened_relations @ span, remainder) if kept else np.zeros((len(root), len(rows)))
+    )
+
+    def of_all_joints(strain: Matrix, error: Matrix | float = 0.0) -> Matrix:
+        velocities = np.zeros((mechanism.model.nv, strain.shape[1]))
+        velocities[springs] = strain
+        velocities[passive] = inverse @ (error - closures[:, springs] @ strain)
+        return frozen(scale[:, None] * velocities)
+
+    unstrained = np.zeros((mechanism.model.nv, len(passive) - passive_rank.rank))
+    unstrained[passive] = right[:, passive_rank.rank :]
+    return ElasticMotions(
+        configuration=configuration,
+        elastic=of_all_joints(root @ whitened),
+        whitened=frozen(whitened),
+        kinematic=of_all_joints(relation_right[:, relation_rank.rank :]),
+        unstrained=frozen(scale[:, None] * unstrained),
+        closing=frozen(of_all_joints(root @ restoring, np.eye(len(rows))) / rows),
+        passive_rank=passive_rank,
+        relation_rank=relation_rank,
+    )
+
+
+def _decompose(matrix: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDecision]:
+    """Return all left and right singular vectors, as columns, and the rank."""
+    if not matrix.size:
+        rows, columns = matrix.shape
+        return np.eye(rows), np.eye(columns), decide_rank(np.zeros(0), threshold)
+    left, values, right = np.linalg.svd(matrix)
+    return left, right.T, decide_rank(values, threshold)
+
+
+def _row_space_and_complement(rows: Matrix) -> tuple[Matrix, Matrix]:
+    """Return orthonormal bases of the space that independent rows span and of its complement, as columns.
+
+    Householder's QR of rows^T with its rows sorted by size and columns pivoted: the rows of its result are exact
+    relative to their own size (A. Cox and N. Higham, 1998), so soft and stiff springs keep their digits.
+    """
+    count, size = rows.shape
+    order = np.argsort(-np.abs(rows).max(axis=0, initial=0.0), kind="stable")
+    factor = scipy.linalg.qr(rows.T[order], pivoting=True)[0] if count else np.eye(size)
+    basis = np.empty((size, size))
+    basis[order] = factor
+    return basis[:, :count], basis[:, count:]

@@ -1,0 +1,91 @@
+"""Which spring gives most: the share of each spring in the compliance, for a load or along a direction.
+
+Compliances of springs add: C = sum_j C_j with C_j = a_j a_j^T / k_j, a_j the force in spring j against a wrench at the
+tool. The displacement of the point of load along a wrench W is W^T C W, and each spring's part of it is W^T C_j W. The
+same parts are the derivatives: dC / dk_j = -C_j / k_j.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SpringShare:
+    """One spring's part in the deflection under a load.
+
+    Attributes:
+        spring: its name.
+        share: its part of W^T C W, between 0 and 1.
+        deflection: W^T C_j W / |W|, the displacement along the load that it alone causes [m or rad for a unit wrench].
+    """
+
+    spring: str
+    share: float
+    deflection: float
+
+
+def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
+    """Return the share of each spring in the deflection along a wrench.
+
+    Args:
+        contributions: C_j, shape=(..., s, 6, 6).
+        wrench: W, [f; m] at the tool, shape=(..., 6) [N, N m].
+
+    Returns:
+        shape=(..., s), adding up to 1; NaN where the contributions are NaN.
+
+    Raises:
+        InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.
+    """
+    parts = _energies(contributions, wrench)
+    total: Array = parts / parts.sum(axis=-1, keepdims=True)
+    return total
+
+
+def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -> list[SpringShare]:
+    """Return the springs of one pose in the order of their share: the first is the critical component.
+
+    Args:
+        names: of the springs, s of them.
+        contributions: C_j, shape=(s, 6, 6).
+        wrench: W at the tool, shape=(6,) [N, N m].
+
+    Raises:
+        InvalidValueError: the wrench is not of shape (6,), not finite or zero.
+    """
+    parts = _energies(contributions, wrench)
+    size = float(np.linalg.norm(np.asarray(wrench, dtype=float)))
+    order = np.argsort(-parts, kind="stable")
+    return [SpringShare(names[j], float(parts[j] / parts.sum()), float(parts[j]) / size) for j in order]
+
+
+def stiffness_derivatives(contributions: ArrayLike, stiffnesses: ArrayLike) -> Array:
+    """Return dC / dk_j = -C_j / k_j for springs of one constant each.
+
+    Args:
+        contributions: C_j, shape=(..., s, 6, 6).
+        stiffnesses: k_j, shape=(s,) [N/m or N m/rad].
+
+    Returns:
+        shape=(..., s, 6, 6).
+    """
+    k = np.asarray(stiffnesses, dtype=float)
+    derivatives: Array = -np.asarray(contributions, dtype=float) / k[:, None, None]
+    return derivatives
+
+
+def _energies(contributions: ArrayLike, wrench: ArrayLike) -> Array:
+    w = np.asarray(wrench, dtype=float)
+    if w.shape[-1:] != (6,) or not np.all(np.isfinite(w)) or not np.all(np.any(w != 0.0, axis=-1)):
+        raise InvalidValueError("wrench", w.tolist(), "six finite numbers [f; m], not all zero")
+    energies: Array = np.einsum("...i,...sij,...j->...s", w, np.asarray(contributions, dtype=float), w)
+    return energies

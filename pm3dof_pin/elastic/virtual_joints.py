@@ -1,0 +1,372 @@
+"""Virtual joints: where a body gives, joints with one freedom each are put into the tree, never by hand.
+
+The tree is rebuilt on Pinocchio's level. Bodies keep their inertias, frames their names and indices, joints their
+names, limits and constants, and with all virtual joints at zero the mechanism is the rigid one. A spring's joints stand
+before its joint or frame `at`, translations first, in the axes of `at`; several springs at one place stand in the order
+of their list, in series. A loop closure that gives gets virtual joints between its first frame and a new frame, which
+is closed rigidly in its stead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
+from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
+from pm3dof_pin.mechanism import Mechanism
+
+MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+"""Motions of virtual joints in the order of stiffness matrices: along and about the axes."""
+
+_JOINT_MODELS = {
+    "x": pin.JointModelPX,
+    "y": pin.JointModelPY,
+    "z": pin.JointModelPZ,
+    "rx": pin.JointModelRX,
+    "ry": pin.JointModelRY,
+    "rz": pin.JointModelRZ,
+}
+_VELOCITY_CONSTANTS = (
+    "armature",
+    "damping",
+    "rotorInertia",
+    "rotorGearRatio",
+    "lowerEffortLimit",
+    "upperEffortLimit",
+    "lowerVelocityLimit",
+    "upperVelocityLimit",
+    "lowerDryFrictionLimit",
+    "upperDryFrictionLimit",
+)
+_POSITION_CONSTANTS = {"lowerPositionLimit": -np.inf, "upperPositionLimit": np.inf, "positionLimitMargin": 0.0}
+"""With their values for virtual joints."""
+
+_NO_MASS = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualJoints:
+    """A mechanism with virtual joints, and where the joints of the rigid one stand in it.
+
+    Attributes:
+        mechanism: the mechanism with virtual joints; it names no springs any more.
+        joints: names of the virtual joints of each spring, in the order of its stiffness.
+        q_indices: index in its q of each entry of the rigid mechanism's q, shape=(nq,).
+        v_indices: index in its v of each entry of the rigid mechanism's v, shape=(nv,).
+    """
+
+    mechanism: Mechanism
+    joints: Mapping[str, tuple[str, ...]]
+    q_indices: NDArray[np.intp]
+    v_indices: NDArray[np.intp]
+
+
+def insert_virtual_joints(mechanism: Mechanism, springs: Sequence[Spring]) -> VirtualJoints:
+    """Put the virtual joints of springs into a mechanism.
+
+    Args:
+        mechanism: the rigid mechanism; left as it is.
+        springs: its springs. Those at joints need no virtual joint.
+
+    Raises:
+        FrameNotFoundError: a spring stands at a joint or frame that the mechanism does not have.
+        DescriptionError: a spring stands at the root of the world, at a closure that does not exist or has another
+            size, at a closure that gives already, or has the name of a frame or joint.
+    """
+    chains = [_chain(mechanism, spring) for spring in springs if not isinstance(spring, JointSpring)]
+    return _Builder(mechanism, chains).result()
+
+
+@dataclass(frozen=True, eq=False)
+class _Chain:
+    """The virtual joints of one spring: before the frame or joint `place`, or from that frame to a closure's anchor."""
+
+    name: str
+    place: str
+    motions: tuple[str, ...]
+    axes: pin.SE3
+    closure: int | None = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return tuple(f"{self.name}.{motion}" for motion in self.motions)
+
+    @property
+    def anchor(self) -> str:
+        return f"{self.name}.anchor"
+
+
+def _chain(mechanism: Mechanism, spring: AxialSpring | CantileverSpring | BeamSpring | ClosureSpring) -> _Chain:
+    if isinstance(spring, AxialSpring):
+        return _Chain(spring.name, spring.at, ("z",), _axes_with_z_along(spring.axis))
+    if isinstance(spring, CantileverSpring):
+        rigid = () if spring.axial_stiffness is not None else ("z",)
+        motions = tuple(motion for motion in MOTIONS if motion not in rigid)
+        return _Chain(spring.name, spring.at, motions, _axes_with_z_along(spring.axis))
+    if isinstance(spring, BeamSpring):
+        return _Chain(spring.name, spring.at, MOTIONS, pin.SE3.Identity())
+    if spring.closure >= len(mechanism.closures):
+        count = len(mechanism.closures)
+        raise DescriptionError(
+            mechanism.source, f"spring '{spring.name}': closure", f"is {spring.closure}, expected less than {count}"
+        )
+    closure = mechanism.closures[spring.closure]
+    size = 3 if closure.type == "3d" else 6
+    if len(spring.matrix) != size:
+        raise DescriptionError(
+            mechanism.source,
+            f"spring '{spring.name}': matrix",
+            f"expected {size} x {size} for a {closure.type} closure",
+        )
+    return _Chain(spring.name, closure.frame_a, MOTIONS[:size], pin.SE3.Identity(), spring.closure)
+
+
+def _axes_with_z_along(axis: tuple[float, float, float]) -> pin.SE3:
+    z = np.array([0.0, 0.0, 1.0])
+    if (np.array(axis) == z).all():
+        return pin.SE3.Identity()
+    return pin.SE3(pin.Quaternion.FromTwoVectors(z, np.array(axis)).toRotationMatrix(), np.zeros(3))
+
+
+@dataclass(eq=False)
+class _Piece:
+    """Part of a rigid body of the tree: all of it, or what moves when a spring inside it gives.
+
+    `body` is the body's joint in the old tree, `joint` the joint in the new one that carries the piece, and `placement`
+    the place of that joint in the old body. A piece cut out of a body hangs on `chains`.
+    """
+
+    body: int
+    placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    joint: int = 0
+    chains: list[_Chain] = field(default_factory=list)
+    inertia: pin.Inertia = field(default_factory=pin.Inertia.Zero)
+    joints: list[int] = field(default_factory=list)
+    cuts: list[_Piece] = field(default_factory=list)
+    anchors: list[_Chain] = field(default_factory=list)
+
+
+class _Builder:
+    """Cuts the bodies of a tree into pieces, and grows the new tree out of them, depth first."""
+
+    def __init__(self, mechanism: Mechanism, chains: Sequence[_Chain]) -> None:
+        self._mechanism = mechanism
+        self._old: pin.Model = mechanism.model
+        self._new = pin.Model()
+        self._chains = chains
+        self._joint_chains: dict[int, list[_Chain]] = {}
+        self._bodies = [_Piece(body) for body in range(self._old.njoints)]
+        self._cuts: dict[int, _Piece] = {}
+        self._anchor_frames: list[pin.Frame] = []
+
+    def result(self) -> VirtualJoints:
+        self._check_names()
+        for chain in self._chains:
+            self._place(chain)
+        self._share_out_inertias()
+        self._share_out_what_hangs_on_pieces()
+        self._grow(self._bodies[0])
+        self._copy_frames()
+        q_indices, v_indices = self._copy_constants()
+        return VirtualJoints(
+            self._mechanism_of_new_tree(), {chain.name: chain.joints for chain in self._chains}, q_indices, v_indices
+        )
+
+    def _check_names(self) -> None:
+        closures = [chain.closure for chain in self._chains if chain.closure is not None]
+        for chain in self._chains:
+            for name in (*chain.joints, chain.anchor):
+                if self._old.existFrame(name) or self._old.existJointName(name):
+                    raise self._error(chain, f"'{name}' is a frame or joint already, expected another name")
+            if chain.closure is not None and closures.count(chain.closure) > 1:
+                raise self._error(chain, f"closure {chain.closure} has two springs, expected one")
+
+    def _place(self, chain: _Chain) -> None:
+        """Find the joint that a chain stands before, or cut a body at the frame it stands before."""
+        frame = self._frame_of(chain)
+        if chain.closure is not None:
+            return
+        if frame is None:
+            self._joint_chains.setdefault(self._old.getJointId(chain.place), []).append(chain)
+            return
+        if frame == 0:
+            raise self._error(chain, "stands at the root of the world, expected a joint or frame on it")
+        cut = self._cuts.setdefault(
+            frame, _Piece(self._old.frames[frame].parentJoint, self._old.frames[frame].placement)
+        )
+        cut.chains.append(chain)
+
+    def _frame_of(self, chain: _Chain) -> int | None:
+        """Return the frame a chain stands before, or None if that is a joint that moves."""
+        try:
+            index = self._mechanism.frame_id(chain.place)
+        except FrameNotFoundError as error:
+            if self._old.existJointName(chain.place):
+                return None
+            where = f"{self._mechanism.source}: spring '{chain.name}'"
+            raise FrameNotFoundError(chain.place, where, error.known) from error
+        frame, above = self._old.frames[index], self._frame_above(index)
+        if frame.type == pin.FrameType.JOINT:
+            return None
+        if frame.type == pin.FrameType.BODY and above is not None and above > 0:
+            # a link on a fixed joint: Pinocchio keeps its inertia in the frame of that joint
+            fixed = self._old.frames[above]
+            if fixed.type == pin.FrameType.FIXED_JOINT and fixed.placement == frame.placement:
+                return above
+        return index
+
+    def _carrier(self, index: int) -> int:
+        """Return the body that carries a frame; for the frame of a joint that moves, the body before the joint."""
+        frame = self._old.frames[index]
+        is_joint = frame.type == pin.FrameType.JOINT
+        return int(self._old.parents[frame.parentJoint] if is_joint else frame.parentJoint)
+
+    def _frame_above(self, index: int) -> int | None:
+        """Return the frame that carries another one, if it is known and on the same body."""
+        above = self._old.frames[index].parentFrame
+        return None if above == index or self._old.frames[above].parentJoint != self._carrier(index) else int(above)
+
+    def _piece(self, index: int) -> _Piece:
+        """Return the piece that carries a frame, or that the frame itself is the beginning of."""
+        above: int | None = index
+        while above is not None:
+            if above in self._cuts:
+                return self._cuts[above]
+            above = self._frame_above(above)
+            if above is not None and self._old.frames[above].type == pin.FrameType.JOINT:
+                break
+        return self._bodies[self._carrier(index)]
+
+    def _piece_above(self, index: int) -> _Piece:
+        """Return the piece that a cut is made in."""
+        above = self._frame_above(index)
+        if above is None or self._old.frames[above].type == pin.FrameType.JOINT:
+            return self._bodies[self._carrier(index)]
+        return self._piece(above)
+
+    def _share_out_inertias(self) -> None:
+        """Give every piece the inertias of its frames, and the rest of a body to the piece of the link on its joint."""
+        rest = list(self._old.inertias)
+        links: dict[int, _Piece] = {}
+        for index, frame in enumerate(self._old.frames):
+            if frame.type == pin.FrameType.JOINT:
+                continue
+            piece, above = self._piece(index), self._frame_above(index)
+            if frame.inertia.mass > 0.0:
+                inertia = frame.placement.act(frame.inertia)
+                piece.inertia = piece.inertia + inertia
+                rest[piece.body] = rest[piece.body] - inertia
+            if frame.type == pin.FrameType.BODY and above is not None:
+                links.setdefault(piece.body, piece)
+        for body in range(1, self._old.njoints):
+            if rest[body].mass > _NO_MASS:
+                piece = links.get(body, self._bodies[body])
+                piece.inertia = piece.inertia + rest[body]
+
+    def _share_out_what_hangs_on_pieces(self) -> None:
+        for index, cut in self._cuts.items():
+            self._piece_above(index).cuts.append(cut)
+        frames = {
+            frame.parentJoint: index
+            for index, frame in enumerate(self._old.frames)
+            if frame.type == pin.FrameType.JOINT
+        }
+        for joint in range(1, self._old.njoints):
+            known = joint in frames
+            piece = self._piece(frames[joint]) if known else self._bodies[self._old.parents[joint]]
+            piece.joints.append(joint)
+        for chain in self._chains:
+            if chain.closure is not None:
+                self._piece(self._mechanism.frame_id(chain.place)).anchors.append(chain)
+
+    def _grow(self, piece: _Piece) -> None:
+        """Add what hangs on a piece, depth first, as Pinocchio's algorithms need it."""
+        if piece.joint > 0:
+            inertia = piece.placement.actInv(piece.inertia)
+            self._new.appendBodyToJoint(piece.joint, inertia, pin.SE3.Identity())
+        for joint in piece.joints:
+            placement = piece.placement.actInv(self._old.jointPlacements[joint])
+            parent, placement = self._add(self._joint_chains.get(joint, []), piece.joint, placement)
+            body = self._bodies[joint]
+            body.joint = self._new.addJoint(parent, self._old.joints[joint], placement, self._old.names[joint])
+            self._grow(body)
+        for cut in piece.cuts:
+            cut.joint, end = self._add(cut.chains, piece.joint, piece.placement.actInv(cut.placement))
+            cut.placement = cut.placement * end.inverse()
+            self._grow(cut)
+        for chain in piece.anchors:
+            frame = self._old.frames[self._mechanism.frame_id(chain.place)]
+            joint, end = self._add([chain], piece.joint, piece.placement.actInv(frame.placement))
+            self._anchor_frames.append(pin.Frame(chain.anchor, joint, end, pin.FrameType.OP_FRAME))
+
+    def _add(self, chains: Sequence[_Chain], parent: int, placement: pin.SE3) -> tuple[int, pin.SE3]:
+        """Add virtual joints; return the last one, and the placement in it of what they carry."""
+        for chain in chains:
+            placement = placement * chain.axes
+            for name, motion in zip(chain.joints, chain.motions, strict=True):
+                parent = self._new.addJoint(parent, _JOINT_MODELS[motion](), placement, name)
+                placement = pin.SE3.Identity()
+            placement = chain.axes.inverse()
+        return parent, placement
+
+    def _copy_frames(self) -> None:
+        """Add all frames under their old indices, which those of parent frames rely on, and then the anchors."""
+        for index, frame in list(enumerate(self._old.frames))[1:]:
+            copy = pin.Frame(frame)
+            if frame.type == pin.FrameType.JOINT:
+                copy.parentJoint = self._bodies[frame.parentJoint].joint
+            else:
+                piece = self._piece(index)
+                copy.parentJoint, copy.placement = piece.joint, piece.placement.actInv(frame.placement)
+            self._new.addFrame(copy, False)
+        for anchor in self._anchor_frames:
+            self._new.addFrame(anchor, False)
+
+    def _copy_constants(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Copy what is kept joint by joint; return where the entries of the old q and v stand in the new ones."""
+        q_indices, v_indices = np.empty(self._old.nq, dtype=np.intp), np.empty(self._old.nv, dtype=np.intp)
+        for body in self._bodies[1:]:
+            old, new = self._old.joints[body.body], self._new.joints[body.joint]
+            q_indices[old.idx_q : old.idx_q + old.nq] = np.arange(new.idx_q, new.idx_q + new.nq)
+            v_indices[old.idx_v : old.idx_v + old.nv] = np.arange(new.idx_v, new.idx_v + new.nv)
+        for name in _VELOCITY_CONSTANTS:
+            self._set(name, v_indices, getattr(self._old, name), getattr(self._new, name))
+        for name, unlimited in _POSITION_CONSTANTS.items():
+            self._set(name, q_indices, getattr(self._old, name), np.full(self._new.nq, unlimited))
+        for entry in self._old.referenceConfigurations:
+            positions = pin.neutral(self._new)
+            positions[q_indices] = entry.data()
+            self._new.referenceConfigurations[entry.key()] = positions
+        self._new.gravity = self._old.gravity
+        self._new.name = self._old.name
+        return q_indices, v_indices
+
+    def _set(self, name: str, indices: NDArray[np.intp], old: ArrayLike, values: ArrayLike) -> None:
+        numbers = np.array(values)
+        numbers[indices] = old
+        setattr(self._new, name, numbers)
+
+    def _mechanism_of_new_tree(self) -> Mechanism:
+        rigid = self._mechanism
+        anchors = {chain.closure: chain.anchor for chain in self._chains}
+        closures = [
+            replace(closure, frame_a=anchors.get(index, closure.frame_a))
+            for index, closure in enumerate(rigid.closures)
+        ]
+        return Mechanism(
+            self._new,
+            closures,
+            actuated_joints=rigid.actuated_joints,
+            tool_frame=rigid.tool_frame,
+            motion_coordinates=rigid.motion_coordinates,
+            characteristic_length=rigid.characteristic_length,
+            source=rigid.source,
+        )
+
+    def _error(self, chain: _Chain, expected: str) -> DescriptionError:
+        return DescriptionError(self._mechanism.source, f"spring '{chain.name}'", expected)
