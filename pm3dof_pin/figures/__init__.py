@@ -1,0 +1,1 @@
+"""Pictures of maps and of the workspace, drawn by matplotlib without a window."""

@@ -1,0 +1,130 @@
+"""Pictures of a calibration: errors on held-out poses, parameters, residuals, maps before and after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.calibrate import HeldOut
+from pm3dof_pin.calibration.identification import Identification
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
+from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
+
+Array = NDArray[np.float64]
+
+BEFORE, AFTER, FLOOR, NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
+
+_MICROMETRES = 1e6
+_LEVELS = 14
+
+
+def held_out_picture(held_out: HeldOut) -> Figure:
+    """Draw the share of held-out poses whose tip error stays below a size: before, after, floor, noise.
+
+    Args:
+        held_out: errors at poses that the calibration was not shown.
+    """
+    curves = (
+        ("as described", held_out.before, BEFORE, "-"),
+        ("corrected", held_out.after, AFTER, "-"),
+        ("best commands (floor)", held_out.floor, FLOOR, "--"),
+        ("measurement noise", held_out.noise, NOISE, ":"),
+    )
+    with house_style():
+        figure = new_figure(6.0, 3.4)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        for label, values, color, line in curves:
+            ordered = np.sort(values) * _MICROMETRES
+            share = np.arange(1, len(ordered) + 1) / len(ordered)
+            axes.step(ordered, 100.0 * share, where="post", color=color, linestyle=line, label=label)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.minorticks_off()
+        axes.set_xlabel("tip error [µm]")
+        axes.set_ylabel("held-out poses below [%]")
+        axes.set_ylim(0.0, 102.0)
+        axes.legend(loc="upper left")
+    return figure
+
+
+def parameters_picture(found: Identification) -> Figure:
+    """Draw every identified parameter with two standard deviations, in units of its tolerance.
+
+    Args:
+        found: the identification.
+    """
+    values = found.values / found.errors.tolerances
+    spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
+    places = np.arange(len(values))[::-1]
+    with house_style():
+        figure = new_figure(6.4, 1.2 + 0.17 * len(values))
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        axes.axvspan(-1.0, 1.0, color="#EEEEEE", zorder=0)
+        axes.axvline(0.0, color=INK, linewidth=0.7)
+        axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=AFTER, ecolor=NOISE)
+        axes.set_yticks(places, found.errors.names, fontsize=7.0)
+        axes.set_ylim(-1.0, len(values))
+        axes.set_xlabel("value and two standard deviations, over the tolerance")
+    return figure
+
+
+def residuals_picture(found: Identification) -> Figure:
+    """Draw the residual of every measurement in units of its sigma; outliers stand out.
+
+    Args:
+        found: the identification.
+    """
+    size = np.sqrt(np.mean(found.normalized_residuals**2, axis=1))
+    outliers = np.zeros(len(size), dtype=bool)
+    outliers[list(found.outliers)] = True
+    lines = np.array(found.measurements.lines)
+    with house_style():
+        figure = new_figure(6.0, 2.6)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots()
+        axes.axhline(1.0, color=NOISE, linestyle=":", label="noise as stated")
+        axes.plot(lines[~outliers], size[~outliers], "o", markersize=3.0, color=AFTER, label="measurement")
+        if outliers.any():
+            axes.plot(lines[outliers], size[outliers], "x", color=BEFORE, label="outlier")
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axes.minorticks_off()
+        axes.set_xlabel("line of the file")
+        axes.set_ylabel("residual [sigma]")
+        axes.legend()
+    return figure
+
+
+def workspace_picture(errors: WorkspaceErrors) -> Figure:
+    """Draw the maps of the tip error before and after, and of the floor, with one scale of colours each.
+
+    Args:
+        errors: errors over two motion coordinates.
+    """
+    panels = (("as described", errors.before), ("corrected, expected", errors.after), ("floor", errors.floor))
+    with house_style():
+        figure = new_figure(9.6, 3.2)
+        figure.set_layout_engine("constrained")
+        row: Any = figure.subplots(1, 3)
+        for axes, (title, field) in zip(row, panels, strict=True):
+            _draw_map(figure, axes, errors, field * _MICROMETRES, title)
+    return figure
+
+
+def _draw_map(figure: Figure, axes: Any, errors: WorkspaceErrors, field: Array, title: str) -> None:
+    x, y = errors.coordinates
+    least, greatest = float(np.nanmin(field)), float(np.nanmax(field))
+    levels = np.linspace(least, greatest if greatest > least else least + 1.0, _LEVELS)
+    filled = axes.contourf(x, y, field.T, levels=levels, cmap=COLORMAP)
+    figure.colorbar(filled, ax=axes, label="tip error [µm]", format="%.0f")
+    axes.set_title(title)
+    axes.set_xlabel(errors.names[0])
+    axes.set_ylabel(errors.names[1])

@@ -1,0 +1,149 @@
+"""The report of a calibration: one HTML page with its pictures inside, readable without a network."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from html import escape
+
+from matplotlib.figure import Figure
+
+from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
+from pm3dof_pin.calibration.identification import Identification
+from pm3dof_pin.calibration.results import statistics
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
+from pm3dof_pin.figures.calibration import (
+    held_out_picture,
+    parameters_picture,
+    residuals_picture,
+    workspace_picture,
+)
+from pm3dof_pin.figures.style import house_style
+
+_DPI = 110
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
+table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; border-bottom: 1px solid #ddd; }
+td:not(:first-child), th:not(:first-child) { text-align: right; } img { max-width: 100%; }
+"""
+
+_METHODS = {
+    "lm": "geometric parameters by least squares",
+    "nn": "a neural network on the joint variables",
+    "gp": "a Gaussian process on the joint variables",
+    "lm+nn": "geometric parameters by least squares, and a neural network on what they leave",
+    "lm+gp": "geometric parameters by least squares, and a Gaussian process on what they leave",
+}
+
+
+def report_as_html(
+    calibration: Calibration, robot: str, held_out: HeldOut | None = None, maps: WorkspaceErrors | None = None
+) -> str:
+    """Return the report of a calibration; the same calibration gives the same bytes.
+
+    Args:
+        calibration: what to report.
+        robot: its name.
+        held_out: errors on poses it was not shown.
+        maps: errors over the workspace.
+    """
+    how, found = calibration.options, calibration.identification
+    parts = [
+        f"<h1>Calibration of {escape(robot)}</h1>",
+        f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
+        f"<b>{how.method}</b>: {_METHODS[how.method]}. Tip errors weigh a turn with {how.eta:g} m/rad. "
+        f"Seed {how.seed}.</p>",
+        *_data(calibration),
+        *_accuracy(calibration, held_out),
+    ]
+    if maps is not None:
+        parts += [
+            "<h2>Over the workspace</h2>",
+            "<p>As the calibration knows the machine, the other motion coordinates in the middle of their ranges. The "
+            "floor is what no command corrects: it is known from identified parameters only.</p>",
+            _image(workspace_picture(maps), "maps of the tip error before and after"),
+        ]
+    if calibration.compensation.values is not None:
+        parts += _parameters(found)
+    body = "\n".join(parts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<title>Calibration of {escape(robot)}</title><style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _data(calibration: Calibration) -> list[str]:
+    found = calibration.identification
+    remarks = [escape(text) for text in calibration.measurements.warnings]
+    if found.outliers:
+        lines = ", ".join(map(str, found.outlier_lines))
+        remarks.append(f"Outliers, given no or little weight and shown to no learned model: lines {lines}.")
+    if found.noise_factor > 1.0:
+        remarks.append(
+            f"The residuals of the parametric model scatter {found.noise_factor:.2f} times as much as the sigmas of "
+            "the measurements say: the noise is greater, or the machine is richer than its parameters."
+        )
+    listed = "".join(f"<li>{remark}</li>" for remark in remarks) or "<li>Nothing odd was found.</li>"
+    picture = _image(residuals_picture(found), "residual of each measurement")
+    return ["<h2>The measurements</h2>", f"<ul>{listed}</ul>", picture]
+
+
+def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
+    heading = "<h2>Accuracy on poses it was not shown</h2>"
+    if held_out is None:
+        return [heading, "<p>Not known: too few measurements for a cross-validation.</p>"]
+    rows = [
+        ("as described", held_out.before),
+        ("corrected", held_out.after),
+        ("best commands: floor", held_out.floor),
+        ("measurement noise", held_out.noise),
+        ("corrected minus best commands, each joint", held_out.excess),
+    ]
+    numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
+    return [
+        heading,
+        "<p>Cross-validation: each fifth of the measurements is predicted from the others. Tip errors in µm, as "
+        "measured, so noise is in all of them. The floor is left with the best possible commands: with fewer drives "
+        "than a pose has freedoms, commands cannot correct everything. The last line compares commands.</p>",
+        _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
+        _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
+        f"<p>Beside noise, {1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are neither "
+        "explained by the model nor corrected by any command.</p>",
+    ]
+
+
+def _parameters(found: Identification) -> list[str]:
+    rows = [
+        (name, f"{1e6 * value:.2f}", f"{1e6 * sigma:.2f}", f"{1e6 * tolerance:.0f}", f"µ{unit}")
+        for name, value, sigma, tolerance, unit in zip(
+            found.errors.names, found.values, found.sigmas, found.errors.tolerances, found.errors.units, strict=True
+        )
+    ]
+    silent = [
+        ("Combinations that the measurements say nothing about", found.identifiability.unidentifiable),
+        ("Parameters that they say little about by themselves", found.untold),
+    ]
+    remarks = "".join(f"<li>{text}: {escape('; '.join(names) or 'none')}.</li>" for text, names in silent)
+    return [
+        "<h2>The parameters identified</h2>",
+        f"<p>{found.identifiability.rank} combinations of {len(found.errors)} parameters are identifiable. The grey "
+        f"band is the tolerance; before the measurements the standard deviation was {found.prior:g} tolerances.</p>",
+        f"<ul>{remarks}</ul>",
+        _image(parameters_picture(found), "identified parameters with their uncertainties"),
+        _table(("parameter", "value", "sigma", "tolerance", "unit"), rows),
+    ]
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in header) + "</tr>"]
+    lines += ["<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+    return "<table>" + "\n".join(lines) + "</table>"
+
+
+def _image(figure: Figure, text: str) -> str:
+    buffer = io.BytesIO()
+    with house_style():
+        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return f'<p><img alt="{escape(text)}" src="data:image/png;base64,{data}"></p>'

@@ -1,0 +1,47 @@
+"""Which parts' errors count: the share of each parameter in the squared tip error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pm3dof_pin.calibration.error_map import ParameterShare
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.figures.style import house_style, new_figure
+
+COMPENSABLE_COLOR, UNCOMPENSABLE_COLOR = "#56B4E9", "#D55E00"
+
+
+def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
+    """Draw the tip error that each of the most critical parameters causes within its tolerance.
+
+    Args:
+        ranking: result of :meth:`ErrorMap.ranking <pm3dof_pin.calibration.error_map.ErrorMap.ranking>`.
+        most: number of parameters shown.
+
+    Raises:
+        InvalidValueError: there is nothing to show.
+    """
+    shown = list(ranking)[:most]
+    if not shown:
+        raise InvalidValueError("ranking", "empty", "at least one parameter")
+    rows = np.arange(len(shown))
+    inches = 1.0 + 0.24 * len(shown)
+    with house_style():
+        figure = new_figure(7.0, inches)
+        figure.suptitle("Critical parameters", y=1.0 - 0.15 / inches)
+        axes = figure.add_axes((0.29, 0.5 / inches, 0.68, 1.0 - 0.9 / inches))
+        for offset, color, text, shares in (
+            (-0.19, COMPENSABLE_COLOR, "of the tip error", [share.share for share in shown]),
+            (0.19, UNCOMPENSABLE_COLOR, "of what no command can undo", [share.uncompensable_share for share in shown]),
+        ):
+            axes.barh(rows + offset, 100.0 * np.array(shares), 0.38, color=color, label=text)
+        axes.set_yticks(rows, [share.name for share in shown])
+        axes.set_ylim(len(shown) - 0.4, -0.6)
+        axes.set_xlabel("share of the mean squared error [%]")
+        axes.legend(loc="lower right")
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    return figure

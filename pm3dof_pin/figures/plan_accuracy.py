@@ -1,0 +1,77 @@
+"""Predicted accuracy after calibration against the number of poses measured, for each way to choose them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.planning import Strategy
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.figures.style import house_style, new_figure
+
+# Okabe and Ito's colours
+STRATEGY_COLORS: Mapping[Strategy, str] = {
+    "d-optimal": "#0072B2",
+    "tip-optimal": "#009E73",
+    "random": "#999999",
+    "least-sensitive": "#D55E00",
+}
+STRATEGY_NAMES: Mapping[Strategy, str] = {
+    "d-optimal": "D-optimal",
+    "tip-optimal": "best for the tip",
+    "random": "random",
+    "least-sensitive": "in the least sensitive region (the chapter's rule)",
+}
+
+
+def plan_accuracy(
+    counts: Sequence[int], curves: Mapping[Strategy, NDArray[np.float64]], minimum: int | None = None
+) -> Figure:
+    """Draw the predicted tip error, the mean over seeds with its range.
+
+    Args:
+        counts: numbers of poses.
+        curves: results of :meth:`PlanningProblem.accuracy_curve
+            <pm3dof_pin.calibration.planning.PlanningProblem.accuracy_curve>` for these counts, by strategy [m].
+        minimum: least number of poses that identify all that can be identified, if it is to be marked.
+
+    Raises:
+        InvalidValueError: a curve does not have as many rows as there are counts.
+    """
+    for strategy, curve in curves.items():
+        if curve.ndim != 2 or len(curve) != len(counts):
+            raise InvalidValueError(f"curve of {strategy}", f"shape {curve.shape}", f"shape ({len(counts)}, seeds)")
+    with house_style():
+        figure = new_figure(6.4, 4.2)
+        axes = figure.add_axes((0.11, 0.12, 0.87, 0.85))
+        for strategy, curve in curves.items():
+            microns = 1e6 * curve
+            color = STRATEGY_COLORS[strategy]
+            axes.plot(counts, microns.mean(axis=1), "o-", markersize=3.5, color=color, label=STRATEGY_NAMES[strategy])
+            axes.fill_between(counts, microns.min(axis=1), microns.max(axis=1), color=color, alpha=0.15, linewidth=0.0)
+        if minimum is not None:
+            axes.axvline(minimum, color="#222222", linestyle=":", linewidth=0.8)
+            axes.annotate(
+                "all identified",
+                (minimum, 0.02),
+                (4, 0),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                va="bottom",
+            )
+        axes.set(
+            xscale="log", yscale="log", xlabel="poses measured", ylabel="predicted tip error [µm], root mean square"
+        )
+        axes.set_xticks(list(counts), [str(count) for count in counts])
+        axes.minorticks_off()
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        ticks = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000]
+        low, high = axes.get_ylim()
+        axes.set_yticks([tick for tick in ticks if low <= tick <= high])
+        axes.grid(True, color="#dddddd", linewidth=0.5)
+        axes.legend(loc="upper right")
+    return figure

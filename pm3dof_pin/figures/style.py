@@ -1,0 +1,95 @@
+"""The house style of all pictures, and how they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from pm3dof_pin.files import write_atomically
+from pm3dof_pin.tripod.limits import Limit
+
+COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
+DPI = 200
+INK = "#222222"
+
+# Okabe and Ito's colours, told apart by all kinds of colour vision.
+LIMIT_COLORS = {
+    Limit.REACH: "#999999",
+    Limit.STROKE: "#0072B2",
+    Limit.UNIVERSAL: "#009E73",
+    Limit.SPHERICAL: "#E69F00",
+    Limit.TILT: "#CC79A7",
+    Limit.HEIGHT: "#56B4E9",
+}
+LIMIT_NAMES = {
+    Limit.REACH: "reach of a link",
+    Limit.STROKE: "stroke of a slider",
+    Limit.UNIVERSAL: "universal joint of a leg",
+    Limit.SPHERICAL: "spherical joint",
+    Limit.TILT: "universal joint of the passive leg",
+    Limit.HEIGHT: "stop of the passive leg",
+}
+
+_STYLE = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that pictures are the same everywhere
+    "mathtext.fontset": "dejavusans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "figure.titlesize": 11.0,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.7,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+    "axes.formatter.use_mathtext": True,
+    "savefig.facecolor": "white",
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Draw with the house style inside the block, whatever the user's own settings, and leave them as they were."""
+    with style.context(["default", _STYLE]):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure that needs no screen, to be filled inside :func:`house_style`.
+
+    Args:
+        width: width [inch].
+        height: height [inch].
+    """
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path | str) -> Path:
+    """Write a figure as PNG; equal figures give equal bytes.
+
+    Args:
+        figure: what to write.
+        path: file to write.
+
+    Returns:
+        The path written.
+
+    Raises:
+        OutputError: the file cannot be written; nothing is left of it.
+    """
+    with house_style(), write_atomically(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})
+    return Path(path)

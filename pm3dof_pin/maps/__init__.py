@@ -1,0 +1,1 @@
+"""Quantities over grids of poses as labelled arrays, and what the chapter prints of them."""

@@ -1,0 +1,142 @@
+"""Stiffness over a section z_e = constant, or over several, as a labelled dataset."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import pm3dof_pin
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
+from pm3dof_pin.tripod.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
+from pm3dof_pin.tripod.limits import Limit, broken_limits
+from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.workspace import workspace_section
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+BROKEN_LIMITS = "broken_limits"
+
+_LONG_NAMES = {
+    "theta_x": "stiffness about theta_x",
+    "theta_y": "stiffness about theta_y",
+    "t_z": "stiffness along z",
+    "t_x": "stiffness along x",
+    "t_y": "stiffness along y",
+    "theta_z": "stiffness about theta_z",
+}
+
+
+def stiffness_section(
+    tripod: Tripod, grid: Grid | None = None, z_e: ArrayLike | None = None, *, excluded: Literal["nan", "keep"] = "nan"
+) -> xr.Dataset:
+    """Compute the chapter's stiffness over a section of the workspace.
+
+    Args:
+        tripod: the machine.
+        grid: the tilts; by default the rectangular grid of 6,561 poses.
+        z_e: height of the section, or several heights, shape=(k,) [m]; by default the middle height, the section of
+            Table 8.3 and of Figs. 8.3 and 8.4.
+        excluded: what stands where a pose breaks a joint limit: "nan", or "keep" for the value of the formula (which is
+            NaN still where a link does not meet its guideway).
+
+    Returns:
+        A dataset over the dimensions of the grid, with z_e in front if several heights are given: `stiffness_<axis>`
+        for the six axes of :data:`~pm3dof_pin.tripod.chapter_stiffness.AXES`, `stiffness_global` (their mean, of mixed
+        units), and `broken_limits`, the sum of the :class:`~pm3dof_pin.tripod.limits.Limit` that a pose breaks. Units,
+        long names and the meaning of the flags are attributes (CF conventions).
+
+    Raises:
+        InvalidValueError: a height is not finite, not above the clamp of the passive leg, or heights of two dimensions.
+    """
+    import xarray as xr
+
+    grid = RectangularGrid() if grid is None else grid
+    heights = np.asarray(tripod.middle_height if z_e is None else z_e, dtype=float)
+    if heights.ndim > 1:
+        raise InvalidValueError("z_e", f"an array of shape {heights.shape}", "one height or a list of heights")
+    poses = grid.poses(heights)
+    require_above_clamp(tripod, poses)
+    flags = broken_limits(tripod, poses)
+    dims = (("z_e",) if heights.ndim else ()) + grid.dims
+    variables = {
+        name: (dims, values if excluded == "keep" else np.where(flags == 0, values, np.nan), attributes)
+        for name, (values, attributes) in _chapter_variables(tripod, poses).items()
+    }
+    return xr.Dataset(
+        variables | {BROKEN_LIMITS: (dims, flags, flag_attributes("joint limits that the pose breaks"))},
+        coords={
+            **{name: (c.dims, c.values, _labels(c.unit, c.long_name)) for name, c in grid.coordinates().items()},
+            "z_e": (("z_e",) if heights.ndim else (), heights, _labels("m", "height of the tool point O_e")),
+        },
+        attrs=_attributes(tripod),
+    )
+
+
+def section_outline(
+    tripod: Tripod, grid: FilledGrid | None = None, z_e: float | None = None, directions: int = 720
+) -> xr.Dataset | None:
+    """Compute the chapter's stiffness along the boundary of a section: of its reachable part that the grid covers.
+
+    A picture that ends there has a smooth edge, and the values on it are computed like all others.
+
+    Args:
+        tripod: the machine.
+        grid: the grid of the section that is shown; by default the rectangular grid of 6,561 poses.
+        z_e: height of the section [m]; by default the middle height.
+        directions: number of points of the outline.
+
+    Returns:
+        A dataset like that of :func:`stiffness_section` along the dimension `point`, going round the level platform.
+        None if there is no such single line: the reachable part is not star-shaped about the level platform, or the
+        grid does not contain it.
+    """
+    section = workspace_section(tripod, z_e, directions)
+    edge = (RectangularGrid() if grid is None else grid).edge_radius(section.azimuths)
+    if not section.star_shaped or not np.all(edge > 0.0):
+        return None
+    radii = np.minimum(section.radii, edge)
+    tilts = radii[:, None] * np.stack([np.cos(section.azimuths), np.sin(section.azimuths)], axis=-1)
+    return stiffness_section(tripod, PointGrid(tilts), section.z_e)
+
+
+def flag_attributes(long_name: str) -> dict[str, object]:
+    """Return the attributes of a variable that holds sums of :class:`~pm3dof_pin.tripod.limits.Limit`."""
+    return {
+        "long_name": long_name,
+        "flag_masks": np.array([int(limit) for limit in Limit], dtype=np.uint8),
+        "flag_meanings": " ".join(limit.name.lower() for limit in Limit if limit.name),
+        "comment": "sum of the flags; zero within all limits",
+    }
+
+
+def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:
+    """Values and attributes of every variable of the chapter's model."""
+    diagonal = chapter_stiffness(tripod, poses, unreachable="nan")
+    variables = {
+        f"stiffness_{axis}": (diagonal[..., k], _labels(UNITS[axis], _LONG_NAMES[axis])) for k, axis in enumerate(AXES)
+    }
+    mixed = _labels("mixed", "global stiffness, the mean of the six diagonal entries")
+    mixed["comment"] = "adds N/m and N m/rad, as the chapter does; its value depends on the unit of length"
+    variables["stiffness_global"] = (global_index(diagonal), mixed)
+    return variables
+
+
+def _labels(units: str, long_name: str) -> dict[str, str]:
+    return {"units": units, "long_name": long_name}
+
+
+def _attributes(tripod: Tripod) -> dict[str, str]:
+    return {
+        "Conventions": "CF-1.8",
+        "title": f"Stiffness of {tripod.parameters.name} over a section of its workspace, chapter model",
+        "machine": tripod.parameters.name,
+        "model": "chapter",
+        "source": f"pm3dof-pin {pm3dof_pin.__version__}",
+        "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.2.3",
+    }
