@@ -1,0 +1,1 @@
+"""The machine's files for other programs: generated, never written by hand."""

@@ -1,0 +1,128 @@
+"""The closures file as text: what the xacro of a robot says about its loops, in the form that people and tools read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import yaml
+
+from pm3dof_pin.description.expand import expand_xacro
+from pm3dof_pin.exceptions import DescriptionError
+
+_HEADER = """\
+# What the URDF, a tree, cannot say: where the loops close. Generated with it from the YAML in config/: edit that.
+# The first five keys are those of the robot.yaml files of example-parallel-robots.
+
+# Loop closures: the origins of the two frames coincide ('3d', a spherical joint), or the frames do ('6d', a weld).
+"""
+_TOOL = "\n# Frame of the tool\n"
+_MOTIONS = "\n# Joints whose rates are the platform's independent motions\n"
+_LIMITS = "\n# Greatest angle between the z axes of the two frames of a closure [rad]\n"
+_SPRINGS = "\n# What gives: m, N, rad; matrices in the order x, y, z, rx, ry, rz, in the axes of `at`\n"
+_NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b"}
+
+
+def closures_text(xacro: Path, config: Path) -> str:
+    """Expand the xacro of a closures file and write it as YAML.
+
+    Its root element holds, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if there
+    is such a limit; `<actuated joint=>`; `<tool frame=>`; `<motion joint=>`; `<spring>` with the keys of its type as
+    attributes (a matrix as its numbers, row after row) or, if they are mappings, as children.
+
+    Args:
+        xacro: the file.
+        config: parameter file that it is expanded with.
+
+    Raises:
+        DescriptionError: the file cannot be expanded, or an element is of another form.
+    """
+    root = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
+    try:
+        return _text(root)
+    except _FormError as error:
+        raise DescriptionError(xacro, error.element, error.expected) from error
+
+
+class _FormError(Exception):
+    """An element is not of its form."""
+
+    def __init__(self, element: ElementTree.Element, expected: str) -> None:
+        name = f" name='{element.get('name')}'" if "name" in element.attrib else ""
+        self.element = f"<{element.tag}{name}>"
+        self.expected = expected
+        super().__init__(expected)
+
+
+def _text(root: ElementTree.Element) -> str:
+    for element in root:
+        if element.tag not in ("closure", "actuated", "tool", "motion", "spring"):
+            raise _FormError(element, "expected closure, actuated, tool, motion or spring")
+    loops = root.findall("closure")
+    text = _HEADER
+    text += f"closed_loop: {_list(_list([_entry(loop, 'frame_a'), _entry(loop, 'frame_b')]) for loop in loops)}\n"
+    text += f"type: {_list(repr(_entry(loop, 'type')) for loop in loops)}\n"
+    text += f"name_mot: {_list(_entry(element, 'joint') for element in root.findall('actuated'))}\n"
+    text += "joint_name: []\njoint_type: []\n"
+    for tool in root.findall("tool"):
+        text += f"{_TOOL}tool_frame: {_entry(tool, 'frame')}\n"
+    if motions := [_entry(element, "joint") for element in root.findall("motion")]:
+        text += f"{_MOTIONS}motion_coordinates: {_list(motions)}\n"
+    if any("swing_rad" in loop.attrib for loop in loops):
+        text += f"{_LIMITS}closure_limits:\n" + "".join(f"  - {_limit(loop)}\n" for loop in loops)
+    if springs := root.findall("spring"):
+        text += f"{_SPRINGS}springs:\n" + "".join(f"  - {_spring(spring)}\n" for spring in springs)
+    return text
+
+
+def _limit(loop: ElementTree.Element) -> str:
+    return f"{{swing_rad: {_entry(loop, 'swing_rad')}}}" if "swing_rad" in loop.attrib else "null"
+
+
+def _spring(spring: ElementTree.Element) -> str:
+    entries = {key: _entry(spring, key) for key in spring.attrib if key != "matrix"}
+    entries |= {child.tag: _mapping({key: _entry(child, key) for key in child.attrib}) for child in spring}
+    return _mapping(entries | ({"matrix": _matrix(spring)} if "matrix" in spring.attrib else {}))
+
+
+def _matrix(spring: ElementTree.Element) -> str:
+    numbers = _numbers(spring, "matrix")
+    size = math.isqrt(len(numbers))
+    if size**2 != len(numbers):
+        raise _FormError(spring, f"matrix: expected a square one, not {len(numbers)} numbers")
+    rows = ",\n".join(f"       {_list(numbers[size * row : size * (row + 1)])}" for row in range(size))
+    return f"[\n{rows}]"
+
+
+def _entry(element: ElementTree.Element, key: str) -> str:
+    """Write an attribute as YAML: a name, the position of a closure, a number or several."""
+    if key in _NAMES:
+        if name := element.get(key):
+            return name if yaml.safe_load(name) == name else repr(name)
+        raise _FormError(element, f"expected the attribute '{key}'")
+    if key == "closure":
+        return element.attrib[key]
+    numbers = _numbers(element, key)
+    return numbers[0] if len(numbers) == 1 else _list(numbers)
+
+
+def _numbers(element: ElementTree.Element, key: str) -> list[str]:
+    text = element.attrib[key]
+    try:
+        numbers = [repr(float(word)) for word in text.split()]
+    except ValueError as error:
+        raise _FormError(element, f"{key}: expected numbers, not '{text}'") from error
+    if not numbers:
+        raise _FormError(element, f"{key}: expected numbers, not '{text}'")
+    # YAML 1.1 wants a point before the exponent
+    return [number if "." in number else number.replace("e", ".0e") for number in numbers]
+
+
+def _list(entries: Iterable[str]) -> str:
+    return f"[{', '.join(entries)}]"
+
+
+def _mapping(entries: Mapping[str, str]) -> str:
+    return f"{{{', '.join(f'{key}: {entry}' for key, entry in entries.items())}}}"

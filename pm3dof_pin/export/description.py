@@ -1,0 +1,89 @@
+"""The description of a robot as text, generated from its xacro and its parameter file, and its exports."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import tempfile
+from pathlib import Path
+
+from pm3dof_pin.description.expand import expand_xacro
+from pm3dof_pin.description.parameters import read_quantities
+from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
+from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
+from pm3dof_pin.export.closures_file import closures_text
+from pm3dof_pin.export.formats import exported_files
+from pm3dof_pin.export.named_configurations import srdf_text
+from pm3dof_pin.export.robot_document import read_robot
+from pm3dof_pin.export.ros import ros_files
+from pm3dof_pin.files import write_text_atomically
+
+_logger = logging.getLogger(__name__)
+
+_FOLDERS = ("drake", "gepetto", "mjcf", "sdf")
+_MANIFEST = {"maintainer": "The pm3dof-pin authors", "license_name": "BSD-2-Clause"}
+_WORDS = re.compile(r"([\s\",\[\]{}]+)")
+
+
+def description_files(robot: str = "pm3dof", *, config: Path | str | None = None) -> dict[str, str]:
+    """Return every generated file of a robot's description.
+
+    Args:
+        robot: a robot that comes with the package, the xacro files of which are read.
+        config: parameter file, laid out as that of the robot, which is the default.
+
+    Returns:
+        Text of each file by its path in the folder of the description: `urdf/pm3dof.urdf`, its closures file and its
+        SRDF; what other tools read, such as `mjcf/pm3dof.xml`; and what makes the folder a ROS 2 package. A format that
+        cannot say what this robot is, such as a body that moves and has no mass, is left out, and logged.
+
+    Raises:
+        UnknownRobotError: no such robot.
+        DescriptionError: a quantity is missing from the parameter file or wrong, or the geometry it describes has no
+            home pose; or a xacro file is wrong.
+    """
+    if robot not in robot_names():
+        raise UnknownRobotError(robot, robot_names())
+    folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}"
+    manifest = _MANIFEST if config is None else {}
+    config = Path(config).absolute() if config is not None else folder / "config" / f"{robot}.yaml"
+    read_quantities(config)
+    name = read_mapping(config).get("name")
+    if not isinstance(name, str):
+        raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
+    urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(config)})
+    closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
+    srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", config, urdf, closures)
+    described = {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
+    return described | _exports(name, described, manifest)
+
+
+def _exports(name: str, described: dict[str, str], manifest: dict[str, str]) -> dict[str, str]:
+    with tempfile.TemporaryDirectory() as folder:
+        for path, text in described.items():
+            write_text_atomically(Path(folder) / path, text)
+        robot = read_robot(Path(folder) / "urdf" / f"{name}.urdf")
+        exports: dict[str, str] = {}
+        for kind in _FOLDERS:
+            try:
+                exports |= {f"{kind}/{path}": text for path, text in exported_files(robot, kind).items()}
+            except DescriptionError as error:
+                _logger.warning("%s: no %s: %s: %s", name, kind, error.element, error.expected)
+        return exports | ros_files(robot, **manifest)
+
+
+def same_but_rounding(text: str, other: str) -> bool:
+    """Tell whether two texts differ in nothing but the last digits of numbers, as two computers may."""
+    words, others = (_WORDS.split(words) for words in (text, other))
+    return len(words) == len(others) and all(map(_same_word, words, others))
+
+
+def _same_word(word: str, other: str) -> bool:
+    if word == other:
+        return True
+    try:
+        return math.isclose(float(word), float(other), rel_tol=1e-12, abs_tol=1e-12)
+    except ValueError:
+        return False

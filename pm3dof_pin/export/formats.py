@@ -1,0 +1,81 @@
+"""The formats a robot can be exported to, and the functions that write any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.export.drake import drake_text
+from pm3dof_pin.export.gepetto import gepetto_files
+from pm3dof_pin.export.mjcf import mjcf_text
+from pm3dof_pin.export.plain_urdf import description_texts
+from pm3dof_pin.export.robot_document import RobotDocument, read_robot
+from pm3dof_pin.export.ros import ros_files, ros_package_name
+from pm3dof_pin.export.sdf import sdf_text
+from pm3dof_pin.files import write_atomically, write_text_atomically
+
+_WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
+    "drake": lambda robot: {f"{robot.file_name}.urdf": drake_text(robot)},
+    "gepetto": gepetto_files,
+    "mjcf": lambda robot: {f"{robot.file_name}.xml": mjcf_text(robot)},
+    "ros": ros_files,
+    "sdf": lambda robot: {f"{robot.file_name}.sdf": sdf_text(robot)},
+    "urdf": description_texts,
+}
+
+FORMATS = tuple(_WRITERS)
+"""Names of the formats."""
+
+
+def exported_files(robot: RobotDocument, format_name: str) -> dict[str, str]:
+    """Write a robot in a format, as text.
+
+    Args:
+        robot: the robot.
+        format_name: one of :data:`FORMATS`.
+
+    Returns:
+        Text of each file by its path in the folder of the export. Mesh files are not among them: see
+        :attr:`RobotDocument.meshes`.
+
+    Raises:
+        InvalidValueError: no such format.
+        DescriptionError: the robot has something that the format cannot say.
+        ConvergenceError: the loops do not close near the home configuration.
+    """
+    if format_name not in _WRITERS:
+        raise InvalidValueError("format", format_name, f"one of {', '.join(FORMATS)}")
+    return _WRITERS[format_name](robot)
+
+
+def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> list[Path]:
+    """Write a robot's description for another tool, with its mesh files.
+
+    Args:
+        robot: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+        format_name: one of :data:`FORMATS`.
+        folder: where to; made if it is not there. A ROS package becomes a folder of its own in it.
+
+    Returns:
+        The files written.
+
+    Raises:
+        UnknownRobotError: no such robot.
+        InvalidValueError: no such format.
+        DescriptionError: a file of the robot is missing, unreadable or not of its form, or the robot has something that
+            the format cannot say.
+        FrameNotFoundError: the closures file names a frame that the URDF does not have.
+        JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+        ConvergenceError: the loops do not close near the home configuration.
+        OutputError: a file cannot be written.
+    """
+    document = read_robot(robot)
+    files = exported_files(document, format_name)
+    target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
+    written = [write_text_atomically(target / name, text) for name, text in files.items()]
+    for name, source in document.meshes.copies.items():
+        with write_atomically(target / name) as temporary:
+            temporary.write_bytes(source.read_bytes())
+        written.append(target / name)
+    return written

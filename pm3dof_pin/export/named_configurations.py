@@ -1,0 +1,110 @@
+"""The SRDF as text: what its xacro says, with every named configuration completed by closing the loops."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+from pm3dof_pin.description.expand import expand_xacro
+from pm3dof_pin.description.robots import CLOSURES_SUFFIX
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism import Configuration, Mechanism, assemble
+
+_logger = logging.getLogger(__name__)
+
+_DIGITS = 14
+"""Joint values are rounded here: a stop is then met exactly, and a loop stays closed to 1e-13."""
+
+_GENERATED = " Generated from the YAML in config/. Edit that, not this file. "
+_SECTIONS = {
+    "group": " Groups ",
+    "group_state": " Configurations with every loop closed and every joint within its limits ",
+    "passive_joint": " Joints without a motor ",
+    "disable_collisions": " Bodies that touch because a joint or a loop closure joins them ",
+}
+
+
+def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
+    """Expand the xacro of an SRDF and complete it.
+
+    Its named configurations (`group_state`) hold the joints that make them what they are; the others follow from
+    closing the loops. One that cannot be reached within the limits of all joints is left out, and logged. The passive
+    joints are all those that the closures file does not name as actuated.
+
+    Args:
+        xacro: the file.
+        config: parameter file that it is expanded with.
+        urdf: text of the robot's URDF.
+        closures: text of its closures file.
+
+    Raises:
+        DescriptionError: the file cannot be expanded, or a value in it is no number.
+        JointNotFoundError: it holds a joint that the URDF does not have.
+    """
+    source = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))
+    mechanism = _mechanism(source.get("name", ""), urdf, closures)
+    joints = _movable_joints(urdf)
+    passive = [name for name in joints if name not in mechanism.actuated_joints]
+    sections = {
+        "group": source.findall("group"),
+        "group_state": list(_complete(xacro, mechanism, source.findall("group_state"), joints)),
+        "passive_joint": [ElementTree.Element("passive_joint", name=name) for name in passive],
+        "disable_collisions": source.findall("disable_collisions"),
+    }
+    robot = ElementTree.Element("robot", source.attrib)
+    robot.append(ElementTree.Comment(_GENERATED))
+    for tag, elements in sections.items():
+        if elements:
+            robot.append(ElementTree.Comment(_SECTIONS[tag]))
+            robot.extend(elements)
+    ElementTree.indent(robot, "  ")
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def _mechanism(name: str, urdf: str, closures: str) -> Mechanism:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.urdf"
+        path.write_text(urdf, encoding="utf-8")
+        path.with_name(name + CLOSURES_SUFFIX).write_text(closures, encoding="utf-8")
+        return Mechanism.load(path)
+
+
+def _movable_joints(urdf: str) -> list[str]:
+    """Names of the joints of a URDF that move, in the order of the file."""
+    joints = ElementTree.fromstring(urdf).findall("joint")
+    return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
+
+
+def _complete(
+    xacro: Path, mechanism: Mechanism, states: list[ElementTree.Element], joints: list[str]
+) -> Iterator[ElementTree.Element]:
+    for state in states:
+        held = {joint.get("name", ""): _number(xacro, state, joint) for joint in state.findall("joint")}
+        result = assemble(mechanism, held=held)
+        if obstacle := _obstacle(result.configuration) if result.converged else "the loops do not close":
+            _logger.warning("no named configuration '%s': %s", state.get("name"), obstacle)
+            continue
+        complete = ElementTree.Element("group_state", state.attrib)
+        for joint in joints:
+            # adding zero turns minus zero into zero
+            value = round(result.configuration.joint_position(joint), _DIGITS) + 0.0
+            ElementTree.SubElement(complete, "joint", name=joint, value=repr(value))
+        yield complete
+
+
+def _number(xacro: Path, state: ElementTree.Element, joint: ElementTree.Element) -> float:
+    try:
+        return float(joint.get("value", ""))
+    except ValueError as error:
+        where = f"group_state '{state.get('name')}': joint '{joint.get('name')}'"
+        raise DescriptionError(xacro, where, f"expected one number, not '{joint.get('value')}'") from error
+
+
+def _obstacle(configuration: Configuration) -> str:
+    """What keeps the mechanism from this configuration; empty if nothing does."""
+    for violation in configuration.violated_limits():
+        return f"{violation.name} at {violation.value:.6g} is outside {violation.lower:.6g} .. {violation.upper:.6g}"
+    return ""

@@ -1,0 +1,88 @@
+"""PyBullet: closing the loops of a robot that is loaded from its URDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.description.closures import LoopClosure, read_closures
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import FrameNotFoundError
+
+_BASE = -1
+_GREATEST_FORCE = 1e6
+"""Of a constraint [N]. A loop would give way beyond PyBullet's own 500 N."""
+
+
+def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
+    """Close the loops of a robot in PyBullet, and let go of its joints.
+
+    PyBullet reads no loops from files, counts the points of a constraint from the centres of mass of the links, and
+    brakes every joint by a motor of its own, which would hold a closed mechanism fast. A 3d closure becomes a
+    `JOINT_POINT2POINT`, a 6d closure a `JOINT_FIXED`.
+
+    Load the URDF with `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without merging fixed
+    links.
+
+    Args:
+        client: id of the physics server, as `pybullet.connect` returns it.
+        body: id of the robot, as `pybullet.loadURDF` returns it.
+        robot: what was loaded: a robot that comes with the package, or the path of its URDF, the closures file beside
+            it.
+
+    Returns:
+        Id of the constraint of each closure, in the order of the closures file.
+
+    Raises:
+        UnknownRobotError: no such robot.
+        DescriptionError: the closures file is not of its form.
+        FrameNotFoundError: a closure names a link that the body does not have.
+    """
+    import pybullet
+
+    files = read_closures(find_robot(robot).closures)
+    names = {pybullet.getBodyInfo(body, physicsClientId=client)[0].decode(): _BASE}
+    for joint in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        information = pybullet.getJointInfo(body, joint, physicsClientId=client)
+        names[information[12].decode()] = joint
+        pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
+    return tuple(_constraint(client, body, loop, names) for loop in files.closures)
+
+
+def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]) -> int:
+    import pybullet
+
+    links = []
+    for frame in (loop.frame_a, loop.frame_b):
+        if frame not in names:
+            raise FrameNotFoundError(frame, "PyBullet's body", sorted(names))
+        links.append(names[frame])
+    frames = [_frame(client, body, link) for link in links]
+    kind = pybullet.JOINT_POINT2POINT if loop.type == "3d" else pybullet.JOINT_FIXED
+    constraint = pybullet.createConstraint(
+        body,
+        links[0],
+        body,
+        links[1],
+        kind,
+        jointAxis=[0.0, 0.0, 0.0],
+        parentFramePosition=frames[0][0],
+        childFramePosition=frames[1][0],
+        parentFrameOrientation=frames[0][1],
+        childFrameOrientation=frames[1][1],
+        physicsClientId=client,
+    )
+    pybullet.changeConstraint(constraint, maxForce=_GREATEST_FORCE, physicsClientId=client)
+    return int(constraint)
+
+
+def _frame(client: int, body: int, link: int) -> tuple[list[float], list[float]]:
+    """Where the frame of a link is, seen from its centre of mass: position, quaternion x, y, z, w."""
+    import pybullet
+
+    dynamics = pybullet.getDynamicsInfo(body, link, physicsClientId=client)
+    centre = pin.XYZQUATToSE3(np.concatenate(dynamics[3:5])).inverse()
+    position, quaternion = np.split(pin.SE3ToXYZQUAT(centre), [3])
+    return position.tolist(), quaternion.tolist()

@@ -1,0 +1,133 @@
+"""Everything the exports are written from: a robot's URDF as a document, its closures, its SRDF, and the mechanism."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.robots import RobotFiles, find_robot
+from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.meshes import Meshes
+from pm3dof_pin.export.urdf_document import Joint, Link, UrdfDocument, read_urdf
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.mechanism.assembly import CLOSURE_TOLERANCE
+
+
+@dataclass(frozen=True)
+class RobotDocument:
+    """A robot, read and checked.
+
+    Attributes:
+        files: where it was read.
+        urdf: its tree.
+        mechanism: the same in Pinocchio, with loop closures.
+        untouchable: pairs of links that the SRDF keeps from colliding.
+        meshes: mesh files of the shapes.
+    """
+
+    files: RobotFiles
+    urdf: UrdfDocument
+    mechanism: Mechanism
+    untouchable: tuple[tuple[str, str], ...]
+    meshes: Meshes
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return self.urdf.name
+
+    @property
+    def file_name(self) -> str:
+        """Name of the robot as the stem of file names: letters, digits, points, dashes and underscores."""
+        return re.sub(r"[^\w.-]+", "_", self.name).strip("._") or self.files.name
+
+    @property
+    def closures(self) -> tuple[LoopClosure, ...]:
+        """The loop closures."""
+        return self.mechanism.closures
+
+    @cached_property
+    def closure_links(self) -> tuple[tuple[str, str], ...]:
+        """For each closure, the two links that its frames belong to."""
+        return tuple(
+            (self.urdf.link_of_frame(loop.frame_a), self.urdf.link_of_frame(loop.frame_b)) for loop in self.closures
+        )
+
+    @cached_property
+    def home(self) -> Configuration:
+        """The home configuration, its loops closed if they are not so as described.
+
+        Raises:
+            ConvergenceError: they cannot be closed near it.
+        """
+        home = self.mechanism.home
+        return home if home.closure_residual <= CLOSURE_TOLERANCE else self.mechanism.assemble(home)
+
+    def home_position(self, joint: Joint) -> float:
+        """Return the coordinate of a joint in the home configuration [m, rad]; 0 of a fixed joint."""
+        return 0.0 if joint.is_fixed else self.home.joint_position(joint.name)
+
+    def named_configurations(self) -> dict[str, Configuration]:
+        """Return the named configurations of the SRDF, in its order, and home with its loops closed."""
+        named = {name: self.mechanism.configuration(q) for name, q in self.mechanism.named_configurations.items()}
+        return {"home": self.home} | named | {"home": self.home}
+
+    def require_moving_mass(self, tool: str) -> None:
+        """Check that everything that moves has mass and inertia.
+
+        Args:
+            tool: who cannot do without, for the message.
+
+        Raises:
+            DescriptionError: a moving link, with all that is fixed to it, has none.
+        """
+        for joint in self.urdf.joints:
+            if not joint.is_fixed and not any(map(_is_massive, self.urdf.fixed_to(joint.child))):
+                raise DescriptionError(
+                    self.files.urdf,
+                    f"link '{joint.child}'",
+                    f"expected mass and inertia, as {tool} needs of all that moves",
+                )
+
+    def convention(self) -> Mapping[str, Any]:
+        """Return the closures file as plain data."""
+        return read_mapping(self.files.closures)
+
+
+def read_robot(name_or_path: str | Path) -> RobotDocument:
+    """Read a robot for export.
+
+    Args:
+        name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+
+    Raises:
+        UnknownRobotError: no such robot.
+        DescriptionError: a file is missing, unreadable or not of its form.
+        FrameNotFoundError: the closures file names a frame that the URDF does not have.
+        JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+    """
+    files = find_robot(name_or_path)
+    mechanism = Mechanism.load(name_or_path)
+    urdf = read_urdf(files.urdf)
+    shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
+    meshes = Meshes(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    return RobotDocument(files, urdf, mechanism, _untouchable(files.srdf, urdf), meshes)
+
+
+def _untouchable(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:
+    if srdf is None:
+        return ()
+    elements = ElementTree.parse(srdf).getroot().iter("disable_collisions")
+    pairs = [(element.get("link1", ""), element.get("link2", "")) for element in elements]
+    return tuple(pair for pair in pairs if set(pair) <= set(urdf.links))
+
+
+def _is_massive(link: Link) -> bool:
+    return link.inertial is not None and link.mass > 0.0 and min(link.inertial.moments[:3]) > 0.0

@@ -1,0 +1,175 @@
+"""SDFormat: a robot as a graph, its loops closed by joints like any other."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.export.robot_document import RobotDocument
+from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape
+from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
+
+_VERSION = "1.7"
+"""The first one with frames, and with joints between them."""
+
+_BANNER = "{name} in SDFormat, generated from its description by `pm3dof export sdf`. Edit that, not this file."
+
+
+def sdf_text(robot: RobotDocument) -> str:
+    """Write a robot as SDFormat.
+
+    Links that move or have mass are links, on the joints of their names. Links without mass at the end of a fixed joint
+    are frames, and their shapes are those of the link that carries them. Each loop closure is one more joint,
+    `<frame_a>_<frame_b>`: of type `ball` (3d) or `fixed` (6d). The root is fixed to the world.
+
+    The poses are those of the home configuration, with the loops closed, and every joint is at zero there: where home
+    is not at zero in the URDF, coordinates and limits count from home.
+
+    Args:
+        robot: the robot.
+
+    Raises:
+        DescriptionError: something moves that has no mass, which SDFormat cannot say.
+        ConvergenceError: the loops do not close near the home configuration.
+    """
+    robot.require_moving_mass("SDFormat")
+    root = Element("sdf", version=_VERSION)
+    _Writer(robot, SubElement(root, "model", name=robot.name)).write()
+    return document_text(root, _BANNER.format(name=robot.name))
+
+
+class _Writer:
+    def __init__(self, robot: RobotDocument, model: Element) -> None:
+        self._robot = robot
+        self._model = model
+        self._links: dict[str, Element] = {}
+        self._shape_names: dict[str, set[str]] = {}
+
+    def write(self) -> None:
+        urdf = self._robot.urdf
+        if urdf.root.name != WORLD:
+            self._joint(f"{WORLD}_{urdf.root.name}", "fixed", WORLD, urdf.root.name)
+            self._link(urdf.root, None)
+        self._below(urdf.root)
+        for loop, (one, other) in zip(self._robot.closures, self._robot.closure_links, strict=True):
+            parent, child = (one, other) if one == WORLD else (other, one)  # the world is nobody's child
+            self._joint(f"{loop.frame_a}_{loop.frame_b}", "ball" if loop.type == "3d" else "fixed", parent, child)
+
+    def _below(self, link: Link) -> None:
+        for joint in self._robot.urdf.below(link.name):
+            child = self._robot.urdf.links[joint.child]
+            if self._is_frame(child, joint):
+                self._frame(child, joint)
+            else:
+                self._link(child, joint)
+                self._tree_joint(joint)
+            self._below(child)
+
+    def _is_frame(self, link: Link, joint: Joint) -> bool:
+        return joint.is_fixed and link.mass == 0.0 and joint.parent != WORLD
+
+    def _frame(self, link: Link, joint: Joint) -> None:
+        frame = SubElement(self._model, "frame", name=link.name, attached_to=joint.parent)
+        _pose(frame, joint.origin)
+        carrier = link.name
+        while carrier not in self._links:
+            above = self._robot.urdf.above(carrier)
+            carrier = above.parent if above is not None else WORLD
+        self._shapes(carrier, link, link.name)
+
+    def _link(self, link: Link, joint: Joint | None) -> None:
+        element = self._links[link.name] = SubElement(self._model, "link", name=link.name)
+        if joint is not None:
+            parent = {} if joint.parent == WORLD else {"relative_to": joint.parent}
+            _pose(element, self._placed_at_home(joint), parent)
+        if link.inertial is not None and link.mass > 0.0:
+            _inertial(element, link.inertial)
+        self._shape_names[link.name] = set()
+        self._shapes(link.name, link, None)
+
+    def _placed_at_home(self, joint: Joint) -> Origin:
+        """Placement of the child in the parent in the home configuration."""
+        position = self._robot.home_position(joint)
+        if position == 0.0:
+            return joint.origin
+        axis = np.array(joint.axis)
+        moved = pin.SE3(joint.origin.rotation, np.array(joint.origin.position))
+        if joint.kind == "prismatic":
+            moved = moved * pin.SE3(np.eye(3), position * axis)
+        else:
+            moved = moved * pin.SE3(pin.exp3(position * axis), np.zeros(3))
+        return Origin(tuple(moved.translation), tuple(pin.rpy.matrixToRpy(moved.rotation)))
+
+    def _tree_joint(self, joint: Joint) -> None:
+        kind = {"prismatic": "prismatic", "fixed": "fixed"}.get(joint.kind, "revolute")
+        element = self._joint(joint.name, kind, joint.parent, joint.child)
+        if joint.is_fixed:
+            return
+        axis = SubElement(element, "axis")
+        SubElement(axis, "xyz").text = numbers_text(joint.axis)
+        limit = SubElement(axis, "limit")
+        for tag, bound in (("lower", joint.lower), ("upper", joint.upper)):
+            if bound is not None:
+                SubElement(limit, tag).text = number_text(bound - self._robot.home_position(joint))
+        for tag, greatest in (("effort", joint.effort), ("velocity", joint.velocity)):
+            if greatest is not None:
+                SubElement(limit, tag).text = number_text(greatest)
+        if joint.damping or joint.friction:
+            dynamics = SubElement(axis, "dynamics")
+            SubElement(dynamics, "damping").text = number_text(joint.damping)
+            SubElement(dynamics, "friction").text = number_text(joint.friction)
+
+    def _joint(self, name: str, kind: str, parent: str, child: str) -> Element:
+        element = SubElement(self._model, "joint", name=name, type=kind)
+        SubElement(element, "parent").text = parent
+        SubElement(element, "child").text = child
+        return element
+
+    def _shapes(self, carrier: str, link: Link, frame: str | None) -> None:
+        for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
+            for shape in shapes:
+                element = SubElement(self._links[carrier], tag, name=self._shape_name(carrier, tag, shape))
+                _pose(element, shape.origin, {} if frame is None else {"relative_to": frame})
+                self._geometry(SubElement(element, "geometry"), shape)
+                if tag == "visual" and shape.colour is not None:
+                    material = SubElement(element, "material")
+                    for part in ("ambient", "diffuse"):
+                        SubElement(material, part).text = numbers_text(shape.colour)
+
+    def _shape_name(self, carrier: str, tag: str, shape: Shape) -> str:
+        """Names of a link's shapes have to be there and to differ."""
+        used, wanted = self._shape_names[carrier], shape.name or tag
+        name, number = wanted, 1
+        while name in used:
+            number += 1
+            name = f"{wanted}_{number}"
+        used.add(name)
+        return name
+
+    def _geometry(self, geometry: Element, shape: Shape) -> None:
+        element = SubElement(geometry, shape.kind)
+        if shape.kind == "mesh":
+            SubElement(element, "uri").text = self._robot.meshes.exported(shape.mesh)
+            SubElement(element, "scale").text = numbers_text(shape.sizes)
+        elif shape.kind == "box":
+            SubElement(element, "size").text = numbers_text(shape.sizes)
+        else:
+            for tag, size in zip(("radius", "length"), shape.sizes, strict=False):
+                SubElement(element, tag).text = number_text(size)
+
+
+def _pose(element: Element, origin: Origin, attributes: dict[str, str] | None = None) -> None:
+    if attributes or origin != Origin():
+        numbers = numbers_text([*origin.position, *origin.roll_pitch_yaw])
+        SubElement(element, "pose", attributes or {}).text = numbers
+
+
+def _inertial(link: Element, inertial: Inertial) -> None:
+    element = SubElement(link, "inertial")
+    _pose(element, inertial.origin)
+    SubElement(element, "mass").text = number_text(inertial.mass)
+    moments = SubElement(element, "inertia")
+    for tag, moment in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), inertial.moments, strict=True):
+        SubElement(moments, tag).text = number_text(moment)

@@ -1,0 +1,336 @@
+"""A URDF as typed data, every number as the file has it: what the exports to other formats are written from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import DescriptionError
+
+WORLD = "world"
+"""A root link of this name is the world itself, in MuJoCo, SDFormat and Drake."""
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "mesh": ()}
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A placement as a URDF writes it: angles, not matrices, so that no digit changes on the way.
+
+    Attributes:
+        position: x, y, z [m].
+        roll_pitch_yaw: angles about fixed axes x, y, z, in this order [rad].
+    """
+
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    roll_pitch_yaw: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    @property
+    def is_rotated(self) -> bool:
+        """Whether any of the angles is not zero."""
+        return any(self.roll_pitch_yaw)
+
+    @property
+    def quaternion(self) -> Quaternion:
+        """The rotation as w, x, y, z; continuous in the angles, so the same on every computer but for rounding."""
+        (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in self.roll_pitch_yaw)
+        return (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """The rotation matrix, shape=(3, 3)."""
+        w, x, y, z = self.quaternion
+        return np.array(
+            [
+                [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+                [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+                [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass and inertia of a link.
+
+    Attributes:
+        mass: [kg].
+        origin: centre of mass and axes of the moments.
+        moments: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass [kg m^2].
+    """
+
+    mass: float
+    origin: Origin
+    moments: tuple[float, ...]
+
+    @property
+    def is_diagonal(self) -> bool:
+        """Whether the products of inertia vanish."""
+        return not any(self.moments[3:])
+
+    @property
+    def moments_in_link_axes(self) -> tuple[float, ...]:
+        """The moments turned into the axes of the link, about the centre of mass."""
+        xx, yy, zz, xy, xz, yz = self.moments
+        rotation = self.origin.rotation
+        turned = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+        return tuple(float(turned[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A visual or collision shape of a link.
+
+    Attributes:
+        name: its name, or an empty text.
+        kind: box, cylinder, sphere or mesh.
+        sizes: edges of a box; radius and length of a cylinder; radius of a sphere; scales of a mesh [m, 1].
+        mesh: file name of a mesh as written, or an empty text.
+        origin: placement in the link.
+        colour: red, green, blue, opacity; None if the URDF gives none.
+    """
+
+    name: str
+    kind: str
+    sizes: tuple[float, ...]
+    mesh: str
+    origin: Origin
+    colour: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link.
+
+    Attributes:
+        name: its name.
+        inertial: mass and inertia; None if the URDF gives none.
+        visuals: shapes to be drawn.
+        collisions: shapes that touch.
+    """
+
+    name: str
+    inertial: Inertial | None
+    visuals: tuple[Shape, ...]
+    collisions: tuple[Shape, ...]
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return self.inertial.mass if self.inertial is not None else 0.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint.
+
+    Attributes:
+        name: its name.
+        kind: fixed, revolute, continuous or prismatic.
+        parent: link it hangs on.
+        child: link that it moves.
+        origin: placement of the child in the parent at zero.
+        axis: unit vector in the axes of the child.
+        lower: least coordinate [m, rad], or None.
+        upper: greatest coordinate [m, rad], or None.
+        effort: greatest force [N, N m], or None.
+        velocity: greatest rate [m/s, rad/s], or None.
+        damping: [N s/m, N m s/rad].
+        friction: [N, N m].
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Origin
+    axis: tuple[float, ...]
+    lower: float | None
+    upper: float | None
+    effort: float | None
+    velocity: float | None
+    damping: float
+    friction: float
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it does not move."""
+        return self.kind == "fixed"
+
+
+@dataclass(frozen=True)
+class UrdfDocument:
+    """A URDF, read.
+
+    Attributes:
+        path: the file.
+        element: the XML; not to be changed.
+        text: the file as it is.
+        name: name of the robot.
+        links: links by name, in the order of the file.
+        joints: joints in the order of the file.
+    """
+
+    path: Path
+    element: ElementTree.Element
+    text: str
+    name: str
+    links: dict[str, Link]
+    joints: tuple[Joint, ...]
+
+    @cached_property
+    def root(self) -> Link:
+        """The link that hangs on no joint."""
+        children = {joint.child for joint in self.joints}
+        return next(link for link in self.links.values() if link.name not in children)
+
+    def below(self, link: str) -> Iterator[Joint]:
+        """Yield the joints that hang on a link, in the order of the file."""
+        return (joint for joint in self.joints if joint.parent == link)
+
+    def above(self, link: str) -> Joint | None:
+        """Return the joint that a link hangs on, None for the root."""
+        return next((joint for joint in self.joints if joint.child == link), None)
+
+    def fixed_to(self, link: str) -> Iterator[Link]:
+        """Yield a link and all those that hang on it by fixed joints only."""
+        yield self.links[link]
+        for joint in self.below(link):
+            if joint.is_fixed:
+                yield from self.fixed_to(joint.child)
+
+    def link_of_frame(self, frame: str) -> str:
+        """Return the link whose frame is meant by the name of a link, or of the joint above it."""
+        return frame if frame in self.links else next(joint.child for joint in self.joints if joint.name == frame)
+
+
+def quaternion_product(one: Quaternion, other: Quaternion) -> Quaternion:
+    """Return the product of two quaternions w, x, y, z: the rotation `one` after `other`."""
+    (a, b, c, d), (w, x, y, z) = one, other
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+def read_urdf(path: Path) -> UrdfDocument:
+    """Read a URDF that Pinocchio has read already, so that its tree is known to be one.
+
+    Args:
+        path: the file.
+
+    Raises:
+        DescriptionError: a number is none, or a joint or shape is of a kind that the exports do not know.
+    """
+    text = path.read_text(encoding="utf-8")
+    return _Reader(path, ElementTree.fromstring(text)).document(text)
+
+
+class _Reader:
+    def __init__(self, path: Path, element: ElementTree.Element) -> None:
+        self._path = path
+        self._element = element
+        self._colours = {m.get("name"): c for m in element.findall("material") if (c := self._colour_in(m))}
+
+    def document(self, text: str) -> UrdfDocument:
+        links = [self._link(link) for link in self._element.findall("link")]
+        joints = tuple(self._joint(joint) for joint in self._element.findall("joint"))
+        name = self._element.get("name", self._path.stem)
+        return UrdfDocument(self._path, self._element, text, name, {link.name: link for link in links}, joints)
+
+    def _link(self, element: ElementTree.Element) -> Link:
+        inertial = element.find("inertial")
+        return Link(
+            element.get("name", ""),
+            self._inertial(inertial) if inertial is not None else None,
+            tuple(self._shape(visual) for visual in element.findall("visual")),
+            tuple(self._shape(collision) for collision in element.findall("collision")),
+        )
+
+    def _inertial(self, element: ElementTree.Element) -> Inertial:
+        moments = element.find("inertia")
+        values = tuple(self._number(moments, name, 0.0) for name in _MOMENTS)
+        return Inertial(self._number(element.find("mass"), "value", 0.0), self._origin(element), values)
+
+    def _shape(self, element: ElementTree.Element) -> Shape:
+        shapes = element.find("geometry")
+        shape = next((shape for shape in shapes if shape.tag in _SIZES), None) if shapes is not None else None
+        if shape is None:
+            raise DescriptionError(self._path, f"<{element.tag}>", f"expected a {', '.join(_SIZES)}")
+        sizes = [size for name in _SIZES[shape.tag] for size in self._numbers(shape, name, ())]
+        if shape.tag == "mesh":
+            sizes = list(self._numbers(shape, "scale", (1.0, 1.0, 1.0)))
+        name, mesh = element.get("name", ""), shape.get("filename", "")
+        return Shape(name, shape.tag, tuple(sizes), mesh, self._origin(element), self._colour(element))
+
+    def _colour(self, element: ElementTree.Element) -> tuple[float, ...] | None:
+        material = element.find("material")
+        if material is None:
+            return None
+        return self._colour_in(material) or self._colours.get(material.get("name"))
+
+    def _colour_in(self, material: ElementTree.Element) -> tuple[float, ...] | None:
+        colour = material.find("color")
+        return None if colour is None else self._numbers(colour, "rgba", (1.0, 1.0, 1.0, 1.0))
+
+    def _joint(self, element: ElementTree.Element) -> Joint:
+        name, kind = element.get("name", ""), element.get("type", "")
+        if kind not in ("fixed", "revolute", "continuous", "prismatic"):
+            raise DescriptionError(
+                self._path, f"joint '{name}'", f"expected a fixed, revolute, continuous or prismatic joint, not {kind}"
+            )
+        limit, dynamics = element.find("limit"), element.find("dynamics")
+        axis = np.array(self._numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0)))
+        is_limited = kind in ("revolute", "prismatic")
+        return Joint(
+            name=name,
+            kind=kind,
+            parent=self._named(element, "parent"),
+            child=self._named(element, "child"),
+            origin=self._origin(element),
+            axis=tuple(float(x) for x in axis / np.linalg.norm(axis)),
+            lower=self._number(limit, "lower", 0.0) if is_limited else None,
+            upper=self._number(limit, "upper", 0.0) if is_limited else None,
+            effort=self._number(limit, "effort", 0.0) if limit is not None else None,
+            velocity=self._number(limit, "velocity", 0.0) if limit is not None else None,
+            damping=self._number(dynamics, "damping", 0.0),
+            friction=self._number(dynamics, "friction", 0.0),
+        )
+
+    def _named(self, element: ElementTree.Element, tag: str) -> str:
+        found = element.find(tag)
+        return found.get("link", "") if found is not None else ""
+
+    def _origin(self, element: ElementTree.Element) -> Origin:
+        origin = element.find("origin")
+        zero = (0.0, 0.0, 0.0)
+        return Origin(self._numbers(origin, "xyz", zero), self._numbers(origin, "rpy", zero))
+
+    def _number(self, element: ElementTree.Element | None, name: str, default: float) -> float:
+        return self._numbers(element, name, (default,))[0]
+
+    def _numbers(self, element: ElementTree.Element | None, name: str, default: tuple[Any, ...]) -> tuple[float, ...]:
+        if element is None or not (text := element.get(name)):
+            return default
+        try:
+            return tuple(float(word) for word in text.split())
+        except ValueError as error:
+            raise DescriptionError(self._path, f"<{element.tag} {name}=>", f"expected numbers, not '{text}'") from error

@@ -1,0 +1,7 @@
+"""The scene in a browser: any mechanism of the package in meshcat's page, served on this machine or as one file."""
+
+from __future__ import annotations
+
+from pm3dof_pin.viewer.viewer import Viewer
+
+__all__ = ["Viewer"]

@@ -1,0 +1,90 @@
+"""A path as an animation of meshcat's page: key frames of every body and every ellipsoid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.viewer.scene import Json
+
+Array = NDArray[np.float64]
+
+
+def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> list[Json]:
+    """Return an animation as the page reads it.
+
+    Args:
+        tracks: transforms of each path, frame after frame: a rotation, with columns of any length, and a place;
+            shape=(4, 4) each.
+        frames_per_second: how fast they follow each other.
+    """
+    return [
+        {"path": path, "clip": {"fps": frames_per_second, "name": "path", "tracks": _tracks(transforms)}}
+        for path, transforms in tracks.items()
+    ]
+
+
+def aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
+    """Return the transforms of ellipsoids such that neighbours can be interpolated.
+
+    Axes of an ellipsoid have no order and no sign; from frame to frame those of the 24 right-handed choices are taken
+    that turn least. The ellipsoids stay what they are.
+
+    Args:
+        transforms: shape=(4, 4) each.
+    """
+    aligned = [np.array(transforms[0])]
+    for transform in transforms[1:]:
+        before, now = aligned[-1][:3, :3], transform[:3, :3]
+        unit = before / np.linalg.norm(before, axis=0)
+        choices = [now[:, order] * signs for order, signs in _CHOICES]
+        best = max(choices, key=lambda axes: float(np.sum(unit * (axes / np.linalg.norm(axes, axis=0)))))
+        moved = np.array(transform)
+        moved[:3, :3] = best
+        aligned.append(moved)
+    return aligned
+
+
+def _tracks(transforms: Sequence[Array]) -> list[Json]:
+    positions: list[Array] = []
+    quaternions: list[Array] = []
+    scales: list[Array] = []
+    for transform in transforms:
+        lengths = np.linalg.norm(transform[:3, :3], axis=0)
+        positions.append(transform[:3, 3])
+        scales.append(lengths)
+        quaternion = pin.Quaternion(transform[:3, :3] / lengths).coeffs()
+        # of the two quaternions of a rotation, the one nearer to the frame before: the short way round
+        near = not quaternions or float(quaternion @ quaternions[-1]) >= 0.0
+        quaternions.append(quaternion if near else -quaternion)
+    named = (
+        ("position", "vector3", positions),
+        ("quaternion", "quaternion", quaternions),
+        ("scale", "vector3", scales),
+    )
+    return [
+        {
+            "name": f".{name}",
+            "type": kind,
+            "keys": [{"time": frame, "value": value.tolist()} for frame, value in enumerate(values)],
+        }
+        for name, kind, values in named
+    ]
+
+
+def _right_handed_choices() -> list[tuple[list[int], Array]]:
+    """Orders and signs of three axes that keep a right-handed frame right-handed."""
+    choices = []
+    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
+        parity = float(np.linalg.det(np.eye(3)[:, order]))
+        for signs in np.ndindex(2, 2, 2):
+            factors = 1.0 - 2.0 * np.array(signs)
+            if parity * float(np.prod(factors)) > 0.0:
+                choices.append((order, factors))
+    return choices
+
+
+_CHOICES = _right_handed_choices()

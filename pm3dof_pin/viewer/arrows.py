@@ -1,0 +1,100 @@
+"""Arrows at the actuators: forces of sliding joints, moments (two heads) of turning ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer.bodies import joint_placements
+from pm3dof_pin.viewer.objects import Colour, Json
+from pm3dof_pin.viewer.scene import Scene
+
+Array = NDArray[np.float64]
+
+COLOUR: Colour = (0.78, 0.07, 0.13)
+
+_LEAST = 1e-6  # a length of zero would leave no direction
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The axis of an actuated joint in the world.
+
+    Attributes:
+        joint: its name.
+        origin: a point on it, of the moved body, shape=(3,) [m].
+        direction: unit vector, positive as the joint's coordinate, shape=(3,).
+        turns: whether the joint turns or slides.
+    """
+
+    joint: str
+    origin: Array
+    direction: Array
+    turns: bool
+
+    @property
+    def unit(self) -> str:
+        """Unit of its actuator's force."""
+        return "N m" if self.turns else "N"
+
+
+def actuator_axes(configuration: Configuration) -> tuple[Axis, ...]:
+    """Return the axes of the actuated joints, in their order."""
+    mechanism = configuration.mechanism
+    placements = joint_placements(configuration)
+    axes = []
+    for name in mechanism.actuated_joints:
+        joint = mechanism.model.getJointId(name)
+        direction, turns = joint_axis(mechanism, joint)
+        placement = placements[joint]
+        axes.append(Axis(name, placement[:3, 3], placement[:3, :3] @ direction, turns))
+    return tuple(axes)
+
+
+def joint_axis(mechanism: Mechanism, joint: int) -> tuple[Array, bool]:
+    """Return the axis of a joint with one freedom, in the joint's frame, and whether it turns (or slides).
+
+    The axis of a sliding joint, shape=(3,), is the direction of its motion.
+    """
+    model = mechanism.model
+    data = model.createData()
+    jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), joint)
+    twist = np.array(jacobian[:, model.joints[joint].idx_v])  # of the joint's frame, in its own axes
+    turns = bool(np.linalg.norm(twist[3:]) > 0.5)
+    return (twist[3:] if turns else twist[:3]), turns
+
+
+def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
+    """Put an arrow of length 1 and half width 1 along z at a path; its transform makes it a force.
+
+    Args:
+        scene: where.
+        path: its path.
+        heads: 1 for a force, 2 for a moment.
+    """
+    parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
+    for head in range(heads):
+        parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
+    for name, (geometry, height) in parts.items():
+        scene.set_object(f"{path}/{name}", objects.overlaid_mesh(geometry, COLOUR), casts_shadow=False)
+        scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
+
+
+def arrow_transform(axis: Axis, force: float, *, scale: float, width: float) -> Array:
+    """Return what makes the arrow of :func:`draw_arrow` a force on an axis, shape=(4, 4).
+
+    Args:
+        axis: where it acts.
+        force: force or moment, positive along the axis [N, N m].
+        scale: length for a force of 1 [m].
+        width: half width of the head [m]; a short arrow is slimmer.
+    """
+    turn = objects.turn_z_to(axis.direction if force >= 0.0 else -axis.direction)
+    length = max(scale * abs(force), _LEAST * width)
+    slim = min(width, 0.5 * length)
+    return objects.transform(turn * np.array([slim, slim, length]), axis.origin)

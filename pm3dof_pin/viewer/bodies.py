@@ -1,0 +1,251 @@
+"""The bodies of a mechanism as drawn things: the visuals of its URDF, or a stick figure where it has none."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer.objects import Colour, Json
+
+_logger = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+ROOT = "/robot"
+
+_STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
+_JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
+_PASSIVE_COLOUR: Colour = (0.55, 0.57, 0.60)
+_GREY = (0.8, 0.8, 0.82, 1.0)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One drawn thing of a body.
+
+    Attributes:
+        name: its name in the body.
+        lowered: the object, as three.js reads it.
+        placement: of the object in the body's frame, shape=(4, 4).
+        colour: red, green, blue, opacity.
+        corners: corners of a box around it in the body's frame, shape=(8, 3) [m].
+    """
+
+    name: str
+    lowered: Json
+    placement: Array
+    colour: tuple[float, float, float, float]
+    corners: Array
+
+
+@dataclass(frozen=True)
+class Body:
+    """A drawn body: things that move together with one joint.
+
+    Attributes:
+        name: the URDF's link, or the joint of a stick figure.
+        joint: Pinocchio's index of the joint that moves it.
+        placement: of the body's frame in that joint's frame, shape=(4, 4).
+        parts: what is drawn of it.
+    """
+
+    name: str
+    joint: int
+    placement: Array
+    parts: list[Part] = field(default_factory=list)
+
+    @property
+    def path(self) -> str:
+        """Its path in the scene."""
+        return f"{ROOT}/{self.name.replace('/', '_')}"
+
+    @property
+    def parts_path(self) -> str:
+        """Path of all that is drawn of it; frames hang beside."""
+        return f"{self.path}/visual"
+
+
+def bodies_of(mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> tuple[Body, ...]:
+    """Return what is to be drawn of a mechanism.
+
+    Args:
+        mechanism: the mechanism.
+        visuals: Pinocchio's visual geometry, or the path of the URDF that holds it; by default the URDF beside the
+            mechanism's closures file. Where there is none, or it has no visuals, a stick figure is drawn.
+
+    Raises:
+        DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
+    """
+    geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
+    if geometry is not None and geometry.ngeoms:
+        return _drawn_bodies(mechanism, geometry)
+    return _stick_figure(mechanism)
+
+
+def body_placements(bodies: tuple[Body, ...], configuration: Configuration) -> dict[str, Array]:
+    """Return the placement of every body in the world by its path in the scene, shape=(4, 4) each."""
+    joints = joint_placements(configuration)
+    return {body.path: joints[body.joint] @ body.placement for body in bodies}
+
+
+def joint_placements(configuration: Configuration) -> list[Array]:
+    """Return the placement of every joint in the world, in Pinocchio's order, shape=(4, 4) each."""
+    model = configuration.mechanism.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.array(configuration.q))
+    return [np.array(placement.homogeneous) for placement in data.oMi]
+
+
+def bounding_box(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
+    """Return least and greatest coordinates of all that is drawn of a mechanism, shape=(2, 3) [m]."""
+    placements = body_placements(bodies, configuration)
+    clouds = [
+        part.corners @ placements[body.path][:3, :3].T + placements[body.path][:3, 3]
+        for body in bodies
+        for part in body.parts
+    ]
+    points = np.concatenate(clouds) if clouds else np.zeros((1, 3))
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:
+    path = _urdf_beside(mechanism) if urdf is None else Path(urdf)
+    if path is None:
+        return None
+    # package://x/y stands for a file below one of the folders above the URDF, as it does in a ROS workspace
+    packages = [str(folder) for folder in path.resolve().parents]
+    try:
+        return pin.buildGeomFromUrdf(mechanism.model, str(path), pin.GeometryType.VISUAL, package_dirs=packages)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise DescriptionError(path, "visual", f"expected shapes and meshes that can be read ({reason})") from error
+
+
+def _urdf_beside(mechanism: Mechanism) -> Path | None:
+    closures = Path(mechanism.source)
+    stems = (closures.name.removesuffix(".closures.yaml"), mechanism.name)
+    candidates = [closures.parent / f"{stem}.urdf" for stem in stems]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Body, ...]:
+    bodies: dict[int, Body] = {}
+    for shape in geometry.geometryObjects:
+        frame_id = shape.parentFrame
+        if frame_id not in bodies:
+            frame = mechanism.model.frames[frame_id]
+            bodies[frame_id] = Body(frame.name, frame.parentJoint, np.array(frame.placement.homogeneous))
+        body = bodies[frame_id]
+        in_body = np.linalg.inv(body.placement) @ shape.placement.homogeneous
+        body.parts.extend(_mesh_parts(shape, in_body) if hasattr(shape.geometry, "num_tris") else _part(shape, in_body))
+    return tuple(bodies.values())
+
+
+def _part(shape: pin.GeometryObject, placement: Array) -> list[Part]:
+    """Return a box, cylinder or sphere; nothing for a shape that URDF does not have."""
+    kind, geometry, turn = type(shape.geometry).__name__, shape.geometry, np.eye(4)
+    if kind == "Box":
+        lowered = objects.box(2.0 * np.array(geometry.halfSide))
+    elif kind == "Cylinder":
+        lowered, turn = objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z
+    elif kind == "Sphere":
+        lowered = objects.sphere(geometry.radius)
+    else:
+        _logger.warning("%s is not drawn: shapes of type %s are not known", shape.name, kind)
+        return []
+    geometry.computeLocalAABB()
+    box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
+    colour = _colour(shape.meshColor)
+    body = objects.mesh(lowered, colour[:3], opacity=colour[3])
+    return [Part(_name(shape), body, placement @ turn, colour, _corners(box, placement))]
+
+
+def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[Part]:
+    """Return the meshes of a file, each in its own colour unless the URDF gives one.
+
+    The file is read again: Pinocchio keeps no colours, and its triangles of some Collada files are wrong ones.
+    """
+    import trimesh
+
+    try:
+        meshes = trimesh.load_scene(shape.meshPath).dump()
+    except Exception as error:  # trimesh's readers raise what they like
+        reason = " ".join(str(error).split())
+        raise DescriptionError(shape.meshPath, "mesh", f"expected a mesh that can be read ({reason})") from error
+    parts = []
+    for number, mesh in enumerate(mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)):
+        vertices = np.asarray(mesh.vertices) * np.array(shape.meshScale)
+        colour = _colour(shape.meshColor) if shape.overrideMaterial else _own_colour(mesh)
+        body = objects.mesh(objects.triangles(vertices, mesh.faces), colour[:3], opacity=colour[3])
+        box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+        parts.append(Part(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
+    return parts
+
+
+def _own_colour(mesh: Any) -> tuple[float, float, float, float]:
+    """Return the main colour of a mesh's material; grey where it has none."""
+    if mesh.visual.kind is None:
+        return _GREY
+    painted = mesh.visual.material if mesh.visual.kind == "texture" else mesh.visual
+    return _colour(np.asarray(painted.main_color, dtype=float) / 255.0)
+
+
+def _colour(numbers: ArrayLike) -> tuple[float, float, float, float]:
+    red, green, blue, opacity = (round(float(number), 6) for number in np.asarray(numbers, dtype=float))
+    return red, green, blue, opacity
+
+
+def _name(shape: pin.GeometryObject) -> str:
+    return str(shape.name).replace("/", "_")
+
+
+def _corners(box: Array, placement: Array) -> Array:
+    """Return the corners of a box of least and greatest coordinates, moved by a placement, shape=(8, 3)."""
+    corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    moved: Array = corners @ placement[:3, :3].T + placement[:3, 3]
+    return moved
+
+
+def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
+    """Balls at the joints and rods between them, to the closures' and the tool's frames too."""
+    model = mechanism.model
+    size = mechanism.characteristic_length
+    bodies = [Body(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
+    for joint in range(1, model.njoints):
+        origin = np.array(model.jointPlacements[joint].translation)
+        bodies[model.parents[joint]].parts.extend(_rod(f"to_{model.names[joint]}", origin, size))
+        driven = model.names[joint] in mechanism.actuated_joints
+        colour, radius = (_JOINT_COLOUR, 0.055) if driven else (_PASSIVE_COLOUR, 0.045)
+        bodies[joint].parts.append(_ball("joint", np.zeros(3), radius * size, colour))
+    ends = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
+    ends += [mechanism.tool_frame] if mechanism.tool_frame else []
+    for name in dict.fromkeys(ends):
+        frame = model.frames[mechanism.frame_id(name)]
+        point = np.array(frame.placement.translation)
+        bodies[frame.parentJoint].parts.extend(_rod(f"to_{name}", point, size))
+        bodies[frame.parentJoint].parts.append(_ball(name, point, 0.04 * size, _STICK_COLOUR))
+    return tuple(body for body in bodies if body.parts)
+
+
+def _rod(name: str, end: Array, size: float) -> list[Part]:
+    length = float(np.linalg.norm(end))
+    if length < 1e-6 * size:
+        return []
+    turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
+    lowered = objects.mesh(objects.cylinder(0.02 * size, length), _STICK_COLOUR)
+    return [Part(name, lowered, turn @ objects.Y_TO_Z, (*_STICK_COLOUR, 1.0), np.stack([np.zeros(3), end]))]
+
+
+def _ball(name: str, middle: Array, radius: float, colour: Colour) -> Part:
+    lowered = objects.mesh(objects.sphere(radius), colour)
+    corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+    return Part(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)

@@ -1,0 +1,298 @@
+"""A browser without a window, to photograph a page and to look into it.
+
+Chromium or Chrome is started with the DevTools protocol on two pipes: no port is opened and no driver needed.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import itertools
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from pm3dof_pin.exceptions import BrowserError
+
+VARIABLE = "PM3DOF_BROWSER"
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
+_FLAGS = (
+    "--headless=new",
+    "--remote-debugging-pipe",
+    "--use-angle=swiftshader",  # pictures without a graphics card, the same everywhere
+    "--enable-unsafe-swiftshader",
+    "--hide-scrollbars",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-default-apps",
+    "--disable-extensions",
+    "--disable-quic",
+    "--disable-sync",
+    "--no-default-browser-check",
+    "--no-first-run",
+    "--no-pings",
+)
+# The browser reads commands on its descriptor 3 and answers on 4. Both pipes are moved out of the way first: they may
+# have come as 4 and 3 themselves.
+_LAUNCHER = """
+import fcntl, os, sys
+commands, messages = (fcntl.fcntl(int(text), fcntl.F_DUPFD, 10) for text in sys.argv[1:3])
+os.dup2(commands, 3)
+os.dup2(messages, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+_TIMEOUT = 60.0  # for one answer [s]
+
+Json = dict[str, Any]
+
+
+def find_browser() -> Path:
+    """Return the path of Chromium, Chrome or Edge: of the variable PM3DOF_BROWSER, or else from the search path.
+
+    Raises:
+        BrowserError: there is none.
+    """
+    if wanted := os.environ.get(VARIABLE):
+        path = shutil.which(wanted)
+        if path is None:
+            raise BrowserError(f"{VARIABLE}={wanted}: expected the path of Chromium or Chrome")
+        return Path(path)
+    found = next((path for name in _NAMES if (path := shutil.which(name))), None)
+    if found is None:
+        raise BrowserError(f"no browser found (looked for {', '.join(_NAMES)}); set {VARIABLE} to the path of one")
+    return Path(found)
+
+
+def picture_of(html: str, width: int, height: int) -> bytes:
+    """Return a picture (PNG) of a page of this package.
+
+    Args:
+        html: the page.
+        width: width [pixels].
+        height: height [pixels].
+
+    Raises:
+        BrowserError: there is no browser, or it cannot draw.
+    """
+    with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
+        file = Path(folder) / "page.html"
+        file.write_text(html, encoding="utf-8")
+        browser.open(file.as_uri())
+        return browser.picture()
+
+
+class Browser:
+    """A browser without a window, showing one page; ends with its `with` block.
+
+    Args:
+        width: width of the page [pixels].
+        height: height of the page [pixels].
+
+    Attributes:
+        errors: what the page has complained about: errors of its program and messages of level "error" and "warning".
+        requests: addresses that the page has asked for.
+
+    Raises:
+        BrowserError: there is no browser, or it does not start.
+    """
+
+    def __init__(self, width: int = 1200, height: int = 900) -> None:
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        self._size = {"width": width, "height": height}
+        self._numbers = itertools.count(1)
+        self._answers: queue.Queue[Json] = queue.Queue()
+        self._events: list[Json] = []
+        self._session: str | None = None
+        executable = find_browser()
+        self._folder = tempfile.TemporaryDirectory(prefix="pm3dof-browser-")
+        self._start(executable)
+        try:
+            target = self._ask("Target.createTarget", {"url": "about:blank"})["targetId"]
+            attached = self._ask("Target.attachToTarget", {"targetId": target, "flatten": True})
+            self._session = attached["sessionId"]
+            for domain in ("Page", "Runtime", "Log", "Network"):
+                self._ask(f"{domain}.enable")
+            metrics = {**self._size, "deviceScaleFactor": 1, "mobile": False}
+            self._ask("Emulation.setDeviceMetricsOverride", metrics)
+        except BaseException:
+            self.close()
+            raise
+
+    def open(self, url: str) -> None:
+        """Show a page and wait until it has loaded and drawn.
+
+        Raises:
+            BrowserError: it does not load.
+        """
+        self._events.clear()
+        error = self._ask("Page.navigate", {"url": url}).get("errorText")
+        if error:
+            raise BrowserError(f"{url}: {error}")
+        self._wait_for_event("Page.loadEventFired")
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until the page has drawn what it was told last."""
+        self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
+
+    def evaluate(self, expression: str) -> Any:
+        """Return the value of an expression of JavaScript in the page; promises are waited for.
+
+        Raises:
+            BrowserError: the expression throws.
+        """
+        wanted = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        answer = self._ask("Runtime.evaluate", wanted)
+        if "exceptionDetails" in answer:
+            details = answer["exceptionDetails"]
+            raise BrowserError(details.get("exception", {}).get("description") or details["text"])
+        return answer["result"].get("value")
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at one point of the page, move it to another, and let go [pixels]."""
+        pressed = {"button": "left", "clickCount": 1}
+        self._mouse("mouseMoved", start)
+        self._mouse("mousePressed", start, **pressed)
+        self._mouse("mouseMoved", end, button="left")
+        self._mouse("mouseReleased", end, **pressed)
+        self.settle()
+
+    def picture(self) -> bytes:
+        """Return a picture (PNG) of the page as it looks now."""
+        self.settle()
+        return base64.b64decode(self._ask("Page.captureScreenshot", {"format": "png"})["data"])
+
+    def close(self) -> None:
+        """End the browser; a second call does nothing."""
+        if self._process.poll() is None:
+            with contextlib.suppress(BrowserError, OSError):
+                self._session = None
+                self._ask("Browser.close")
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(10.0)
+            if self._process.poll() is None:
+                self._process.kill()
+                self._process.wait()
+        self._reader.join()
+        for pipe in (self._commands, self._messages):
+            with contextlib.suppress(OSError):
+                pipe.close()
+        _remove(self._folder)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self, executable: Path) -> None:
+        command = [str(executable), *_FLAGS, f"--user-data-dir={self._folder.name}"]
+        command += [f"--window-size={self._size['width']},{self._size['height']}"]
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            command.append("--no-sandbox")  # as root it does not start with it
+        read_commands, write_commands = os.pipe()
+        read_messages, write_messages = os.pipe()
+        pipes = [str(read_commands), str(write_messages)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", _LAUNCHER, *pipes, *command],
+            pass_fds=(read_commands, write_messages),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for us; the browser is ended in good order
+        )
+        os.close(read_commands)
+        os.close(write_messages)
+        self._commands: BinaryIO = os.fdopen(write_commands, "wb", buffering=0)
+        self._messages: BinaryIO = os.fdopen(read_messages, "rb", buffering=0)
+        self._reader = threading.Thread(target=self._read, name="browser", daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        """Take messages, each ended by a zero byte, until the browser is gone."""
+        rest = b""
+        while data := self._messages.read(65536):
+            *whole, rest = (rest + data).split(b"\0")
+            for text in whole:
+                self._take(json.loads(text))
+        self._answers.put({"gone": True})
+
+    def _take(self, message: Json) -> None:
+        if "id" in message:
+            self._answers.put(message)
+            return
+        self._events.append(message)
+        method, details = message["method"], message.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            thrown = details["exceptionDetails"]
+            self.errors.append(thrown.get("exception", {}).get("description") or thrown["text"])
+        elif method == "Runtime.consoleAPICalled" and details["type"] in ("error", "warning", "assert"):
+            said = (str(entry.get("value", entry.get("description", ""))) for entry in details["args"])
+            self.errors.append(f"console.{details['type']}: {' '.join(said)}")
+        elif method == "Log.entryAdded" and details["entry"]["level"] in ("error", "warning"):
+            self.errors.append(f"{details['entry']['source']}: {details['entry']['text']}")
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(details["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requests.append(details["url"])
+
+    def _ask(self, method: str, parameters: Json | None = None) -> Json:
+        number = next(self._numbers)
+        message: Json = {"id": number, "method": method, "params": parameters or {}}
+        if self._session:
+            message["sessionId"] = self._session
+        try:
+            self._commands.write(json.dumps(message).encode() + b"\0")
+        except OSError as error:
+            raise BrowserError(f"the browser has ended ({error.strerror})") from error
+        return self._answer(number, method)
+
+    def _answer(self, number: int, method: str) -> Json:
+        while True:
+            try:
+                message = self._answers.get(timeout=_TIMEOUT)
+            except queue.Empty as error:
+                raise BrowserError(f"the browser did not answer {method} within {_TIMEOUT:g} s") from error
+            if "gone" in message:
+                self._answers.put(message)
+                raise BrowserError("the browser has ended: it may not start on this machine")
+            if message["id"] == number:
+                if "error" in message:
+                    raise BrowserError(f"{method}: {message['error']['message']}")
+                result: Json = message["result"]
+                return result
+
+    def _wait_for_event(self, method: str) -> None:
+        end = time.monotonic() + _TIMEOUT
+        while not any(event["method"] == method for event in list(self._events)):
+            if time.monotonic() > end:
+                raise BrowserError(f"the page did not load within {_TIMEOUT:g} s")
+            time.sleep(0.02)
+
+    def _mouse(self, kind: str, point: tuple[float, float], **details: object) -> None:
+        self._ask("Input.dispatchMouseEvent", {"type": kind, "x": point[0], "y": point[1], **details})
+
+
+def _remove(folder: tempfile.TemporaryDirectory[str]) -> None:
+    """Remove the browser's folder, in which its last processes may still write for a moment."""
+    for _ in range(50):
+        try:
+            folder.cleanup()
+        except OSError:
+            time.sleep(0.1)
+        else:
+            return
+    folder.cleanup()

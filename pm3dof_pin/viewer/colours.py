@@ -1,0 +1,31 @@
+"""Scales of colour, as stops between which the page and Python interpolate in the same way."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# viridis of matplotlib at nine places: even in lightness, readable without colour vision.
+INDEX_STOPS = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
+# from next to nothing, pale, to all of it, dark
+SHARE_STOPS = ("#e9ecef", "#f6d98b", "#f29f4b", "#d9542b", "#9b1c31", "#5c0f2b")
+
+
+def stops(colours: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return colours such as "#440154" as red, green, blue in 0 .. 1, shape=(n, 3)."""
+    return np.array([[int(colour[start : start + 2], 16) / 255.0 for start in (1, 3, 5)] for colour in colours])
+
+
+def blend(colours: tuple[str, ...], places: ArrayLike) -> NDArray[np.float64]:
+    """Return the colours at places between 0 and 1 of a scale, shape=(..., 3)."""
+    table = stops(colours)
+    at = np.clip(np.asarray(places, dtype=float), 0.0, 1.0) * (len(table) - 1)
+    below = np.minimum(at.astype(int), len(table) - 2)
+    mixed: NDArray[np.float64] = table[below] + (at - below)[..., None] * (table[below + 1] - table[below])
+    return mixed
+
+
+def css(colour: ArrayLike) -> str:
+    """Return a colour, shape=(3,), as the page's style sheet writes it."""
+    red, green, blue = (round(255.0 * part) for part in np.asarray(colour, dtype=float))
+    return f"rgb({red}, {green}, {blue})"

@@ -1,0 +1,145 @@
+"""Stiffness and compliance ellipsoids: which block they show, how long their axes are drawn.
+
+The ellipsoid of a symmetric 3 x 3 block has its principal directions as axes and its principal values, times a scale,
+as semi-axes. For a compliance block that is where unit forces in all directions take the tool; for a stiffness block,
+the forces that unit displacements need.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.elastic import indices
+from pm3dof_pin.elastic.indices import Motion, OtherMotions
+from pm3dof_pin.elastic.kernels import inverse_definite
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.mechanism.arrays import finite_array
+from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer.scene import Scene
+
+Array = NDArray[np.float64]
+Quantity = Literal["stiffness", "compliance"]
+
+UNITS: dict[tuple[Quantity, Motion], str] = {
+    ("stiffness", "translation"): "N/m",
+    ("stiffness", "rotation"): "N m/rad",
+    ("compliance", "translation"): "m/N",
+    ("compliance", "rotation"): "rad/(N m)",
+}
+COLOURS: dict[Motion, tuple[float, float, float]] = {"translation": (0.33, 0.20, 0.72), "rotation": (0.86, 0.24, 0.44)}
+
+
+_LEAST = 1e-6  # of the longest semi-axis
+
+
+@dataclass(frozen=True)
+class DrawnEllipsoid:
+    """An ellipsoid as it is drawn.
+
+    Attributes:
+        values: principal values, the least first, shape=(3,) [unit].
+        axes: their directions as columns, a right-handed frame, shape=(3, 3).
+        position: its middle, shape=(3,) [m].
+        scale: length of a semi-axis for a value of 1 [m per unit].
+        unit: unit of the values.
+    """
+
+    values: Array
+    axes: Array
+    position: Array
+    scale: float
+    unit: str
+
+    @property
+    def transform(self) -> Array:
+        """What makes a unit sphere this ellipsoid, shape=(4, 4)."""
+        lengths = self.scale * np.abs(self.values)
+        # a length of zero, as of a rigid direction, would leave no axes
+        return objects.transform(self.axes * np.maximum(lengths, _LEAST * lengths.max()), self.position)
+
+
+def usual_others(of: Quantity) -> OtherMotions:
+    """Return what makes an ellipsoid show a block of K or C itself: held for a stiffness, free for a compliance."""
+    return "held" if of == "stiffness" else "free"
+
+
+def block(
+    stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: Quantity, others: OtherMotions
+) -> Array:
+    """Return the 3 x 3 block that an ellipsoid shows.
+
+    Args:
+        stiffness: K, shape=(6, 6); or None.
+        compliance: C, shape=(6, 6), where K is None.
+        kind: the translations or the rotations.
+        of: what is shown.
+        others: what the other three motions do: "free", no moment (force) acts in them; "held", they stay put.
+
+    Returns:
+        C_ff of a compliance, inv(C_ff) of a stiffness with the others free; K_ff and inv(K_ff) with them held;
+        shape=(3, 3) [see :data:`UNITS`].
+
+    Raises:
+        InvalidValueError: neither or both of K and C are given, or they are not finite or of another shape.
+        SingularConfigurationError: the block does not exist, some motion being free or held rigidly.
+    """
+    matrices: dict[Quantity, ArrayLike | None] = {"stiffness": stiffness, "compliance": compliance}
+    given = [(name, entries) for name, entries in matrices.items() if entries is not None]
+    if len(given) != 1:
+        raise InvalidValueError("stiffness, compliance", "both" if given else "none", "one of them")
+    name, entries = given[0]
+    matrix = finite_array(name, entries, (6, 6))
+    wanted: Quantity = "stiffness" if others == "held" else "compliance"
+    rows = slice(0, 3) if kind == "translation" else slice(3, 6)
+    result: Array = (matrix if name == wanted else inverse_definite(matrix))[rows, rows]
+    if of != wanted:
+        result = inverse_definite(result)
+    if not np.all(np.isfinite(result)):
+        raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free, or held rigidly")
+    return result
+
+
+def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
+    """Return the ellipsoid of a block, shape=(3, 3), at a point, shape=(3,) [m].
+
+    Raises:
+        InvalidValueError: the scale is not a positive number.
+    """
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise InvalidValueError("scale", scale, "a positive length for one unit")
+    principal = indices.ellipsoid(matrix)
+    return DrawnEllipsoid(principal.values, principal.axes, np.asarray(position, dtype=float), scale, unit)
+
+
+def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
+    """Put a unit sphere with its three axes at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid."""
+    colour = COLOURS[kind]
+    surface = objects.mesh(objects.sphere(1.0), colour, opacity=0.42)
+    scene.set_object(f"{path}/surface", surface, casts_shadow=False)
+    ends = np.stack([-np.eye(3), np.eye(3)], axis=1).reshape(-1, 3)
+    scene.set_object(f"{path}/axes", objects.line_segments(ends, colour), casts_shadow=False)
+
+
+def round_scale(greatest: float, length: float) -> float:
+    """Return a scale [m per unit] that draws the greatest value no longer than a length, itself 1, 2 or 5 10^n units.
+
+    Args:
+        greatest: greatest value that is drawn.
+        length: the length that is to stand for a round number [m].
+    """
+    if greatest <= 0.0:
+        return length
+    power = 10.0 ** math.floor(math.log10(greatest))
+    steps = [factor * power for factor in (1.0, 2.0, 5.0, 10.0)]
+    return length / next(step for step in steps if greatest <= step * (1.0 + 1e-9))
+
+
+def round_length(size: float) -> float:
+    """Return the greatest of the lengths 1, 2, 5 times 10^n that is no longer than a size [m]."""
+    power = 10.0 ** math.floor(math.log10(size))
+    return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= size * (1.0 + 1e-9))

@@ -1,0 +1,139 @@
+"""Bodies as three.js reads them: boxes, cylinders, spheres, meshes, lines, with their materials."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Json = dict[str, Any]
+Colour = tuple[float, float, float]
+
+_numbers = itertools.count()
+
+
+def box(lengths: ArrayLike) -> Json:
+    """Return a box with its middle at the origin, shape=(3,) [m]."""
+    width, height, depth = np.asarray(lengths, dtype=float).tolist()
+    return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
+
+
+def cylinder(radius: float, length: float, top_radius: float | None = None) -> Json:
+    """Return a cylinder, or a cone, along the y axis with its middle at the origin; :data:`Y_TO_Z` stands it up."""
+    top = radius if top_radius is None else top_radius
+    return {
+        "type": "CylinderGeometry",
+        "radiusTop": top,
+        "radiusBottom": radius,
+        "height": length,
+        "radialSegments": 48,
+    }
+
+
+def sphere(radius: float) -> Json:
+    """Return a sphere around the origin."""
+    return {"type": "SphereGeometry", "radius": radius, "widthSegments": 48, "heightSegments": 32}
+
+
+def triangles(vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None = None) -> Json:
+    """Return a surface of triangles.
+
+    Args:
+        vertices: points, shape=(n, 3) [m].
+        faces: indices of the corners, shape=(m, 3).
+        colours: red, green, blue of each vertex in 0 .. 1, shape=(n, 3).
+    """
+    attributes = {"position": _attribute(vertices)}
+    if colours is not None:
+        attributes["color"] = _attribute(colours)
+    index = _typed(np.asarray(faces, dtype=np.uint32).ravel(), "Uint32Array")
+    return {
+        "type": "BufferGeometry",
+        "data": {"attributes": attributes, "index": {"type": "Uint32Array", "array": index}},
+    }
+
+
+def mesh(geometry: Json, colour: Colour, *, opacity: float = 1.0) -> Json:
+    """Return a body with a material; translucent if its opacity is below 1."""
+    # meshes of other people are not always wound one way, which smooth shading needs
+    flat = geometry["type"] == "BufferGeometry"
+    return _lowered("Mesh", geometry, {**_matt(colour), "flatShading": flat, "side": 2, **_translucent(opacity)})
+
+
+def overlaid_mesh(geometry: Json, colour: Colour) -> Json:
+    """Return a body that is drawn over all others, not hidden by what it stands in."""
+    # opaque bodies are drawn first, so this one has to count as translucent
+    return _lowered("Mesh", geometry, {**_matt(colour), "depthTest": False, "transparent": True, "opacity": 0.999})
+
+
+def coloured_mesh(geometry: Json, *, opacity: float) -> Json:
+    """Return a surface in the colours of its vertices, which no light changes: they can be read off a scale."""
+    material = {"type": "MeshBasicMaterial", "color": 0xFFFFFF, "vertexColors": True, "side": 2}
+    return _lowered("Mesh", geometry, {**material, **_translucent(opacity)})
+
+
+def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0) -> Json:
+    """Return separate lines, one pixel wide, between pairs of points, shape=(2 n, 3) [m]."""
+    geometry = {"type": "BufferGeometry", "data": {"attributes": {"position": _attribute(points)}}}
+    material = {"type": "LineBasicMaterial", "color": _hexadecimal(colour), **_translucent(opacity)}
+    return _lowered("LineSegments", geometry, material)
+
+
+def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return the homogeneous matrix of a linear map, shape=(3, 3), and a translation, shape=(3,), shape=(4, 4)."""
+    matrix = np.eye(4)
+    if rotation is not None:
+        matrix[:3, :3] = rotation
+    if translation is not None:
+        matrix[:3, 3] = translation
+    return matrix
+
+
+def turn_z_to(direction: ArrayLike) -> NDArray[np.float64]:
+    """Return a rotation that takes the z axis to a direction, shape=(3, 3)."""
+    z = np.asarray(direction, dtype=float)
+    z = z / np.linalg.norm(z)
+    beside = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(beside, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+Y_TO_Z = transform([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def _matt(colour: Colour) -> Json:
+    return {"type": "MeshStandardMaterial", "color": _hexadecimal(colour), "roughness": 0.62, "metalness": 0.08}
+
+
+def _translucent(opacity: float) -> Json:
+    return {"opacity": opacity, "transparent": True, "depthWrite": False} if opacity < 1.0 else {}
+
+
+def _lowered(kind: str, geometry: Json, material: Json) -> Json:
+    # three.js joins object, geometry and material by these names
+    name = f"o{next(_numbers)}"
+    return {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "geometries": [{"uuid": f"{name}g", **geometry}],
+        "materials": [{"uuid": f"{name}m", **material}],
+        "object": {"uuid": name, "type": kind, "geometry": f"{name}g", "material": f"{name}m"},
+    }
+
+
+def _attribute(values: ArrayLike) -> Json:
+    array = np.asarray(values, dtype=np.float32)
+    return {"itemSize": 3, "type": "Float32Array", "normalized": False, "array": _typed(array.ravel(), "Float32Array")}
+
+
+def _typed(array: NDArray[Any], kind: str) -> Json:
+    """Numbers as base64, which the page turns into a typed array: a tenth of their size as digits."""
+    return {"typed_array": kind, "base64": base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()}
+
+
+def _hexadecimal(colour: Colour) -> int:
+    red, green, blue = (round(255.0 * min(1.0, max(0.0, float(part)))) for part in colour[:3])
+    return (red << 16) + (green << 8) + blue

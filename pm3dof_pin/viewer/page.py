@@ -1,0 +1,49 @@
+"""The page as one file of HTML: meshcat's program, the panel, the closed form, and all of the scene."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from pm3dof_pin.viewer.scene import Json
+
+
+def page_html(scene: Json, *, title: str, served: bool) -> str:
+    """Return the page, with nothing to be fetched from anywhere.
+
+    Args:
+        scene: what it shows, of :meth:`Scene.snapshot <pm3dof_pin.viewer.scene.Scene.snapshot>`.
+        title: title of the page.
+        served: whether it shall ask the server it comes from for what changes.
+    """
+    # "</script>" inside a string would end the element that holds the data
+    data = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    escaped = title.replace("&", "&amp;").replace("<", "&lt;")
+    return Template(_asset("page.html")).substitute(
+        title=escaped,
+        style=_asset("page.css"),
+        socket="yes" if served else "no",
+        licences=_meshcat_file("LICENSE") + "\n" + _meshcat_file("dist/main.min.js.LICENSE.txt"),
+        meshcat=_meshcat_file("dist/main.min.js"),
+        closed_form=_asset("closed_form.js"),
+        page=_asset("page.js"),
+        scene=data,
+    )
+
+
+@lru_cache
+def _asset(name: str) -> str:
+    return files("pm3dof_pin.viewer").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+@lru_cache
+def _meshcat_file(name: str) -> str:
+    # found, not imported: the package would pull in IPython and its own servers
+    specification = importlib.util.find_spec("meshcat")
+    assert specification is not None
+    assert specification.origin is not None
+    return (Path(specification.origin).parent / "viewer" / name).read_text(encoding="utf-8")

@@ -1,0 +1,163 @@
+"""A small server for the page: on the loopback interface, unless it is told otherwise."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import json
+import logging
+import os
+import socket
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from pm3dof_pin.exceptions import ServerError
+from pm3dof_pin.viewer.scene import Message, Scene
+
+_logger = logging.getLogger(__name__)
+
+FIRST_PORT = 7000
+_PORTS_TRIED = 100
+
+
+class SceneServer:
+    """Serves a page at "/" and sends every change of a scene to the browsers that show it.
+
+    Args:
+        scene: what is shown.
+        page: writes the page.
+        host: name or address of the interface to listen on.
+        port: port, or None for the first free one from 7000 on.
+
+    Attributes:
+        host: the interface.
+        port: the port.
+
+    Raises:
+        ServerError: the port is taken, or the host is no address of this machine.
+    """
+
+    def __init__(self, scene: Scene, page: Callable[[], str], host: str, port: int | None) -> None:
+        self.host = host
+        self._scene = scene
+        self._page = page
+        self._socket = _bind(host, port)
+        self.port: int = self._socket.getsockname()[1]
+        if not is_loopback(host):
+            _logger.warning("listening on %s: everybody who reaches this machine can see the scene", host)
+        ready: Future[None] = Future()
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, args=(ready,), name="scene server", daemon=True)
+        self._thread.start()
+        ready.result()
+
+    @property
+    def url(self) -> str:
+        """Address for a browser on this machine."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self.port}/"
+
+    def close(self) -> None:
+        """Stop listening and end all connections; a second call does nothing."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join()
+
+    def _run(self, ready: Future[None]) -> None:
+        with contextlib.closing(self._loop):
+            self._loop.run_until_complete(self._serve(ready))
+            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+
+    async def _serve(self, ready: Future[None]) -> None:
+        handlers: set[_Socket] = set()
+        shared = {"scene": self._scene, "loop": self._loop, "handlers": handlers}
+        server = HTTPServer(Application([(r"/", _Page, {"page": self._page}), (r"/socket", _Socket, shared)]))
+        server.add_socket(self._socket)
+        ready.set_result(None)
+        await self._stop.wait()
+        server.stop()
+        for handler in list(handlers):
+            handler.leave()
+        await server.close_all_connections()
+
+
+class _Page(RequestHandler):
+    def initialize(self, page: Callable[[], str]) -> None:
+        self._page = page
+
+    def get(self) -> None:
+        """Send the page; it is never kept by the browser, as the next one may show another machine."""
+        self.set_header("Cache-Control", "no-store")
+        self.write(self._page())
+
+    def data_received(self, chunk: bytes) -> None:
+        """Requests have no body."""
+
+
+class _Socket(WebSocketHandler):
+    def initialize(self, scene: Scene, loop: asyncio.AbstractEventLoop, handlers: set[Any]) -> None:
+        self._scene = scene
+        self._loop = loop
+        self._handlers = handlers
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        """Send all there is, and from now on every change."""
+        self._handlers.add(self)
+        self._send(self._scene.listen(self._hear))
+
+    def on_message(self, message: str | bytes) -> None:
+        """Pages do not speak."""
+
+    def on_close(self) -> None:
+        """Forget the page."""
+        self._handlers.discard(self)
+        self._scene.forget(self._hear)
+
+    def leave(self) -> None:
+        """End the connection from this side."""
+        self._scene.forget(self._hear)
+        self.close()
+
+    def data_received(self, chunk: bytes) -> None:
+        """Requests have no body."""
+
+    def _hear(self, message: Message) -> None:
+        # called in whichever thread changes the scene; the connection belongs to the server's
+        self._loop.call_soon_threadsafe(self._send, message)
+
+    def _send(self, message: Message) -> None:
+        with contextlib.suppress(WebSocketClosedError):
+            self.write_message(json.dumps(message, allow_nan=False))
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether only programs of this machine can connect to a host name or address."""
+    try:
+        addresses = {entry[4][0] for entry in socket.getaddrinfo(host, None)}
+    except OSError:
+        return False
+    return all(ipaddress.ip_address(str(address).partition("%")[0]).is_loopback for address in addresses)
+
+
+def _bind(host: str, port: int | None) -> socket.socket:
+    tried = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + _PORTS_TRIED))
+    reason = ""
+    for candidate in tried:
+        try:
+            family, *_, address = socket.getaddrinfo(host, candidate, type=socket.SOCK_STREAM)[0]
+            listening = socket.create_server(address[:2], family=family, backlog=128)
+        except OSError as error:
+            reason = os.strerror(error.errno) if error.errno and error.errno > 0 else str(error.strerror or error)
+        else:
+            listening.setblocking(False)
+            return listening
+    where = f"port {tried[0]}" if port is not None else f"any port from {tried[0]} to {tried[-1]}"
+    raise ServerError(f"cannot listen on {host}, {where}: {reason}")

@@ -1,0 +1,154 @@
+"""Showing a scene: served to a browser, in a notebook, as one file, as a picture."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from pm3dof_pin.exceptions import OutputError
+from pm3dof_pin.files import write_atomically, write_text_atomically
+from pm3dof_pin.viewer.notebook import NotebookCell
+from pm3dof_pin.viewer.page import page_html
+from pm3dof_pin.viewer.scene import Scene
+
+if TYPE_CHECKING:
+    from pm3dof_pin.viewer.server import SceneServer
+
+
+class ShownScene:
+    """A scene and the ways to look at it. Nothing is served and no browser needed until one is asked for.
+
+    Args:
+        host: interface to listen on: this machine only, unless told otherwise.
+        port: port to listen on; the first free one from 7000 on by default.
+
+    Attributes:
+        scene: the tree of drawn things.
+        host: the interface.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.scene = Scene()
+        self.host = host
+        self._port = port
+        self._server: SceneServer | None = None
+
+    @property
+    def is_served(self) -> bool:
+        """Whether browsers may be looking at it."""
+        return self._server is not None
+
+    def start(self) -> str:
+        """Serve the scene, if that is not done already.
+
+        Returns:
+            The address for a browser on this machine, or on another one if the interface is a public one.
+
+        Raises:
+            ServerError: the port is taken, or the host is no address of this machine.
+        """
+        from pm3dof_pin.viewer.server import SceneServer
+
+        if self._server is None:
+            self._server = SceneServer(self.scene, lambda: self._page(served=True), self.host, self._port)
+        return self._server.url
+
+    def open(self) -> bool:
+        """Serve the scene and show it in a browser.
+
+        Returns:
+            Whether a browser could be started; without a screen there is none.
+
+        Raises:
+            ServerError: see :meth:`start`.
+        """
+        url = self.start()
+        has_screen = sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+        return bool(has_screen) and webbrowser.open(url, new=2)
+
+    def wait(self) -> None:
+        """Keep serving until the program is interrupted."""
+        threading.Event().wait()
+
+    def close(self) -> None:
+        """Stop serving; a second call does nothing."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def html(self) -> str:
+        """Return the scene as one page, with nothing to be fetched from anywhere."""
+        return self._page(served=False)
+
+    def save_html(self, path: Path | str) -> Path:
+        """Write the scene as one page.
+
+        Args:
+            path: file to write; its folder has to exist.
+
+        Returns:
+            The path written.
+
+        Raises:
+            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
+        """
+        return write_text_atomically(_in_existing_folder(path), self.html())
+
+    def save_picture(self, path: Path | str, *, width: int = 1200, height: int = 900) -> Path:
+        """Write a picture of the scene (PNG), taken by a browser without a window.
+
+        Args:
+            path: file to write; its folder has to exist.
+            width: width [pixels].
+            height: height [pixels].
+
+        Returns:
+            The path written.
+
+        Raises:
+            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
+            BrowserError: there is no Chromium or Chrome, or it cannot draw.
+        """
+        from pm3dof_pin.viewer.browser import picture_of
+
+        target = _in_existing_folder(path)
+        png = picture_of(self.html(), width, height)
+        with write_atomically(target) as temporary:
+            temporary.write_bytes(png)
+        return target
+
+    def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
+        """Return the scene for a notebook, to be the last line of its cell.
+
+        Args:
+            height: height of the picture [pixels].
+            static: a copy of the scene as it is now, which also works where the notebook's browser runs on another
+                machine; otherwise the served scene, which follows what is drawn later.
+        """
+        if static:
+            return NotebookCell.of_page(self.html(), height)
+        return NotebookCell.of_address(self.start(), height)
+
+    def _page(self, *, served: bool) -> str:
+        title = str(self.scene.panel.get("title", ""))
+        return page_html({} if served else self.scene.snapshot(), title=title, served=served)
+
+
+def _in_existing_folder(path: Path | str) -> Path:
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise OutputError(target, f"there is no folder {target.parent}")
+    return target

@@ -1,0 +1,537 @@
+"""The viewer: a mechanism in a browser, with its ellipsoids, forces and workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.elastic.indices import Motion, OtherMotions
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Configuration, LimitViolation, Mechanism
+from pm3dof_pin.mechanism.arrays import finite_array
+from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
+from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box
+from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
+from pm3dof_pin.viewer.frames import draw_frame
+from pm3dof_pin.viewer.panel import Entry, numbers, scale_text
+from pm3dof_pin.viewer.scene import Json
+from pm3dof_pin.viewer.showing import ShownScene
+from pm3dof_pin.viewer.sliders import Sliders, require_same_machine
+from pm3dof_pin.viewer.surroundings import draw_surroundings
+
+if TYPE_CHECKING:
+    from pm3dof_pin.elastic.elastic_model import ElasticModel
+    from pm3dof_pin.tripod.tripod import Tripod
+
+Array = NDArray[np.float64]
+
+_CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
+_KINDS: tuple[Motion, Motion] = ("translation", "rotation")
+
+
+class Viewer(ShownScene):
+    """A mechanism in a browser.
+
+    Nothing is served and no browser needed until one is asked for: :meth:`start`, :meth:`open` and
+    :meth:`jupyter_cell` serve the scene, :meth:`html` and :meth:`save_html` write it into one file,
+    :meth:`save_picture` photographs it.
+
+    Ellipsoids, forces and leg colours belong to the configuration that is displayed when they are drawn; displaying
+    another one takes them away.
+
+    Example:
+        >>> viewer = Viewer(mechanism)
+        >>> viewer.display(mechanism.home)
+        >>> viewer.stiffness_ellipsoid(K, kind="translation")
+        >>> viewer.open()
+
+    Args:
+        mechanism: what is shown.
+        tripod: the same machine in closed form: puts sliders into the page that move it, with its loops closed and with
+            what was drawn for its own springs and weight.
+        visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF beside the
+            mechanism's closures file. Without any, a stick figure is drawn.
+        host: interface to listen on: this machine only, unless told otherwise.
+        port: port to listen on; the first free one from 7000 on by default.
+
+    Attributes:
+        mechanism: what is shown.
+        scene: the tree of drawn things; `meshcat.Visualizer(window=viewer.scene)` draws more into it.
+
+    Raises:
+        DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
+        InvalidValueError: the tripod is not this mechanism.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        *,
+        tripod: Tripod | None = None,
+        visuals: pin.GeometryModel | Path | str | None = None,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+    ) -> None:
+        super().__init__(host, port)
+        self.mechanism = mechanism
+        self._bodies = bodies_of(mechanism, visuals)
+        self._box = bounding_box(self._bodies, mechanism.home)
+        self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
+        self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, for round numbers
+        self._sliders = Sliders(tripod, mechanism) if tripod is not None else None
+        self._entries: dict[str, Entry] = {}
+        self._scales: dict[tuple[str, ...], float] = {}
+        self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
+        self._draw_bodies()
+        self._direction = (-62.0, 17.0, 1.2)
+        if self._sliders is not None:
+            self._panel["machine"] = self._sliders.machine_data(self._bodies)
+            self._panel["subtitle"] = "sliders in closed form, double precision"
+        self._configuration = mechanism.home
+        self.display(mechanism.home)
+
+    @property
+    def configuration(self) -> Configuration:
+        """The configuration that is displayed."""
+        return self._configuration
+
+    def display(self, configuration: Configuration | ArrayLike) -> None:
+        """Show a configuration; what was drawn for another one is taken away.
+
+        Args:
+            configuration: a configuration of the mechanism, or its q, shape=(nq,) [m, rad].
+
+        Raises:
+            InvalidValueError: a configuration of another mechanism, or no q of this one.
+        """
+        if not isinstance(configuration, Configuration):
+            configuration = self.mechanism.configuration(configuration)
+        if configuration.mechanism is not self.mechanism:
+            raise InvalidValueError("configuration", configuration, f"one of {self.mechanism}")
+        self._configuration = configuration
+        if not self.is_served:  # nobody has turned the picture yet
+            self.look(*self._direction)
+        for entry in [entry for entry in self._entries.values() if entry.of_pose]:
+            self._take_away(entry)
+        self.scene.set_transforms(body_placements(self._bodies, configuration))
+        if self._panel.get("path"):
+            self._panel["path"] = None
+            self.scene.stop_animation()
+        self._panel["note"], self._panel["warnings"] = self._note(configuration)
+        if self._sliders is not None:
+            self._panel["pose"] = self._sliders.pose(configuration).tolist()
+            self._sliders.put(self.scene, configuration)
+        self._update()
+
+    def stiffness_ellipsoid(
+        self,
+        stiffness: ArrayLike | None = None,
+        *,
+        compliance: ArrayLike | None = None,
+        at: str | ArrayLike | None = None,
+        kind: Motion = "translation",
+        of: Quantity = "stiffness",
+        others: OtherMotions | None = None,
+        scale: float | None = None,
+    ) -> DrawnEllipsoid:
+        """Draw an ellipsoid of a stiffness or compliance: principal directions as axes, values as semi-axes.
+
+        Args:
+            stiffness: K at the point, world axes, shape=(6, 6) [N/m, N, N m/rad].
+            compliance: C instead of K, shape=(6, 6).
+            at: frame or point, shape=(3,) [m], that K belongs to; the tool by default.
+            kind: the translations or the rotations.
+            of: what is drawn, a stiffness or a compliance.
+            others: whether the other three motions are free or held, see :func:`pm3dof_pin.viewer.ellipsoids.block`; by
+                default held for a stiffness and free for a compliance, which shows a block of K or C itself.
+            scale: length of a semi-axis for a value of 1 [m per unit]; by default a round one that suits the first
+                ellipsoid of its kind, and stays, so that ellipsoids can be compared.
+
+        Returns:
+            What was drawn.
+
+        Raises:
+            InvalidValueError: not one of K and C is given, or it is no finite matrix; or the scale is not positive.
+            SingularConfigurationError: the ellipsoid does not exist, some motion being free or held rigidly.
+            FrameNotFoundError: the model has no such frame.
+            DescriptionError: no frame is given, and the mechanism has no tool frame.
+        """
+        others = others or ellipsoids.usual_others(of)
+        block = ellipsoids.block(stiffness, compliance, kind, of, others)
+        unit = UNITS[of, kind]
+        if scale is None:
+            greatest = float(np.abs(np.linalg.eigvalsh(block)).max())
+            scale = self._scales.setdefault((kind, of, others), ellipsoids.round_scale(greatest, self._unit_length))
+        drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
+        key = kind if at is None else f"{kind}_at_{at if isinstance(at, str) else 'point'}"
+        path = f"/ellipsoids/{key}"
+        if f"{path}/surface" not in self.scene.paths():
+            ellipsoids.draw_ellipsoid(self.scene, path, kind)
+        self.scene.set_transform(path, drawn.transform)
+        other = "rotations" if kind == "translation" else "translations"
+        live = None
+        if self._sliders is not None and at is None:
+            live = self._sliders.live_ellipsoid(
+                block, self._configuration, kind=kind, of=of, others=others, scale=scale
+            )
+        where = "" if at is None else f" at {at if isinstance(at, str) else 'a point'}"
+        self._show(
+            Entry(
+                key=key,
+                title=f"{kind.capitalize()} {of}{where}",
+                lines=[scale_text(scale, self._unit_length, unit, "semi-axis"), f"{other} {others}"],
+                values=numbers(drawn.values, unit),
+                colour=colours.css(ellipsoids.COLOURS[kind]),
+                nodes=[path],
+                live=live,
+            )
+        )
+        return drawn
+
+    def actuator_forces(
+        self, forces: ArrayLike, *, what: str = "Actuator forces", scale: float | None = None
+    ) -> dict[str, Array]:
+        """Draw arrows at the actuators: forces of sliding joints, moments (two heads) of turning ones.
+
+        Args:
+            forces: one for each actuated joint, positive along its axis, shape=(number of actuated joints,) [N, N m].
+            what: their title in the legend.
+            scale: length of an arrow for 1 N or 1 N m [m]; by default a round one for the first forces, which stays.
+
+        Returns:
+            The transform of each arrow, by its path in the scene, shape=(4, 4): its third column is the force, scaled.
+
+        Raises:
+            InvalidValueError: forces that are not finite or not of that shape, or the scale is not positive.
+        """
+        axes = arrows.actuator_axes(self._configuration)
+        values = finite_array("forces", forces, (len(axes),))
+        if scale is None:
+            greatest = float(np.abs(values).max(initial=0.0))
+            scale = self._scales.setdefault(("forces",), ellipsoids.round_scale(greatest, self._unit_length))
+        if not (np.isfinite(scale) and scale > 0.0):
+            raise InvalidValueError("scale", scale, "a positive length for one newton")
+        width = 0.016 * self._radius
+        drawn: dict[str, Array] = {}
+        for axis, value in zip(axes, values, strict=True):
+            path = f"/forces/{axis.joint}"
+            if f"{path}/shaft" not in self.scene.paths():
+                arrows.draw_arrow(self.scene, path, heads=2 if axis.turns else 1)
+            drawn[path] = arrows.arrow_transform(axis, value, scale=scale, width=width)
+        self.scene.set_transforms(drawn)
+        live = None
+        if self._sliders is not None and self._is_closed():
+            live = self._sliders.live_forces(values, self._configuration, scale=scale, width=width)
+        unit = ", ".join(sorted({axis.unit for axis in axes}))
+        self._show(
+            Entry(
+                key="forces",
+                title=what,
+                lines=[scale_text(scale, self._unit_length, unit, "arrow")],
+                values=", ".join(f"{round(float(value), 2) + 0.0:.2f}" for value in values) + f" {unit}",
+                colour=colours.css(arrows.COLOUR),
+                nodes=list(drawn),
+                live=live,
+            )
+        )
+        return drawn
+
+    def colour_legs(self, model: ElasticModel, wrench: ArrayLike = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)) -> dict[str, float]:
+        """Colour the legs by their share in the deflection of the tool under a load.
+
+        Args:
+            model: the mechanism with its springs.
+            wrench: the load [f; m] at the tool, world axes, shape=(6,) [N, N m]; a vertical force by default.
+
+        Returns:
+            Share of each spring, by name.
+
+        Raises:
+            InvalidValueError: the elastic model is not one of the mechanism, or the wrench is zero or not finite.
+            PM3DofError: there is no compliance here: see
+                :func:`~pm3dof_pin.elastic.condensation.cartesian_compliance`.
+        """
+        from pm3dof_pin.elastic.condensation import cartesian_compliance
+        from pm3dof_pin.elastic.shares import shares
+        from pm3dof_pin.viewer.legs import leg_numbers, leg_shares, leg_springs
+
+        if model.rigid is not self.mechanism:
+            raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
+        load = finite_array("wrench", wrench, (6,))
+        behaviour = cartesian_compliance(model, self._configuration)
+        by_spring = dict(zip(model.spring_names, shares(behaviour.contributions, load).tolist(), strict=True))
+        by_joint = leg_shares(model, by_spring)
+        legs = leg_numbers(model)
+        paint = [
+            {
+                "path": f"{body.parts_path}/{part.name}",
+                "own": list(part.colour),
+                "colour": colours.blend(colours.SHARE_STOPS, by_joint[body.joint]).tolist(),
+                "leg": legs[body.joint],
+            }
+            for body in self._bodies
+            if body.joint in by_joint
+            for part in body.parts
+        ]
+        of_legs = {legs[joint]: share for joint, share in by_joint.items()}
+        names = [", ".join(springs) for springs in leg_springs(model)]
+        live = None
+        if self._sliders is not None:
+            live = self._sliders.live_shares(names, list(of_legs.values()), self._configuration, load)
+        self._show(
+            Entry(
+                key="legs",
+                title="Share in the compliance",
+                lines=[f"under {_load_text(load)}"],
+                values="\n".join(
+                    f"{name}: {100.0 * share:.1f} %" for name, share in zip(names, of_legs.values(), strict=True)
+                ),
+                bar={"colours": list(colours.SHARE_STOPS), "ends": ["0 %", "100 %"]},
+                paint=paint,
+                live=live,
+            )
+        )
+        return by_spring
+
+    def frames(self, names: Iterable[str] | None = None, length: float | None = None) -> None:
+        """Draw frames as three arrows: x red, y green, z blue. They move with their bodies.
+
+        Args:
+            names: links or frames of the model; by default the tool's and those of the closures.
+            length: of the arrows [m].
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+        """
+        closing = [name for loop in self.mechanism.closures for name in (loop.frame_a, loop.frame_b)]
+        tool = [self.mechanism.tool_frame] if self.mechanism.tool_frame else []
+        size = 0.07 * self._radius if length is None else length
+        wanted = tuple(dict.fromkeys(tool + closing if names is None else names))
+        paths = []
+        for name in wanted:
+            body_path, in_body = self._body_at(name)
+            paths.append(f"{body_path}/frames/{name.replace('/', '_')}")
+            draw_frame(self.scene, paths[-1], in_body, size)
+        lines = [", ".join(wanted), "x red, y green, z blue"]
+        self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
+
+    def workspace(
+        self,
+        tripod: Tripod,
+        quantity: str = "translational_stiffness:least",
+        *,
+        tool_length: float | None = None,
+        heights: int = 61,
+        directions: int = 240,
+    ) -> None:
+        """Draw the boundary of what the tip of a tool on the platform reaches, coloured by a stiffness index.
+
+        Args:
+            tripod: the machine in closed form.
+            quantity: the index, as :func:`pm3dof_pin.viewer.shell.workspace_shell` takes it.
+            tool_length: length of the tool along the platform's normal [m]; a third of the machine's size by default.
+            heights: number of sections.
+            directions: number of points in each.
+
+        Raises:
+            InvalidValueError: no such quantity, the tripod is not this mechanism, or its workspace has no such shell.
+        """
+        if self.mechanism.tool_frame is None:
+            raise InvalidValueError("mechanism", self.mechanism, "one with a tool frame")
+        require_same_machine(tripod, self.mechanism)
+        length = ellipsoids.round_length(0.42 * self._radius) if tool_length is None else tool_length
+        surface = shell.workspace_shell(tripod, quantity, tool_length=length, heights=heights, directions=directions)
+        shell.draw_shell(self.scene, "/workspace", surface)
+        body_path, in_body = self._body_at(self.mechanism.tool_frame)
+        shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
+        bounds = [numbers([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
+        self._show(
+            Entry(
+                key="workspace",
+                title="Workspace",
+                lines=[
+                    f"of the tip of a tool {1000.0 * length:g} mm long",
+                    surface.title + (" (logarithmic)" if surface.logarithmic else ""),
+                ],
+                bar={"colours": list(colours.INDEX_STOPS), "ends": bounds},
+                nodes=["/workspace", f"{body_path}/tool"],
+                of_pose=False,
+            )
+        )
+
+    def play(
+        self,
+        configurations: Sequence[Configuration],
+        *,
+        stiffness: Sequence[ArrayLike] | None = None,
+        forces: Sequence[ArrayLike] | None = None,
+        of: Quantity = "stiffness",
+        others: OtherMotions | None = None,
+        duration: float = 5.0,
+        repetitions: int = 1,
+    ) -> None:
+        """Play a path as an animation, with its ellipsoids and forces.
+
+        Args:
+            configurations: frames of the path, equally spaced in time, two at least.
+            stiffness: K at the tool in each frame, shape=(6, 6) each; without it no ellipsoids are drawn.
+            forces: actuator forces in each frame, see :meth:`actuator_forces`.
+            of: see :meth:`stiffness_ellipsoid`.
+            others: see :meth:`stiffness_ellipsoid`.
+            duration: time of the whole path [s].
+            repetitions: how often it is played.
+
+        Raises:
+            InvalidValueError: fewer than two frames, not as many K or forces, or a duration that is not positive.
+            SingularConfigurationError: an ellipsoid does not exist.
+        """
+        frames = len(configurations)
+        if frames < 2:
+            raise InvalidValueError("configurations", f"{frames} of them", "two at least")
+        for name, given in (("stiffness", stiffness), ("forces", forces)):
+            if given is not None and len(given) != frames:
+                raise InvalidValueError(name, f"{len(given)} of them", f"one for each of {frames} frames")
+        if not (np.isfinite(duration) and duration > 0.0):
+            raise InvalidValueError("duration", duration, "a positive time [s]")
+        recorded = [
+            self._frame_of_path(configuration, _at(stiffness, index), _at(forces, index), of, others)
+            for index, configuration in enumerate(configurations)
+        ]
+        self._frame_of_path(configurations[0], _at(stiffness, 0), _at(forces, 0), of, others)
+        tracks = {path: [transforms[path] for transforms, _ in recorded] for path in recorded[0][0]}
+        for path in tracks:
+            if path.startswith("/ellipsoids/"):
+                tracks[path] = animation.aligned_ellipsoids(tracks[path])
+        self._panel["path"] = {"duration": duration, "frames": [said for _, said in recorded]}
+        self.scene.set_animation(animation.clips(tracks, (frames - 1) / duration), repetitions=repetitions)
+        self._update()
+
+    def look(self, azimuth: float = -62.0, elevation: float = 17.0, closeness: float = 1.2) -> None:
+        """Turn the camera so that the machine, as it is displayed, fills the picture.
+
+        Args:
+            azimuth: of the camera seen from the machine, from x towards y [deg].
+            elevation: of the camera over the horizon [deg].
+            closeness: 1 for a box around the machine all in the picture, more for nearer.
+        """
+        self._direction = (azimuth, elevation, closeness)
+        serial = self._panel.get("camera", {}).get("serial", 0) + 1
+        self._panel["camera"] = {
+            "box": bounding_box(self._bodies, self._configuration).tolist(),
+            "azimuth": azimuth,
+            "elevation": elevation,
+            "closeness": closeness,
+            "serial": serial,
+        }
+        self._update()
+
+    def set_title(self, title: str, subtitle: str = "") -> None:
+        """Set what stands at the top of the panel; by default the name of the mechanism."""
+        self._panel |= {"title": title, "subtitle": subtitle}
+        self._update()
+
+    def _draw_bodies(self) -> None:
+        for body in self._bodies:
+            for part in body.parts:
+                path = f"{body.parts_path}/{part.name}"
+                self.scene.set_object(path, part.lowered)
+                self.scene.set_transform(path, part.placement)
+        draw_surroundings(self.scene, self._box.mean(axis=0), self._radius, float(self._box[0, 2]))
+
+    def _body_at(self, frame_name: str) -> tuple[str, Array]:
+        """Return the path of a drawn body that moves with a frame, and the frame's placement in it."""
+        frame = self.mechanism.model.frames[self.mechanism.frame_id(frame_name)]
+        body = next((body for body in self._bodies if body.joint == frame.parentJoint), None)
+        if body is None:  # nothing is drawn of it yet
+            body = Body(self.mechanism.model.names[frame.parentJoint], frame.parentJoint, np.eye(4))
+            self._bodies = (*self._bodies, body)
+            self.scene.set_transforms(body_placements((body,), self._configuration))
+            if self._sliders is not None:
+                self._panel["machine"] = self._sliders.machine_data(self._bodies)
+        in_body: Array = np.linalg.inv(body.placement) @ frame.placement.homogeneous
+        return body.path, in_body
+
+    def _frame_of_path(
+        self,
+        configuration: Configuration,
+        stiffness: ArrayLike | None,
+        forces: ArrayLike | None,
+        of: Quantity,
+        others: OtherMotions | None,
+    ) -> tuple[dict[str, Array], Json]:
+        """Display one frame of a path; return the transforms of all that moves in it, and what is said of it."""
+        self.display(configuration)
+        transforms = body_placements(self._bodies, configuration)
+        if stiffness is not None:
+            for kind in _KINDS:
+                drawn = self.stiffness_ellipsoid(stiffness, kind=kind, of=of, others=others)
+                transforms[f"/ellipsoids/{kind}"] = drawn.transform
+        if forces is not None:
+            transforms |= self.actuator_forces(forces)
+        values = {entry.key: entry.values for entry in self._entries.values() if entry.of_pose}
+        said = {name: self._panel.get(name) for name in ("note", "warnings", "pose")}
+        return transforms, {**said, "values": values}
+
+    def _is_closed(self) -> bool:
+        return self._configuration.closure_residual < _CLOSED
+
+    def _point(self, at: str | ArrayLike | None) -> Array:
+        if at is None:
+            return np.array(self._configuration.tool_placement.translation)
+        if isinstance(at, str):
+            return np.array(self._configuration.frame_placement(at).translation)
+        return finite_array("at", at, (3,))
+
+    def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
+        """Return what is said of a configuration, and which limits it breaks."""
+        lines: list[str] = []
+        warnings = [_limit_text(violation) for violation in configuration.violated_limits()]
+        if self._sliders is not None:
+            lines, warnings = self._sliders.note(configuration)
+        elif self.mechanism.tool_frame is not None:
+            x, y, z = (round(float(number), 4) + 0.0 for number in configuration.tool_placement.translation)
+            lines = [f"tool at ({x:.4f}, {y:.4f}, {z:.4f}) m".replace("-", "\u2212")]
+        if self.mechanism.closures:
+            state = "closed to" if configuration.closure_residual < _CLOSED else "open by"
+            lines.append(f"loops {state} {configuration.closure_residual:.0e} m")
+        return lines, warnings
+
+    def _show(self, entry: Entry) -> None:
+        self._entries[entry.key] = entry
+        for path in entry.nodes:
+            self.scene.set_visible(path, True)
+        for item in entry.paint or []:
+            self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]])
+        self._update()
+
+    def _take_away(self, entry: Entry) -> None:
+        del self._entries[entry.key]
+        for path in entry.nodes:
+            self.scene.set_visible(path, False)
+        for item in entry.paint or []:
+            self.scene.set_colour(item["path"], item["own"])
+
+    def _update(self) -> None:
+        self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
+
+
+def _limit_text(violation: LimitViolation) -> str:
+    lower, upper = violation.lower, violation.upper
+    return f"Limit broken: {violation.name} at {violation.value:.4g}, outside {lower:.4g} .. {upper:.4g} (m, rad)"
+
+
+def _load_text(wrench: Array) -> str:
+    """Say what a load is, as in "a force along z"."""
+    if np.count_nonzero(wrench) != 1:
+        return "the load " + ", ".join(f"{number:g}" for number in wrench) + " N, N m"
+    axis = int(np.flatnonzero(wrench)[0])
+    return f"{'a force along' if axis < 3 else 'a moment about'} {'xyz'[axis % 3]}"
+
+
+def _at(values: Sequence[ArrayLike] | None, index: int) -> ArrayLike | None:
+    return None if values is None else values[index]
