@@ -1,0 +1,245 @@
+"""From measurements to a compensation, by one of five methods, and how good it is on poses it has not seen."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH
+from pm3dof_pin.calibration.pseudo_error import (
+    InputScale,
+    PseudoErrorModel,
+    PseudoErrors,
+    control_inverse,
+    pseudo_errors,
+)
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import InvalidValueError
+
+logger = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
+METHODS: tuple[Method, ...] = get_args(Method)
+
+LEAST_POSES = 4
+"""Fewest measurements that anything is learned from."""
+
+_FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to calibrate.
+
+    Attributes:
+        method: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both.
+        seed: of networks and folds.
+        eta: weight of the orientation in the tip error [m/rad].
+        prior: standard deviation of the parameters beforehand, in units of their tolerances.
+        loss: of the identification.
+    """
+
+    method: Method = "lm+gp"
+    seed: int = 0
+    eta: float = TIP_LENGTH
+    prior: float = PRIOR
+    loss: Loss = "tukey"
+
+    def __post_init__(self) -> None:
+        """Check the method.
+
+        Raises:
+            InvalidValueError: there is no such method.
+        """
+        if self.method not in METHODS:
+            raise InvalidValueError("method", self.method, f"one of {', '.join(METHODS)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated machine.
+
+    Attributes:
+        options: how it was calibrated.
+        measurements: what was measured.
+        identification: the parameters identified; by the methods without parameters for finding outliers only.
+        compensation: what to command the machine by.
+    """
+
+    options: Options
+    measurements: Measurements
+    identification: Identification
+    compensation: Compensation
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Errors at measured poses, predicted by calibrations that were not shown them. Outliers are left out.
+
+    Attributes:
+        rows: which measurements, shape=(n,).
+        before: tip error of the machine as described, shape=(n,) [m].
+        after: tip error with the corrected commands, the measurements' noise included, shape=(n,) [m].
+        floor: tip error with the best commands, the measurements' noise included, shape=(n,) [m].
+        noise: tip error that the measurements' noise amounts to, root mean square over its distribution, shape=(n,)
+            [m].
+        excess: by how much the corrected commands miss the best ones, root mean square over the joints, shape=(n,) [m,
+            rad].
+    """
+
+    rows: NDArray[np.intp]
+    before: Array
+    after: Array
+    floor: Array
+    noise: Array
+    excess: Array
+
+
+def calibrate(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Calibration:
+    """Calibrate a machine.
+
+    Measurements that the identification names as outliers are shown to no learned model either.
+
+    Args:
+        measurements: poses, positions or points.
+        errors: the parameters, with their tolerances.
+        options: how.
+
+    Raises:
+        InvalidValueError: too few measurements.
+        ConvergenceError: the parameters did not settle.
+        SingularConfigurationError: at a command the tool can move with all commands held.
+        MissingPackageError: a network is wanted and scikit-learn is not installed.
+    """
+    how = options or Options()
+    identification = identify(measurements, errors, prior=how.prior, loss=how.loss)
+    _warn(identification)
+    nominal = forward_poses(errors.mechanism, measurements.commands)
+    _warn_of_unseen(pseudo_errors(measurements, nominal, how.eta))
+    compensation = Compensation(errors, eta=how.eta)
+    if "lm" in how.method:
+        compensation = replace(compensation, values=identification.values, covariance=identification.covariance)
+    trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
+    if how.method != "lm":
+        compensation = _learned(compensation, measurements[trusted], nominal[trusted], how)
+    unexplained = _unexplained(compensation, measurements[trusted], nominal[trusted])
+    return Calibration(how, measurements, identification, replace(compensation, unexplained=unexplained))
+
+
+def held_out_errors(calibration: Calibration) -> HeldOut:
+    """Judge a calibration by cross-validation: the same method, shown four fifths of the measurements at a time.
+
+    Args:
+        calibration: what to judge.
+
+    Raises:
+        InvalidValueError: too few measurements.
+    """
+    measurements, how = calibration.measurements, calibration.options
+    errors = calibration.compensation.errors
+    rows = np.setdiff1d(np.arange(len(measurements)), calibration.identification.outliers)
+    if len(rows) <= LEAST_POSES:
+        raise InvalidValueError("measurements", f"{len(rows)} poses", f"more than {LEAST_POSES} for a cross-validation")
+    nominal = forward_poses(errors.mechanism, measurements.commands)
+    true = pseudo_errors(measurements[rows], nominal[rows], how.eta)
+    predicted = np.zeros_like(true.deviations)
+    folds = np.random.default_rng(how.seed).permutation(np.arange(len(rows)) % min(_FOLDS, len(rows)))
+    for fold in range(int(folds.max()) + 1):
+        shown, hidden = rows[folds != fold], rows[folds == fold]
+        part = _quiet(measurements[shown], errors, how)
+        conditions = {name: values[hidden] for name, values in measurements.conditions.items()}
+        predicted[folds == fold] = part.deviations(nominal[hidden], conditions)
+    return _judged(rows, measurements[rows], true, true.deviations - predicted, how.eta)
+
+
+def _judged(
+    rows: NDArray[np.intp], measurements: Measurements, true: PseudoErrors, excess: Array, eta: float
+) -> HeldOut:
+    weights = np.array([1.0, 1.0, 1.0, eta, eta, eta])[: measurements.sigmas.shape[1]]
+    after = true.left + np.einsum("nij,nj->ni", true.control, excess)
+    return HeldOut(
+        rows,
+        np.linalg.norm(true.before, axis=1),
+        np.linalg.norm(after, axis=1),
+        np.linalg.norm(true.left, axis=1),
+        np.linalg.norm(measurements.sigmas * weights, axis=1),
+        np.sqrt(np.mean(excess**2, axis=1)),
+    )
+
+
+def _quiet(measurements: Measurements, errors: GeometricErrors, how: Options) -> Compensation:
+    """Return the compensation alone, without warnings about a part of the data."""
+    compensation = Compensation(errors, eta=how.eta)
+    if "lm" in how.method:
+        found = identify(measurements, errors, prior=how.prior, loss=how.loss)
+        compensation = replace(compensation, values=found.values, covariance=found.covariance)
+    if how.method == "lm":
+        return compensation
+    return _learned(compensation, measurements, forward_poses(errors.mechanism, measurements.commands), how)
+
+
+def _learned(compensation: Compensation, measurements: Measurements, nominal: ToolPoses, how: Options) -> Compensation:
+    if len(measurements) < LEAST_POSES:
+        raise InvalidValueError(
+            "measurements", f"{len(measurements)} poses", f"at least {LEAST_POSES} to learn a pseudo-error from"
+        )
+    found = pseudo_errors(measurements, compensation.model_poses(nominal), how.eta)
+    scale = InputScale.of(nominal.mechanism, measurements)
+    inputs = scale.scaled(measurements.commands, measurements.conditions)
+    noise = np.einsum("nii->ni", found.covariances)
+    learned: PseudoErrorModel
+    if "nn" in how.method:
+        learned = NeuralNetwork.fit(inputs, found.deviations, how.seed)
+    else:
+        learned = GaussianProcess.fit(inputs, found.deviations, noise)
+    return replace(compensation, learned=learned, inputs=scale)
+
+
+def _unexplained(compensation: Compensation, measurements: Measurements, nominal: ToolPoses) -> float:
+    """Return the tip error that no command corrects and no parameter explains, root mean square without noise [m]."""
+    found = pseudo_errors(measurements, compensation.model_poses(nominal), compensation.eta)
+    n, rows = found.left.shape
+    weights = np.array([1.0, 1.0, 1.0, *[compensation.eta] * 3])[:rows]
+    noise = (measurements.sigmas * weights) ** 2
+    across = np.eye(rows) - found.control @ control_inverse(found.control)
+    expected = np.einsum("nii,ni->", across, noise)
+    return float(np.sqrt(max(0.0, (np.sum(found.left**2) - expected) / n)))
+
+
+def _warn_of_unseen(found: PseudoErrors) -> None:
+    seen = int(np.linalg.matrix_rank(control_inverse(found.control)).max())
+    drives = found.control.shape[2]
+    if seen < drives:
+        logger.warning(
+            "a measurement shows %d of %d motions of the drives: measure poses, or targets off the tool point",
+            seen,
+            drives,
+        )
+
+
+def _warn(identification: Identification) -> None:
+    rank, names = identification.identifiability.rank, identification.errors.names
+    if identification.identifiability.poses * identification.residuals.shape[1] < len(names):
+        logger.warning(
+            "%d measurements give %d equations for %d parameters: too few; %d combinations are identified, the rest "
+            "keeps its nominal value as far as the tolerances allow",
+            len(identification.measurements),
+            identification.residuals.size,
+            len(names),
+            rank,
+        )
+    if identification.outliers:
+        logger.warning(
+            "outliers, left out of what is learned: lines %s", ", ".join(map(str, identification.outlier_lines))
+        )

@@ -1,0 +1,110 @@
+"""A calibrated machine as files: the URDF with its joints and frames where the parameters say, and its closures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.pose_error import chapter_angles, chapter_rotation
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import write_text_atomically
+
+_BANNER = '<?xml version="1.0"?>\n<!-- {name} with {count} calibrated geometric parameters. -->\n'
+
+
+def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, float], urdf: Path | str) -> str:
+    """Return a robot's URDF with geometric parameters applied to its joint origins, every digit kept.
+
+    Offsets of actuators stand in the origins too, so commands mean what they did.
+
+    Args:
+        errors: the parameters.
+        values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
+        urdf: the file that describes the robot.
+
+    Raises:
+        DescriptionError: the file is unreadable, or a parameter's place has no origin in it: it is neither a joint nor
+            a link at the end of a fixed joint.
+        InvalidValueError: an unknown parameter, a wrong shape, or a number that is not finite.
+    """
+    path = Path(urdf)
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise DescriptionError(path, "URDF", f"expected a readable URDF ({error})") from error
+    for place, displacement in errors.displacements(values).items():
+        _displace(path, robot, place, displacement)
+    ElementTree.indent(robot, "  ")
+    banner = _BANNER.format(name=robot.get("name", path.stem), count=len(errors))
+    return banner + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def write_calibrated_robot(
+    errors: GeometricErrors,
+    values: ArrayLike | Mapping[str, float],
+    robot: str | Path,
+    directory: Path | str,
+) -> Path:
+    """Write a calibrated robot that loads like any other: URDF, closures, and SRDF and error file if there are such.
+
+    Args:
+        errors: the parameters.
+        values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
+        robot: name or path of the robot as described.
+        directory: folder to write into; made if missing.
+
+    Returns:
+        The path of the URDF.
+
+    Raises:
+        UnknownRobotError: no such robot.
+        DescriptionError: see :func:`calibrated_urdf`.
+        OutputError: a file cannot be written.
+    """
+    files, folder = find_robot(robot), Path(directory)
+    target = folder / files.urdf.name
+    text = calibrated_urdf(errors, values, files.urdf)
+    beside = [files.srdf, files.urdf.with_suffix(".errors.yaml")]
+    for source in [files.closures, *(path for path in beside if path is not None and path.is_file())]:
+        write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
+    return write_text_atomically(target, text)
+
+
+def _displace(path: Path, robot: ElementTree.Element, place: str, displacement: pin.SE3) -> None:
+    joint = robot.find(f"joint[@name='{place}']")
+    if joint is None:
+        link = robot.find(f"joint/child[@link='{place}']/..")
+        joint = link if link is not None and link.get("type") == "fixed" else None
+    if joint is None:
+        raise DescriptionError(path, place, "expected a joint, or a link at the end of a fixed joint, with an origin")
+    origin = joint.find("origin")
+    if origin is None:
+        origin = ElementTree.SubElement(joint, "origin")
+    position, roll_pitch_yaw = (_numbers(path, place, origin, key) for key in ("xyz", "rpy"))
+    moved = pin.SE3(chapter_rotation(roll_pitch_yaw[::-1]), position) * displacement
+    origin.set("xyz", _text(moved.translation))
+    if displacement.rotation.tolist() != np.eye(3).tolist():
+        origin.set("rpy", _text(chapter_angles(moved.rotation)[::-1]))
+
+
+def _numbers(
+    path: Path, place: str, origin: ElementTree.Element, key: str
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    try:
+        numbers = np.array([float(word) for word in origin.get(key, "0 0 0").split()])
+    except ValueError as error:
+        raise DescriptionError(path, f"{place}: {key}", f"expected numbers ({error})") from error
+    if numbers.shape != (3,):
+        raise DescriptionError(path, f"{place}: {key}", "expected three numbers")
+    return numbers
+
+
+def _text(numbers: ArrayLike) -> str:
+    return " ".join(repr(float(number)) for number in np.asarray(numbers))

@@ -1,0 +1,198 @@
+"""Gaussian processes for joint deviations: exact, small, with the noise of each measurement known.
+
+C. Rasmussen and C. Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5. For the deviation of
+drive i, with scaled inputs x,
+
+    k(x, x') = c^2 (1 + x.x') + s^2 exp(-sum_j (x_j - x_j')^2 / (2 l_j^2)) + o^2 exp(-(x_i - x_i')^2 / (2 m^2))
+
+The first term is what most geometric errors do, the second bends it, the third is what a screw or a guideway does to
+its own drive. The amplitudes are chosen by marginal likelihood: where there is nothing to learn they fall to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import ConvergenceError
+
+Array = NDArray[np.float64]
+
+_LEAST_AMPLITUDE = 1e-4  # of the deviations' scale
+_MOST_AMPLITUDE = 30.0
+# Logarithms of the scales are held near these, with standard deviation _SCALE_SPREAD: the ranges are -1 .. 1.
+_SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
+_SCALE_SPREAD = 0.4
+_STARTS = ((0.5, 0.5, 0.1), (0.05, 0.05, 0.3))  # c, s, o over the deviations' scale
+_JITTER = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianProcess:
+    """One process for each drive.
+
+    Attributes:
+        inputs: of the measurements, shape=(n, number of inputs).
+        targets: their du, shape=(n, number of actuated joints) [m, rad].
+        noise: variance of each du, shape=(n, number of actuated joints) [m^2, rad^2].
+        logarithms: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of actuated joints,
+            k + 5).
+    """
+
+    inputs: Array
+    targets: Array
+    noise: Array
+    logarithms: Array
+
+    @cached_property
+    def _factors(self) -> list[Array]:
+        """Cholesky factors of the covariances of the measured deviations."""
+        return [
+            scipy.linalg.cholesky(
+                _Kernel(self.inputs, drive).value(parameters) + _noise(self.noise[:, drive], parameters), lower=True
+            )
+            for drive, parameters in enumerate(self.logarithms)
+        ]
+
+    @cached_property
+    def _weights(self) -> list[Array]:
+        """What each measurement contributes."""
+        return [
+            scipy.linalg.cho_solve((factor, True), self.targets[:, drive]) for drive, factor in enumerate(self._factors)
+        ]
+
+    @classmethod
+    def fit(cls, inputs: Array, deviations: Array, noise: Array) -> GaussianProcess:
+        """Choose the kernels by marginal likelihood.
+
+        Args:
+            inputs: shape=(n, number of inputs).
+            deviations: du, shape=(n, number of actuated joints) [m, rad].
+            noise: variance of each du from the measurements' noise, shape=(n, number of actuated joints).
+
+        Raises:
+            ConvergenceError: no kernel was found.
+        """
+        chosen = [
+            _most_likely(_Kernel(inputs, drive), deviations[:, drive], noise[:, drive])
+            for drive in range(deviations.shape[1])
+        ]
+        return cls(inputs, deviations, noise, np.array(chosen))
+
+    def deviations(self, inputs: Array) -> Array:
+        """Return the mean of du, shape=(n, number of actuated joints) [m, rad]."""
+        means = [
+            _kernel_between(inputs, self.inputs, drive, parameters) @ self._weights[drive]
+            for drive, parameters in enumerate(self.logarithms)
+        ]
+        return np.stack(means, axis=1)
+
+    def uncertainties(self, inputs: Array) -> Array:
+        """Return the standard deviation of du, shape=(n, number of actuated joints) [m, rad]."""
+        sigmas = []
+        for drive, parameters in enumerate(self.logarithms):
+            across = _kernel_between(inputs, self.inputs, drive, parameters)
+            explained = scipy.linalg.solve_triangular(self._factors[drive], across.T, lower=True)
+            variance = _own_variance(inputs, parameters) - np.sum(explained**2, axis=0)
+            sigmas.append(np.sqrt(np.maximum(variance, 0.0)))
+        return np.stack(sigmas, axis=1)
+
+    def as_data(self) -> dict[str, object]:
+        """Return the process as numbers and lists."""
+        return {
+            "kind": "gaussian process",
+            "inputs": self.inputs.tolist(),
+            "targets": self.targets.tolist(),
+            "noise": self.noise.tolist(),
+            "logarithms": self.logarithms.tolist(),
+        }
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> GaussianProcess:
+        """Return the process that :meth:`as_data` was made of."""
+        names = ("inputs", "targets", "noise", "logarithms")
+        return cls(*(np.array(data[name], dtype=float) for name in names))
+
+
+class _Kernel:
+    """The kernel over one set of inputs, with derivatives by the logarithms."""
+
+    def __init__(self, inputs: Array, drive: int) -> None:
+        self._products = 1.0 + inputs @ inputs.T
+        self._squares = (inputs[:, None, :] - inputs[None, :, :]) ** 2
+        self._drive = drive
+        self.count = inputs.shape[1]
+
+    def value(self, logarithms: Array) -> Array:
+        return np.asarray(sum(self.parts(logarithms)))
+
+    def parts(self, logarithms: Array) -> tuple[Array, Array, Array]:
+        c, s, o, _, *scales = np.exp(logarithms)
+        smooth = np.exp(-0.5 * (self._squares / np.square(scales[:-1])).sum(axis=2))
+        own = np.exp(-0.5 * self._squares[:, :, self._drive] / scales[-1] ** 2)
+        return c**2 * self._products, s**2 * smooth, o**2 * own
+
+    def derivatives(self, logarithms: Array) -> list[Array]:
+        """Return the derivatives by all logarithms but the noise's, in their order."""
+        linear, smooth, own = self.parts(logarithms)
+        scales = np.exp(logarithms[4:])
+        by_scales = [smooth * self._squares[:, :, j] / scales[j] ** 2 for j in range(self.count)]
+        by_own = own * self._squares[:, :, self._drive] / scales[-1] ** 2
+        return [2.0 * linear, 2.0 * smooth, 2.0 * own, *by_scales, by_own]
+
+
+def _kernel_between(first: Array, second: Array, drive: int, logarithms: Array) -> Array:
+    c, s, o, _, *scales = np.exp(logarithms)
+    squares = (first[:, None, :] - second[None, :, :]) ** 2
+    smooth = np.exp(-0.5 * (squares / np.square(scales[:-1])).sum(axis=2))
+    own = np.exp(-0.5 * squares[:, :, drive] / scales[-1] ** 2)
+    return np.asarray(c**2 * (1.0 + first @ second.T) + s**2 * smooth + o**2 * own)
+
+
+def _own_variance(inputs: Array, logarithms: Array) -> Array:
+    c, s, o = np.exp(logarithms[:3])
+    return np.asarray(c**2 * (1.0 + np.sum(inputs**2, axis=1)) + s**2 + o**2)
+
+
+def _noise(variances: Array, logarithms: Array) -> Array:
+    excess = np.exp(2.0 * logarithms[3])
+    return np.diag(variances + excess + _JITTER * variances.mean())
+
+
+def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
+    """Return the logarithms of greatest posterior probability."""
+    scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise)))
+    lengths = np.log([*[_SMOOTH_SCALE] * kernel.count, _OWN_SCALE])
+    floor = np.log(_LEAST_AMPLITUDE * scale)
+    bounds = [(floor, np.log(_MOST_AMPLITUDE * scale))] * 3 + [(floor, np.log(3.0 * scale))]
+    bounds += [(length - 3.0, length + 3.0) for length in lengths]
+
+    def cost(logarithms: Array) -> tuple[float, Array]:
+        covariance = kernel.value(logarithms) + _noise(noise, logarithms)
+        factor = scipy.linalg.cholesky(covariance, lower=True)
+        weights = scipy.linalg.cho_solve((factor, True), deviations)
+        value = 0.5 * deviations @ weights + np.log(np.diag(factor)).sum()
+        inner = scipy.linalg.cho_solve((factor, True), np.eye(len(deviations))) - np.outer(weights, weights)
+        by = [0.5 * float(np.sum(inner * derivative)) for derivative in kernel.derivatives(logarithms)]
+        by.insert(3, float(np.trace(inner) * np.exp(2.0 * logarithms[3])))
+        gradient = np.array(by)
+        off = (logarithms[4:] - lengths) / _SCALE_SPREAD
+        gradient[4:] += off / _SCALE_SPREAD
+        return float(value + 0.5 * off @ off), gradient
+
+    best, least = None, np.inf
+    for amplitudes in _STARTS:
+        start = np.concatenate([np.log([*amplitudes, 0.1]) + np.log(scale), lengths])
+        found = scipy.optimize.minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+        if found.fun < least:
+            best, least = found.x, float(found.fun)
+    if best is None:
+        raise ConvergenceError("choosing the kernel of a Gaussian process", least, "in likelihood", 0)
+    return np.asarray(best)

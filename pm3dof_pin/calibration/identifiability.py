@@ -1,0 +1,246 @@
+"""What measurements say about the parameters: the scaled regressor, its rank, and what stays unknown.
+
+A row of the regressor is a measured coordinate in units of its noise, a column a parameter in units of its tolerance:
+R = diag(1/sigma) S diag(tolerance). A singular value s of R then compares: along its direction a measurement is worth s
+times what the tolerance says. Directions without any effect are reported as combinations of parameters; none is fixed
+silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.sensitivity import sensitivities
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.arrays import frozen
+from pm3dof_pin.mechanism.freedoms import RankDecision
+
+Array = NDArray[np.float64]
+
+RANK_TOLERANCE = 1e-11
+"""Singular values of the scaled regressor below this times the greatest count as zero."""
+
+_SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are left out of its name
+_ZERO = 1e-9
+
+
+def scaled_regressor(errors: GeometricErrors, poses: ToolPoses, instrument: Instrument | None = None) -> Array:
+    """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters).
+
+    Args:
+        errors: the parameters, with their tolerances.
+        poses: poses of the mechanism as described.
+        instrument: what is measured; full poses by default.
+
+    Raises:
+        InvalidValueError: the loops cannot close with an error, or a noise is not positive.
+        SingularConfigurationError: at a pose the tool can move with all commands held.
+    """
+    sigmas = (instrument or Instrument()).sigmas
+    rows = sensitivities(errors, poses).errors[:, : len(sigmas)]
+    return np.asarray(rows / sigmas[:, None] * errors.tolerances)
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What a set of measurements can say.
+
+    Attributes:
+        names: the parameters.
+        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
+        poses: number of poses.
+        decision: rank of the scaled regressor and how it was decided.
+        directions: right singular vectors as columns, in units of the tolerances, the best known first, shape=(number
+            of parameters, number of parameters).
+        base: names of as many parameters as the rank, chosen by QR with pivoting, that explain all measurements.
+        relations: for each of the other parameters, by how much the base parameters stand in for one unit of it
+            [m, rad a m, rad]; what it does cannot be told from what they do.
+    """
+
+    names: tuple[str, ...]
+    tolerances: Array
+    poses: int
+    decision: RankDecision
+    directions: Array
+    base: tuple[str, ...]
+    relations: dict[str, dict[str, float]]
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations of parameters that can be identified."""
+        return self.decision.rank
+
+    @cached_property
+    def unidentifiable(self) -> tuple[str, ...]:
+        """Directions that no measurement shows: combinations of parameters in units of their tolerances, in words."""
+        return tuple(direction_name(self.names, column) for column in _sparse(self.directions[:, self.rank :]).T)
+
+    @property
+    def better_than_tolerance(self) -> int:
+        """Number of combinations of which the measurements say more than the tolerances do."""
+        return int(np.sum(self.decision.singular_values > 1.0))
+
+    def indices(self) -> ObservabilityIndices:
+        """Return the observability indices over the identifiable combinations."""
+        return observability_indices(self.decision.singular_values[: self.rank], self.poses)
+
+
+def identifiability(names: Sequence[str], tolerances: ArrayLike, regressor: ArrayLike) -> Identifiability:
+    """Judge what a scaled regressor identifies.
+
+    Args:
+        names: the parameters.
+        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
+        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters).
+
+    Raises:
+        InvalidValueError: the regressor has another shape or is not finite.
+    """
+    blocks, scales = np.asarray(regressor, dtype=float), np.asarray(tolerances, dtype=float)
+    if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
+        raise InvalidValueError(
+            "regressor", f"an array of shape {blocks.shape}", f"finite numbers of shape (n, rows, {len(names)})"
+        )
+    matrix = blocks.reshape(-1, len(names))
+    # the triangle has the same singular values and right vectors, and is small
+    triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
+    _, values, right = np.linalg.svd(triangle)
+    threshold = RANK_TOLERANCE * values.max(initial=0.0)
+    rank = int(np.sum(values > threshold))
+    base, relations = _base_parameters(names, scales, triangle, rank)
+    return Identifiability(
+        names=tuple(names),
+        tolerances=frozen(scales.copy()),
+        poses=len(blocks),
+        decision=RankDecision(rank, threshold, frozen(values)),
+        directions=frozen(right.T.copy()),
+        base=base,
+        relations=relations,
+    )
+
+
+def identifiability_of(
+    errors: GeometricErrors, poses: ToolPoses, instrument: Instrument | None = None
+) -> Identifiability:
+    """Judge what measurements at some poses identify; see :func:`identifiability` and :func:`scaled_regressor`."""
+    return identifiability(errors.names, errors.tolerances, scaled_regressor(errors, poses, instrument))
+
+
+def rank_growth(regressor: ArrayLike) -> NDArray[np.intp]:
+    """Return the rank after the first pose, the first two, and so on, shape=(n,).
+
+    Args:
+        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters).
+    """
+    blocks = np.asarray(regressor, dtype=float)
+    ranks = []
+    for count in range(1, len(blocks) + 1):
+        values = np.linalg.svd(blocks[:count].reshape(-1, blocks.shape[2]), compute_uv=False)
+        ranks.append(int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0))))
+    return np.array(ranks, dtype=np.intp)
+
+
+def minimum_poses(regressor: ArrayLike) -> int:
+    """Return the least number of poses that identify all that these poses identify together.
+
+    Of poses in general position any will do: counted are the first ones, until they have the rank of all.
+
+    Args:
+        regressor: rows of poses in general position, more than are needed, shape=(n, rows of a pose, number of
+            parameters).
+    """
+    growth = rank_growth(regressor)
+    return int(np.argmax(growth == growth[-1])) + 1
+
+
+@dataclass(frozen=True)
+class ObservabilityIndices:
+    """Observability indices of a regressor with singular values s_1 >= ... >= s_L from N poses.
+
+    Attributes:
+        O1: (s_1 ... s_L)^(1/L) / sqrt(N) (J.-H. Borm and C.-H. Menq, 1989): D-optimality.
+        O2: s_L / s_1 (M. Driels and U. Pathre, 1990).
+        O3: s_L (A. Nahvi, J. Hollerbach and V. Hayward, 1994): E-optimality.
+        O4: s_L^2 / s_1 (A. Nahvi and J. Hollerbach, 1996).
+        O5: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality.
+    """
+
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+    O5: float
+
+
+def observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
+    """Compute the five observability indices.
+
+    Args:
+        singular_values: of the scaled regressor over what is identifiable, shape=(L,).
+        poses: number of poses, N.
+
+    Raises:
+        InvalidValueError: there are no singular values, or they are not positive.
+    """
+    s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
+    if not s.size or not np.all(s > 0.0):
+        raise InvalidValueError("singular_values", s.tolist(), "positive numbers: those of identifiable combinations")
+    return ObservabilityIndices(
+        O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
+        O2=float(s[-1] / s[0]),
+        O3=float(s[-1]),
+        O4=float(s[-1] ** 2 / s[0]),
+        O5=float(1.0 / np.sum(1.0 / s)),
+    )
+
+
+def direction_name(names: Sequence[str], direction: Array) -> str:
+    """Return a combination of parameters in words, such as "platform_x_joint.rx" or "a.tx - 0.5 b.tx"."""
+    scaled = direction / direction[np.argmax(np.abs(direction))]
+    terms = []
+    for k in np.argsort(-np.abs(scaled), kind="stable"):
+        if abs(scaled[k]) < _SHOWN:
+            break
+        size = "" if np.isclose(abs(scaled[k]), 1.0, atol=5e-3) else f"{abs(scaled[k]):.2f} "
+        terms.append((" - " if scaled[k] < 0.0 else " + ", f"{size}{names[k]}"))
+    first = terms[0][1]
+    return first + "".join(sign + term for sign, term in terms[1:])
+
+
+def _base_parameters(
+    names: Sequence[str], tolerances: Array, matrix: Array, rank: int
+) -> tuple[tuple[str, ...], dict[str, dict[str, float]]]:
+    triangle, order = scipy.linalg.qr(matrix, mode="r", pivoting=True)
+    base, others = order[:rank], order[rank:]
+    relations: dict[str, dict[str, float]] = {}
+    if rank:
+        stand_in = scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+        for column, other in enumerate(others):
+            # from units of the tolerances back to metres and radians
+            parts = stand_in[:, column] * tolerances[base] / tolerances[other]
+            relations[names[other]] = {
+                names[k]: float(part)
+                for k, part, scaled in zip(base, parts, stand_in[:, column], strict=True)
+                if abs(scaled) > _ZERO
+            }
+    else:
+        relations = {names[other]: {} for other in others}
+    return tuple(names[k] for k in np.sort(base)), relations
+
+
+def _sparse(basis: Array) -> Array:
+    """Return another basis of the same space whose vectors involve few parameters each: a reduced echelon form."""
+    if not basis.shape[1]:
+        return basis
+    _, pivots = scipy.linalg.qr(basis.T, mode="r", pivoting=True)
+    chosen = basis[pivots[: basis.shape[1]]]
+    return np.asarray(basis @ np.linalg.inv(chosen))

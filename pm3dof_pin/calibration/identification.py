@@ -1,0 +1,328 @@
+"""Geometric parameters out of measurements: weighted, robust, regularised nonlinear least squares.
+
+Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2, with r_k what measurement k lacks of the closed-loop forward
+kinematics, in units of its noise. Gauss-Newton on the exact Jacobians of :mod:`pm3dof_pin.calibration.sensitivity`; in
+each step the robust linear problem is solved to its end by reweighting (P. Holland and R. Welsch, 1977): first with
+Huber's weights, which have one minimum, then from there with Tukey's, which leave gross outliers no say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, identifiability
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.pose_error import pose_difference
+from pm3dof_pin.calibration.sensitivity import sensitivities
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.mechanism.arrays import frozen
+
+Array = NDArray[np.float64]
+Loss = Literal["squares", "huber", "tukey"]
+
+PRIOR = 3.0
+"""k: standard deviation of the parameters before the measurements, in units of their tolerances, as in planning."""
+
+UNTOLD = 0.9
+"""A parameter whose standard deviation stays above this part of what it was before was not told by the measurements."""
+
+_MAX_STEPS = 50
+_DAMPING = 1e-4  # (1 / 100 tolerances)^2: further than that no linearisation reaches, should nothing else hold a step
+_SMALL_STEP = 1e-8  # what a step changes of the residuals, in units of their sigma
+_STUCK = 1e-4  # a step that rounding alone keeps from falling further
+_REWEIGHTINGS = 200
+_SETTLED = 1e-6  # change of weights
+_HUBER = 0.95  # part of good measurements with full weight
+_TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
+_FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
+_LEAST_FREEDOM = 0.2  # of the measurements
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What measurements say about the parameters.
+
+    Attributes:
+        errors: the parameters.
+        values: p, shape=(number of parameters,) [m, rad].
+        covariance: of the values, given noise and prior; the noise is what the residuals show where that is more than
+            the sigmas say, shape=(number of parameters, number of parameters).
+        prior: k, standard deviation before the measurements in units of the tolerances; infinite for none.
+        measurements: what was measured.
+        poses: the calibrated machine's at the commands.
+        residuals: measured minus calibrated machine, shape=(n, rows) [m, rad].
+        weights: what robust weighting left of each measurement, 0 to 1, shape=(n,).
+        noise_factor: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the
+            covariance.
+        outliers: rows whose residual is no noise.
+        identifiability: rank of the data and combinations that they say nothing about.
+        steps: Gauss-Newton steps taken.
+    """
+
+    errors: GeometricErrors
+    values: Array
+    covariance: Array
+    prior: float
+    measurements: Measurements
+    poses: ToolPoses
+    residuals: Array
+    weights: Array
+    noise_factor: float
+    outliers: tuple[int, ...]
+    identifiability: Identifiability
+    steps: int
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviation of each parameter, shape=(number of parameters,) [m, rad]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def normalized_residuals(self) -> Array:
+        """Residuals in units of the measurements' sigma, shape=(n, rows)."""
+        return np.asarray(self.residuals / self.measurements.sigmas)
+
+    @property
+    def outlier_lines(self) -> tuple[int, ...]:
+        """Lines of the file that are outliers."""
+        return tuple(self.measurements.lines[row] for row in self.outliers)
+
+    @cached_property
+    def untold(self) -> tuple[str, ...]:
+        """Parameters about which the measurements say next to nothing by themselves: the prior's value stands."""
+        silent = self.sigmas >= UNTOLD * self.prior * self.errors.tolerances
+        return tuple(name for name, quiet in zip(self.errors.names, silent, strict=True) if quiet)
+
+
+def identify(
+    measurements: Measurements,
+    errors: GeometricErrors,
+    *,
+    prior: float = PRIOR,
+    loss: Loss = "tukey",
+) -> Identification:
+    """Identify geometric parameters.
+
+    Args:
+        measurements: poses, positions or points.
+        errors: the parameters, with their tolerances.
+        prior: k, how many tolerances a parameter may be expected to be off. Infinite for no prior: then what cannot be
+            told stays at its nominal value, and its deviation is infinite.
+        loss: "squares", "huber", or "tukey" after Huber's.
+
+    Raises:
+        InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
+        ConvergenceError: the parameters did not settle, or the loops do not close with them.
+        SingularConfigurationError: at a command the tool can move with all commands held.
+    """
+    if not len(measurements) or not len(errors):
+        raise InvalidValueError(
+            "identification", f"{len(measurements)} measurements, {len(errors)} parameters", "at least one of each"
+        )
+    if not prior > 0.0:
+        raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
+    nominal = forward_poses(errors.mechanism, measurements.commands)
+    x, previous = np.zeros(len(errors)), np.inf
+    for step in range(1, _MAX_STEPS + 1):
+        linear = _linearised(measurements, errors, x, nominal, prior)
+        fit = linear.robust(loss)
+        length = float(np.abs(linear.rows @ (fit.x - x)).max())
+        x = fit.x
+        if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
+            return _result(measurements, errors, x, nominal, prior, fit, step)
+        previous = length
+    raise ConvergenceError(
+        "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
+    )
+
+
+def measured_residuals(measurements: Measurements, poses: ToolPoses) -> Array:
+    """Return what was measured minus what a machine does, shape=(n, 3 or 6) [m, rad].
+
+    Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
+    measured; world axes.
+
+    Args:
+        measurements: what was measured.
+        poses: of the machine, at the commands of the measurements.
+    """
+    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
+    positions = measurements.positions - poses.positions - offsets
+    if measurements.rotations is None:
+        return np.asarray(positions)
+    seen = np.tile(np.eye(4), (len(poses), 1, 1))
+    seen[:, :3, :3] = measurements.rotations
+    return np.concatenate([positions, pose_difference(poses.transforms, seen)[:, 3:]], axis=1)
+
+
+def measured_rows(measurements: Measurements, poses: ToolPoses, tool_motions: Array) -> Array:
+    """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, 3 or 6, k).
+
+    Args:
+        measurements: what was measured.
+        poses: of the machine, at the commands of the measurements.
+        tool_motions: derivatives of the tool's pose, shape=(n, 6, k).
+    """
+    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
+    linear, angular = tool_motions[:, :3], tool_motions[:, 3:]
+    points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
+    if measurements.rotations is None:
+        return np.asarray(points)
+    turns = measurements.rotations @ np.swapaxes(poses.rotations, 1, 2)
+    derivatives = np.array([pin.Jlog3(turn) for turn in turns])
+    return np.concatenate([points, derivatives @ angular], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Solution of one robust linear problem."""
+
+    x: Array
+    weights: Array
+    noise_factor: float
+
+
+class _Linearised:
+    """The measurements' residuals as linear functions of the parameters, both in units of their deviations."""
+
+    def __init__(self, residuals: Array, rows: Array, x: Array, prior: float) -> None:
+        self.rows = rows
+        self._start = x
+        self._wanted = residuals + rows @ x  # rows x = wanted - residual
+        self._prior = 0.0 if np.isinf(prior) else 1.0 / prior
+        self._count, self.dimension = residuals.shape
+
+    def robust(self, loss: Loss) -> _Fit:
+        weights, factor = np.ones(self._count), 1.0
+        x = self._solve(weights, factor)
+        for kind in {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]:
+            for _ in range(_REWEIGHTINGS):
+                last, last_factor = weights, factor
+                squares = self.squares(x)
+                factor = self.noise_factor(squares, weights)
+                weights = _weights(squares / factor**2, self.dimension, kind)
+                x = self._solve(weights, factor)
+                if max(np.abs(weights - last).max(), abs(factor - last_factor)) < _SETTLED:
+                    break
+        return _Fit(x, weights, factor)
+
+    def squares(self, x: Array) -> Array:
+        """Return |r_k|^2, shape=(n,)."""
+        return np.asarray(np.sum((self._wanted - self.rows @ x) ** 2, axis=1))
+
+    def noise_factor(self, squares: Array, weights: Array) -> float:
+        """Return how much the residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
+        median = np.median(squares) / scipy.stats.chi2.median(self.dimension)
+        freedom = max(_LEAST_FREEDOM, 1.0 - self._used(weights) / (self._count * self.dimension))
+        return float(max(1.0, np.sqrt(median / freedom)))
+
+    def information(self, weights: Array, factor: float) -> Array:
+        """Return the information on the parameters in units of the tolerances, without the prior."""
+        return np.asarray(np.einsum("n,njk->jk", weights, self._blocks) / factor**2)
+
+    @cached_property
+    def _singular_values(self) -> Array:
+        return np.asarray(np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]), compute_uv=False))
+
+    def _used(self, weights: Array) -> float:
+        """Return how many freedoms the parameters take from the measurements."""
+        s = self._singular_values
+        s = s[s > RANK_TOLERANCE * s.max(initial=0.0)]
+        return float(np.sum(s**2 / (s**2 + self._prior**2)))
+
+    def _solve(self, weights: Array, factor: float) -> Array:
+        if self._prior:
+            # with a prior the normal equations are well conditioned, and many times quicker to weight again
+            pull = np.einsum("n,nj->j", weights, self._pulls) / factor**2
+            return np.asarray(scipy.linalg.solve(self.information(weights, factor) + self._prior_information, pull))
+        scale, count = np.sqrt(weights) / factor, self.rows.shape[2]
+        held = np.sqrt(_DAMPING) * np.eye(count)
+        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), held])
+        right = np.concatenate([(scale[:, None] * self._wanted).ravel(), held @ self._start])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK_TOLERANCE)[0])
+
+    @cached_property
+    def _blocks(self) -> Array:
+        """Information of each measurement, shape=(n, parameters, parameters)."""
+        return np.asarray(np.swapaxes(self.rows, 1, 2) @ self.rows)
+
+    @cached_property
+    def _pulls(self) -> Array:
+        return np.asarray(np.einsum("nij,ni->nj", self.rows, self._wanted))
+
+    @cached_property
+    def _prior_information(self) -> Array:
+        return self._prior**2 * np.eye(self.rows.shape[2])
+
+
+def _linearised(
+    measurements: Measurements, errors: GeometricErrors, x: Array, nominal: ToolPoses, prior: float
+) -> _Linearised:
+    values = x * errors.tolerances
+    poses = forward_poses(errors.apply(values), measurements.commands, nominal.q)
+    residuals = measured_residuals(measurements, poses) / measurements.sigmas
+    rows = measured_rows(measurements, poses, sensitivities(errors, poses, values).errors)
+    return _Linearised(residuals, rows / measurements.sigmas[:, :, None] * errors.tolerances, x, prior)
+
+
+def _result(
+    measurements: Measurements,
+    errors: GeometricErrors,
+    x: Array,
+    nominal: ToolPoses,
+    prior: float,
+    fit: _Fit,
+    steps: int,
+) -> Identification:
+    linear = _linearised(measurements, errors, x, nominal, prior)
+    values = x * errors.tolerances
+    poses = forward_poses(errors.apply(values), measurements.commands, nominal.q)
+    squares = linear.squares(x)
+    bound = scipy.stats.chi2.isf(_FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
+    return Identification(
+        errors=errors,
+        values=frozen(values),
+        covariance=frozen(_covariance(linear.information(fit.weights, fit.noise_factor), prior, errors.tolerances)),
+        prior=prior,
+        measurements=measurements,
+        poses=poses,
+        residuals=frozen(measured_residuals(measurements, poses)),
+        weights=frozen(fit.weights),
+        noise_factor=fit.noise_factor,
+        outliers=tuple(int(row) for row in np.flatnonzero(squares > bound)),
+        identifiability=identifiability(errors.names, errors.tolerances, linear.rows),
+        steps=steps,
+    )
+
+
+def _covariance(information: Array, prior: float, tolerances: Array) -> Array:
+    """Return the covariance of the parameters; infinite for those that a singular information leaves open."""
+    scale = np.outer(tolerances, tolerances)
+    if np.isfinite(prior):
+        return np.asarray(np.linalg.inv(information + np.eye(len(tolerances)) / prior**2) * scale)
+    values, axes = np.linalg.eigh(information)
+    known = values > (RANK_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
+    covariance = (axes[:, known] / values[known]) @ axes[:, known].T * scale
+    open_ones = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
+    covariance[open_ones, open_ones] = np.inf
+    return np.asarray(covariance)
+
+
+def _weights(squares: Array, dimension: int, loss: str) -> Array:
+    """Return the weights of squared normalised residuals, shape=(n,)."""
+    if loss == "squares":
+        return np.ones_like(squares)
+    bend = float(scipy.stats.chi2.ppf(_HUBER, dimension))
+    if loss == "huber":
+        return np.asarray(np.sqrt(bend / np.maximum(squares, bend)))
+    return np.asarray(np.clip(1.0 - squares / (_TUKEY**2 * bend), 0.0, None) ** 2)

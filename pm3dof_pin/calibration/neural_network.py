@@ -1,0 +1,151 @@
+"""Neural networks for joint deviations, as the chapter proposes: trained with scikit-learn, evaluated with NumPy.
+
+A few small networks of one hidden layer, whose mean is taken. How smooth they have to be, and whether they are any
+good, is decided by cross-validation: what does not beat no correction by more than one standard error is not used.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import MissingPackageError
+
+Array = NDArray[np.float64]
+
+_HIDDEN = 10
+_MEMBERS = 5
+_FOLDS = 5
+_DECAYS = (1e-3, 1e-2, 1e-1, 1.0)
+_MAX_STEPS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class NeuralNetwork:
+    """The mean of several networks, du = scale part mean(W2 tanh(W1 x + b1) + b2).
+
+    Attributes:
+        hidden_weights: W1 of each network, shape=(networks, number of inputs, hidden).
+        hidden_biases: b1, shape=(networks, hidden).
+        output_weights: W2, shape=(networks, hidden, number of actuated joints).
+        output_biases: b2, shape=(networks, number of actuated joints).
+        scale: of each deviation, shape=(number of actuated joints,) [m, rad].
+        part: what of the networks' answer is used, shape=(number of actuated joints,); 0 where they are no better than
+            no correction.
+        sigmas: error in cross-validation, measurement noise included, shape=(number of actuated joints,) [m, rad].
+    """
+
+    hidden_weights: Array
+    hidden_biases: Array
+    output_weights: Array
+    output_biases: Array
+    scale: Array
+    part: Array
+    sigmas: Array
+
+    @classmethod
+    def fit(cls, inputs: Array, deviations: Array, seed: int) -> NeuralNetwork:
+        """Train networks.
+
+        Args:
+            inputs: shape=(n, number of inputs).
+            deviations: du, shape=(n, number of actuated joints) [m, rad].
+            seed: of the first weights and of the folds.
+
+        Raises:
+            MissingPackageError: scikit-learn is not installed.
+        """
+        scale = np.sqrt(np.mean(deviations**2, axis=0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        targets = deviations / scale
+        folds = np.random.default_rng(seed).permutation(np.arange(len(inputs)) % min(_FOLDS, len(inputs)))
+        predicted = {decay: _cross_validated(inputs, targets, folds, decay, seed) for decay in _DECAYS}
+        decay = min(_DECAYS, key=lambda value: float(np.sum((targets - predicted[value]) ** 2)))
+        part = _worthwhile_part(targets, predicted[decay])
+        sigmas = scale * np.sqrt(np.mean((targets - part * predicted[decay]) ** 2, axis=0))
+        members = [_train(inputs, targets, decay, seed + member) for member in range(_MEMBERS)]
+        hidden, hidden_bias, output, output_bias = (np.stack(arrays) for arrays in zip(*members, strict=True))
+        return cls(hidden, hidden_bias, output, output_bias, scale, part, sigmas)
+
+    def deviations(self, inputs: Array) -> Array:
+        """Return du, shape=(n, number of actuated joints) [m, rad]."""
+        return np.asarray(
+            self.scale
+            * self.part
+            * np.mean(
+                [
+                    _answer(inputs, member)
+                    for member in zip(
+                        self.hidden_weights, self.hidden_biases, self.output_weights, self.output_biases, strict=True
+                    )
+                ],
+                axis=0,
+            )
+        )
+
+    def uncertainties(self, inputs: Array) -> Array:
+        """Return the error in cross-validation, shape=(n, number of actuated joints) [m, rad]."""
+        return np.tile(self.sigmas, (len(inputs), 1))
+
+    def as_data(self) -> dict[str, object]:
+        """Return the networks as numbers and lists."""
+        return {"kind": "neural network"} | {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> NeuralNetwork:
+        """Return the networks that :meth:`as_data` was made of."""
+        return cls(**{name: np.array(data[name], dtype=float) for name in cls.__dataclass_fields__})
+
+
+_Weights = tuple[Array, Array, Array, Array]
+
+
+def _answer(inputs: Array, weights: _Weights) -> Array:
+    hidden, hidden_bias, output, output_bias = weights
+    return np.asarray(np.tanh(inputs @ hidden + hidden_bias) @ output + output_bias)
+
+
+def _cross_validated(inputs: Array, targets: Array, folds: NDArray[np.int_], decay: float, seed: int) -> Array:
+    """Return what networks say of the measurements that they were not shown, shape=(n, number of actuated joints)."""
+    predicted = np.zeros_like(targets)
+    for fold in range(int(folds.max()) + 1):
+        shown = folds != fold
+        if shown.any():
+            predicted[~shown] = _answer(inputs[~shown], _train(inputs[shown], targets[shown], decay, seed))
+    return predicted
+
+
+def _worthwhile_part(targets: Array, predicted: Array) -> Array:
+    """Return what part of a prediction lessens the error most, 0 unless it does by more than a standard error."""
+    squares = np.sum(predicted**2, axis=0)
+    part = np.clip(np.sum(targets * predicted, axis=0) / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
+    gains = targets**2 - (targets - part * predicted) ** 2
+    error = np.std(gains, axis=0) / np.sqrt(max(len(targets) - 1, 1))
+    return np.where(gains.mean(axis=0) > error, part, 0.0)
+
+
+def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
+    try:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPRegressor
+    except ImportError as error:
+        raise MissingPackageError("scikit-learn", "learning", "training neural networks") from error
+    network = MLPRegressor(
+        hidden_layer_sizes=(_HIDDEN,),
+        activation="tanh",
+        solver="lbfgs",
+        alpha=decay,
+        max_iter=_MAX_STEPS,
+        random_state=seed,
+    )
+    with warnings.catch_warnings():
+        # stopping early only leaves the network smoother; cross-validation judges it as it is
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        network.fit(inputs, targets)
+    (hidden, output), (hidden_bias, output_bias) = network.coefs_, network.intercepts_
+    return hidden, hidden_bias, output, output_bias

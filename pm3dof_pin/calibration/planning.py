@@ -1,0 +1,349 @@
+"""Which poses to measure: D-optimal, best for the tip, in the least sensitive region (the chapter's rule), or random.
+
+With the scaled regressor blocks A_j of the poses j measured, and parameters known beforehand to k times their
+tolerances,
+
+    M = 1 / k^2 + sum_j A_j^T A_j
+
+is the information in units of the tolerances, regular for any number of poses, and M^-1 the covariance afterwards.
+k = 3 unless told otherwise: machines are found out of tolerance, and a plan should rest on what is measured. D-optimal
+poses make det M greatest (V. Fedorov, Theory of Optimal Experiments, 1972, here with a prior); tip-optimal ones make
+the predicted tip error over test poses least, the mean of tr(B M^-1 B^T) with B the tip's motion by the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.calibration.error_map import ErrorMap, error_map
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identifiability import (
+    Identifiability,
+    ObservabilityIndices,
+    identifiability,
+    scaled_regressor,
+)
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH
+from pm3dof_pin.calibration.reachable_poses import coordinate_ranges, reachable_poses
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.exceptions import InvalidValueError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Strategy = Literal["d-optimal", "tip-optimal", "least-sensitive", "random"]
+STRATEGIES: tuple[Strategy, ...] = ("d-optimal", "tip-optimal", "least-sensitive", "random")
+
+MIN_DISTANCE = 0.05
+"""Least distance between two poses of a plan: root mean square of their commands' differences over the ranges."""
+LEAST_SENSITIVE_PART = 0.2
+"""Part of the workspace that counts as its least sensitive region."""
+
+PRIOR = 3.0
+"""k: standard deviation of the parameters before any measurement, in units of their tolerances."""
+
+_MAX_PASSES = 50
+_LEAST_GAIN = 1e-9
+_SHUFFLES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Poses to be measured.
+
+    Attributes:
+        strategy: how they were chosen.
+        indices: which of the candidates they are, shape=(n,).
+        poses: the poses, of the mechanism as described.
+        predicted_tip_rms: tip error that is left after calibration with them, root mean square over the test poses, as
+            far as the parameters describe the machine [m].
+        identifiability: what they identify.
+    """
+
+    strategy: Strategy
+    indices: Indices
+    poses: ToolPoses
+    predicted_tip_rms: float
+    identifiability: Identifiability
+
+    @property
+    def observability(self) -> ObservabilityIndices:
+        """Observability indices over what is identifiable."""
+        return self.identifiability.indices()
+
+
+class PlanningProblem:
+    """Candidates for measurements, and the poses at which the machine is to be accurate afterwards.
+
+    Args:
+        errors: the parameters, with their tolerances.
+        candidates: poses of the mechanism as described that may be measured.
+        test_poses: poses at which the tip error is predicted; the candidates by default.
+        instrument: what is measured; full poses by default.
+        eta: weight of the orientation in the tip error [m/rad].
+        min_distance: see :data:`MIN_DISTANCE`.
+        prior: see :data:`PRIOR`.
+
+    Raises:
+        InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
+        SingularConfigurationError: at a pose the tool can move with all commands held.
+    """
+
+    def __init__(
+        self,
+        errors: GeometricErrors,
+        candidates: ToolPoses,
+        test_poses: ToolPoses | None = None,
+        *,
+        instrument: Instrument | None = None,
+        eta: float = TIP_LENGTH,
+        min_distance: float = MIN_DISTANCE,
+        prior: float = PRIOR,
+    ) -> None:
+        if not (np.isfinite(prior) and prior > 0.0):
+            raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
+        if not min_distance >= 0.0:
+            raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
+        self.errors, self.candidates = errors, candidates
+        self.regressor = scaled_regressor(errors, candidates, instrument)
+        self._map = error_map(errors, candidates, eta=eta)
+        tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
+        effects = (tests.weighted * errors.tolerances).reshape(-1, len(errors))
+        self._tip = effects.T @ effects / len(tests.poses)
+        lower, upper = coordinate_ranges(errors.mechanism, errors.mechanism.actuated_joints)
+        self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
+        self._min_distance = min_distance
+        self._prior = np.eye(len(errors)) / prior**2
+
+    @classmethod
+    def sampled(
+        cls,
+        errors: GeometricErrors,
+        generator: np.random.Generator,
+        *,
+        candidates: int = 2000,
+        test_poses: int = 300,
+        margin: float = 0.0,
+        instrument: Instrument | None = None,
+        eta: float = TIP_LENGTH,
+        min_distance: float = MIN_DISTANCE,
+        prior: float = PRIOR,
+    ) -> PlanningProblem:
+        """Make a problem with random candidates and test poses within all limits.
+
+        Args:
+            errors: the parameters, with their tolerances.
+            generator: source of the random numbers.
+            candidates: number of candidates.
+            test_poses: number of test poses.
+            margin: part of each coordinate's range that candidates keep free at either end.
+            instrument: see :class:`PlanningProblem`.
+            eta: see there.
+            min_distance: see there.
+            prior: see there.
+
+        Raises:
+            UnreachablePoseError: hardly any pose was found within the limits.
+            PM3DofError: see :class:`PlanningProblem`.
+        """
+        return cls(
+            errors,
+            reachable_poses(errors.mechanism, candidates, generator, margin=margin),
+            reachable_poses(errors.mechanism, test_poses, generator),
+            instrument=instrument,
+            eta=eta,
+            min_distance=min_distance,
+            prior=prior,
+        )
+
+    @property
+    def sensitivity_map(self) -> ErrorMap:
+        """The error map over the candidates."""
+        return self._map
+
+    def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 3) -> Plan:
+        """Choose poses.
+
+        Args:
+            count: number of poses.
+            strategy: "d-optimal", "tip-optimal", "least-sensitive" or "random".
+            generator: source of the random numbers.
+            restarts: starts of the optimal strategies, the best of which is taken.
+
+        Raises:
+            InvalidValueError: an unknown strategy, or so many candidates far enough from each other do not exist.
+        """
+        chooser: dict[Strategy, Callable[[], Indices]] = {
+            "d-optimal": lambda: self._optimal(count, generator, restarts, _Determinant()),
+            "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
+            "least-sensitive": lambda: self._spread(
+                np.flatnonzero(self._map.least_sensitive(LEAST_SENSITIVE_PART)), count, generator
+            ),
+            "random": lambda: self._spread(np.arange(len(self.candidates)), count, generator),
+        }
+        if strategy not in chooser:
+            raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
+        return self.plan_of(chooser[strategy](), strategy)
+
+    def plan_of(self, indices: ArrayLike, strategy: Strategy) -> Plan:
+        """Return the plan of given candidates.
+
+        Args:
+            indices: which candidates, shape=(n,).
+            strategy: how they were chosen.
+        """
+        chosen = np.sort(np.asarray(indices, dtype=np.intp))
+        return Plan(
+            strategy,
+            chosen,
+            self.candidates[chosen],
+            self.predicted_tip_rms(chosen),
+            identifiability(self.errors.names, self.errors.tolerances, self.regressor[chosen]),
+        )
+
+    def information(self, indices: ArrayLike) -> Array:
+        """Return M of some candidates, in units of the tolerances, shape=(parameters, parameters)."""
+        rows = self.regressor[np.asarray(indices, dtype=np.intp)].reshape(-1, len(self.errors))
+        return np.asarray(self._prior + rows.T @ rows)
+
+    def predicted_tip_rms(self, indices: ArrayLike) -> float:
+        """Return the tip error that is left after measuring some candidates, over the test poses [m].
+
+        Without any it is that of a machine of which nothing but the prior is known.
+        """
+        return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip))))
+
+    def accuracy_curve(
+        self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int], *, restarts: int = 1
+    ) -> Array:
+        """Return the predicted tip error against the number of poses, shape=(number of counts, number of seeds) [m].
+
+        Args:
+            counts: numbers of poses.
+            strategy: see :meth:`plan`.
+            seeds: seeds of the random numbers.
+            restarts: see :meth:`plan`.
+        """
+        every = list(seeds)
+        return np.array(
+            [
+                [
+                    self.plan(count, strategy, np.random.default_rng(seed), restarts=restarts).predicted_tip_rms
+                    for seed in every
+                ]
+                for count in counts
+            ]
+        )
+
+    def _near(self, index: int) -> NDArray[np.bool_]:
+        """Tell which candidates are too near to one, itself among them, shape=(number of candidates,)."""
+        near: NDArray[np.bool_] = np.sum((self._places - self._places[index]) ** 2, axis=1) < self._min_distance**2
+        near[index] = True
+        return near
+
+    def _spread(self, allowed: Indices, count: int, generator: np.random.Generator) -> Indices:
+        """Draw candidates that keep their distance.
+
+        Raises:
+            InvalidValueError: so many could not be found.
+        """
+        most = 0
+        for _ in range(_SHUFFLES):
+            chosen: list[int] = []
+            free = np.zeros(len(self.candidates), dtype=bool)
+            free[allowed] = True
+            for index in generator.permutation(allowed):
+                if len(chosen) == count:
+                    return np.array(chosen, dtype=np.intp)
+                if free[index]:
+                    chosen.append(int(index))
+                    free &= ~self._near(int(index))
+            if len(chosen) == count:
+                return np.array(chosen, dtype=np.intp)
+            most = max(most, len(chosen))
+        raise InvalidValueError(
+            "count", count, f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other"
+        )
+
+    def _optimal(
+        self, count: int, generator: np.random.Generator, restarts: int, *criteria: _Determinant | _TipVariance
+    ) -> Indices:
+        """Exchange poses for better ones until none is, from several random starts, and return the best.
+
+        The last criterion counts. Earlier ones only lead to better starts for the next.
+        """
+        best, best_value = np.empty(0, dtype=np.intp), -np.inf
+        everything = np.arange(len(self.candidates))
+        for _ in range(max(1, restarts)):
+            chosen = self._spread(everything, count, generator)
+            for criterion in criteria:
+                chosen = self._exchanged(chosen, criterion)
+            value = criteria[-1].value(self.information(chosen))
+            if value > best_value:
+                best, best_value = chosen, value
+        return best
+
+    def _exchanged(self, start: Indices, criterion: _Determinant | _TipVariance) -> Indices:
+        chosen = start.copy()
+        near = np.array([self._near(int(index)) for index in chosen])
+        information = self.information(chosen)
+        for _ in range(_MAX_PASSES):
+            swapped = False
+            for place in range(len(chosen)):
+                block = self.regressor[chosen[place]]
+                without = information - block.T @ block
+                gains = criterion.gains(without, self.regressor)
+                others = np.delete(near, place, axis=0).any(axis=0)
+                gains[others] = -np.inf
+                winner = int(np.argmax(gains))
+                if gains[winner] > gains[chosen[place]] + _LEAST_GAIN * abs(gains[chosen[place]]):
+                    chosen[place], near[place] = winner, self._near(winner)
+                    information = without + self.regressor[winner].T @ self.regressor[winner]
+                    swapped = True
+            if not swapped:
+                break
+        return chosen
+
+
+class _Determinant:
+    """log det M."""
+
+    def value(self, information: Array) -> float:
+        return float(np.linalg.slogdet(information)[1])
+
+    def gains(self, information: Array, blocks: Array) -> Array:
+        """What each block would add: log det(1 + A M^-1 A^T)."""
+        return np.asarray(np.linalg.slogdet(_inner(_through_root(information, blocks)[1]))[1])
+
+
+class _TipVariance:
+    """Minus the predicted tip variance, tr(Q M^-1)."""
+
+    def __init__(self, tip: Array) -> None:
+        self._tip = tip
+
+    def value(self, information: Array) -> float:
+        return -float(np.trace(np.linalg.solve(information, self._tip)))
+
+    def gains(self, information: Array, blocks: Array) -> Array:
+        """What each block would take away: tr((1 + A M^-1 A^T)^-1 A M^-1 Q M^-1 A^T)."""
+        root, seen = _through_root(information, blocks)
+        weighted = seen @ (root.T @ self._tip @ root)
+        inner = _inner(seen)
+        return np.asarray(np.einsum("nii->n", np.linalg.solve(inner, weighted @ np.swapaxes(seen, 1, 2))))
+
+
+def _through_root(information: Array, blocks: Array) -> tuple[Array, Array]:
+    """Return U with M^-1 = U U^T, and all A U."""
+    root = np.linalg.inv(np.linalg.cholesky(information)).T
+    return root, (blocks.reshape(-1, blocks.shape[2]) @ root).reshape(blocks.shape)
+
+
+def _inner(seen: Array) -> Array:
+    """Return 1 + A M^-1 A^T of all blocks, given A U."""
+    return np.asarray(np.eye(seen.shape[1]) + seen @ np.swapaxes(seen, 1, 2))

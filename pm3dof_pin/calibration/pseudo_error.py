@@ -1,0 +1,182 @@
+"""The pseudo-error source: all errors of a machine as deviations of its joint variables, Fig. 8.5 of the chapter.
+
+At command u the machine stands where a model of it stands at u + du. du is found by inverting the model's kinematics at
+the pose measured. With fewer drives than a pose has freedoms no du gives the whole pose: the one taken brings the model
+nearest to it in the tip-weighted sense, |translation|^2 + eta^2 |rotation|^2. What is left is what no command corrects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.error_map import best_commands
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identification import measured_residuals, measured_rows
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_weights
+from pm3dof_pin.calibration.reachable_poses import coordinate_ranges
+from pm3dof_pin.calibration.sensitivity import sensitivities
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+_SEEN = 0.02
+"""Deviations that move what is seen by less than this part of the most effective ones count as unseen: they stay 0. On
+the tripod positions of the tool point alone show its height only; both tilts turn it on the spot."""
+
+_INVERSION_STEPS = 3  # each leaves about a thousandth of the error
+
+
+class PseudoErrorModel(Protocol):
+    """What is learned: joint deviations as functions of scaled inputs."""
+
+    def deviations(self, inputs: Array) -> Array:
+        """Return du, shape=(n, number of actuated joints) [m, rad].
+
+        Args:
+            inputs: shape=(n, number of inputs), from :class:`InputScale`.
+        """
+        ...
+
+    def uncertainties(self, inputs: Array) -> Array:
+        """Return the standard deviation of du, shape=(n, number of actuated joints) [m, rad]."""
+        ...
+
+    def as_data(self) -> dict[str, object]:
+        """Return the model as numbers and lists, for JSON."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class InputScale:
+    """Inputs of a learned model: the commands, then temperatures and loads, each scaled to about -1 .. 1.
+
+    Attributes:
+        conditions: names of the columns used beside the commands.
+        centre: shape=(number of inputs,).
+        half_range: shape=(number of inputs,).
+    """
+
+    conditions: tuple[str, ...]
+    centre: Array
+    half_range: Array
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, measurements: Measurements) -> InputScale:
+        """Scale commands by the joints' limits, conditions by what was measured; constant conditions are left out."""
+        lower, upper = coordinate_ranges(mechanism, mechanism.actuated_joints)
+        varied = {name: values for name, values in measurements.conditions.items() if np.ptp(values) > 0.0}
+        least = np.array([*lower, *(values.min() for values in varied.values())])
+        most = np.array([*upper, *(values.max() for values in varied.values())])
+        return cls(tuple(varied), 0.5 * (least + most), 0.5 * (most - least))
+
+    def middle(self) -> dict[str, float]:
+        """Return the middle of each condition's range, by name."""
+        first = len(self.centre) - len(self.conditions)
+        return dict(zip(self.conditions, self.centre[first:].tolist(), strict=True))
+
+    def scaled(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
+        """Return inputs, shape=(n, number of inputs).
+
+        Args:
+            commands: shape=(n, number of actuated joints) [m, rad].
+            conditions: temperatures and loads by name, shape=(n,) or one number each.
+
+        Raises:
+            InvalidValueError: a condition is missing.
+        """
+        columns = [*commands.T]
+        for name in self.conditions:
+            if name not in conditions:
+                raise InvalidValueError("conditions", ", ".join(conditions) or "none", f"{name} among them")
+            columns.append(np.broadcast_to(np.asarray(conditions[name], dtype=float), (len(commands),)))
+        return np.asarray((np.column_stack(columns) - self.centre) / self.half_range)
+
+
+@dataclass(frozen=True, eq=False)
+class PseudoErrors:
+    """Pseudo-errors found from measurements against a model of the machine.
+
+    Attributes:
+        deviations: du, shape=(n, number of actuated joints) [m, rad].
+        covariances: of du, from the measurements' noise, shape=(n, number of actuated joints, same).
+        before: tip-weighted residuals of the model at the commands, shape=(n, 3 or 6) [m].
+        left: those at the deviated commands: what no command corrects, shape=(n, 3 or 6) [m].
+        control: tip-weighted motion of what is seen by the commands, shape=(n, 3 or 6, number of actuated joints).
+    """
+
+    deviations: Array
+    covariances: Array
+    before: Array
+    left: Array
+    control: Array
+
+
+def command_jacobians(poses: ToolPoses) -> Array:
+    """Return how commands move the tool, shape=(n, 6, number of actuated joints)."""
+    return sensitivities(GeometricErrors(poses.mechanism, ()), poses).commands
+
+
+def control_inverse(control: Array) -> Array:
+    """Return the pseudo-inverse of tip-weighted motions by the commands, without directions that are not seen.
+
+    Args:
+        control: shape=(n, 3 or 6, number of actuated joints).
+    """
+    return np.asarray(np.linalg.pinv(control, rcond=_SEEN))
+
+
+def pseudo_errors(measurements: Measurements, model: ToolPoses, eta: float = TIP_LENGTH) -> PseudoErrors:
+    """Find the joint deviations that explain measurements, by inverting a model's kinematics.
+
+    Args:
+        measurements: poses, positions or points.
+        model: poses of the model, nominal or calibrated, at the commands of the measurements.
+        eta: weight of the orientation [m/rad].
+
+    Raises:
+        ConvergenceError: the loops do not close at a deviated command.
+        SingularConfigurationError: at a command the tool can move with all commands held.
+    """
+    mechanism, commands = model.mechanism, measurements.commands
+    weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
+    poses, deviations = model, np.zeros_like(commands)
+    before = measured_residuals(measurements, model) * weights
+    for _ in range(_INVERSION_STEPS):
+        control = measured_rows(measurements, poses, command_jacobians(poses)) * weights[:, None]
+        inverse = control_inverse(control)
+        residuals = measured_residuals(measurements, poses) * weights
+        deviations = deviations + np.einsum("nij,nj->ni", inverse, residuals)
+        poses = forward_poses(mechanism, commands + deviations, poses.q)
+    spread = inverse * (weights * measurements.sigmas)[:, None, :]
+    return PseudoErrors(
+        deviations,
+        spread @ np.swapaxes(spread, 1, 2),
+        before,
+        measured_residuals(measurements, poses) * weights,
+        control,
+    )
+
+
+def nearest_commands(poses: ToolPoses, wanted: Array, eta: float = TIP_LENGTH) -> ToolPoses:
+    """Return the poses of a mechanism that come nearest to wanted ones, in the tip-weighted sense.
+
+    Args:
+        poses: poses of the mechanism near to the wanted ones.
+        wanted: homogeneous transforms, shape=(n, 4, 4).
+        eta: weight of the orientation [m/rad].
+
+    Raises:
+        ConvergenceError: the loops do not close at a command.
+    """
+    for _ in range(_INVERSION_STEPS):
+        steps = best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
+        poses = forward_poses(poses.mechanism, poses.commands + steps, poses.q)
+    return poses

@@ -1,0 +1,295 @@
+"""Which method, with how many poses? A study on simulated machines, richer than any model fitted to them.
+
+For each seed a machine is drawn and measured at random poses; every method is shown the first 6, 9 ... of them and then
+commands the machine to poses that it has not seen: held-out ones all over the workspace, and an outer shell of it. The
+errors there are the machine's own, without measurement noise, beside those with the best possible commands (the floor).
+
+Worlds: everything that :class:`~pm3dof_pin.calibration.worlds.World` knows; the same, measured in the inner half of the
+workspace only; and a machine with geometric errors only, on which a learned correction must do no harm.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
+from pm3dof_pin.calibration.error_map import best_commands
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_error
+from pm3dof_pin.calibration.pseudo_error import command_jacobians
+from pm3dof_pin.calibration.reachable_poses import coordinate_ranges, reachable_poses
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.files import write_text_atomically
+
+Array = NDArray[np.float64]
+StudyWorld = Literal["everything", "inner half", "geometry"]
+STUDY_WORLDS: tuple[StudyWorld, ...] = get_args(StudyWorld)
+TESTS = ("held out", "outer shell")
+NONE, FLOOR = "none", "floor"
+ROWS = (NONE, *METHODS, FLOOR)
+"""What is compared: no correction, the methods, the best possible commands."""
+
+_SHELL = 0.8  # part of the poses inside of the outer shell
+_INNER = 0.5
+_POOL = 10  # candidates for each pose of the shell
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """What a study runs through.
+
+    Attributes:
+        robot: name or path.
+        seeds: one machine each, for each world.
+        counts: numbers of poses measured.
+        worlds: see the module.
+        test_poses: number of held-out poses.
+        shell_poses: number of poses in the outer shell.
+        target_sigma: noise of each coordinate of a tracker's target [m].
+    """
+
+    robot: str = "pm3dof"
+    seeds: tuple[int, ...] = tuple(range(10))
+    counts: tuple[int, ...] = (6, 9, 12, 20, 35, 60, 100)
+    worlds: tuple[StudyWorld, ...] = STUDY_WORLDS
+    test_poses: int = 100
+    shell_poses: int = 60
+    target_sigma: float = 15e-6
+
+    def jobs(self) -> list[tuple[StudyWorld, int]]:
+        """Return all worlds and seeds."""
+        return [(world, seed) for seed in self.seeds for world in self.worlds]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Errors of one machine after one method.
+
+    Attributes:
+        world: where.
+        seed: which machine.
+        count: number of poses measured; 0 for what does not depend on it.
+        method: see :data:`ROWS`.
+        test: see :data:`TESTS`.
+        position: mean, 95th percentile and maximum of the tool point's error [m].
+        angle: the same of the orientation [rad].
+        tip: the same of the tip error [m].
+        excess: root mean square of each joint's distance from the best command [m].
+        noise: tip error that a measurement's noise amounts to, root mean square [m].
+        joint_noise: deviation of each joint that it amounts to, root mean square [m].
+    """
+
+    world: str
+    seed: int
+    count: int
+    method: str
+    test: str
+    position: tuple[float, float, float]
+    angle: tuple[float, float, float]
+    tip: tuple[float, float, float]
+    excess: float
+    noise: float
+    joint_noise: float
+
+
+def run_study(
+    plan: StudyPlan,
+    directory: Path | str,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Record]:
+    """Run a study, or what is left of it: finished worlds and seeds are taken from the folder.
+
+    Args:
+        plan: what to run through.
+        directory: folder for the results of each world and seed. It may hold those of other seeds and worlds, but of
+            one study only.
+        workers: number of processes.
+        progress: called with the number of jobs done and that of all.
+
+    Raises:
+        InvalidValueError: the folder holds another study.
+        OutputError: a file cannot be written.
+        MissingPackageError: scikit-learn is not installed.
+    """
+    folder, jobs = Path(directory), plan.jobs()
+    _claim(folder, plan)
+    missing = [job for job in jobs if not _file(folder, *job).is_file()]
+    report = progress or (lambda done, total: None)
+    report(len(jobs) - len(missing), len(jobs))
+    for done, (job, records) in enumerate(_finished(plan, missing, workers), start=1):
+        text = json.dumps([asdict(record) for record in records], indent=1) + "\n"
+        write_text_atomically(_file(folder, *job), text)
+        report(len(jobs) - len(missing) + done, len(jobs))
+    return [record for job in jobs for record in _read(_file(folder, *job))]
+
+
+def run_job(plan: StudyPlan, world: StudyWorld, seed: int) -> list[Record]:
+    """Measure, calibrate and judge one machine.
+
+    Args:
+        plan: what to run through.
+        world: where.
+        seed: which machine.
+    """
+    generator = np.random.default_rng([seed, int(world == "geometry")])
+    errors = GeometricErrors.load(plan.robot)
+    truth = World.random("geometry" if world == "geometry" else "everything", errors, generator)
+    instrument = Instrument.with_targets(plan.target_sigma)
+    tests = _test_poses(errors, plan, generator)
+    measurements = truth.measure(_training(errors, plan, world, generator), generator, instrument)
+    judges = {test: _Judge(truth, poses, instrument, generator) for test, poses in tests.items()}
+    records = []
+    for test, judge in judges.items():
+        records.append(judge.record(world, seed, 0, NONE, test, judge.poses.commands))
+        records.append(judge.record(world, seed, 0, FLOOR, test, judge.best))
+    for count in plan.counts:
+        for method in METHODS:
+            found = calibrate(measurements[:count], errors, Options(method, seed)).compensation
+            for test, judge in judges.items():
+                commands = found.corrected(judge.poses, judge.conditions)
+                records.append(judge.record(world, seed, count, method, test, commands))
+    return records
+
+
+class _Judge:
+    """Wanted poses in a world, and how well commands reach them.
+
+    The machine is put at the best commands, and moved from there along its Jacobian: over the tenths of a millimetre
+    that commands differ by, the curvature of its motion is worth less than a micrometre.
+    """
+
+    def __init__(self, truth: World, poses: ToolPoses, instrument: Instrument, generator: np.random.Generator) -> None:
+        self.conditions: dict[str, Array | float] = {}
+        surroundings = truth.conditions(len(poses), generator)
+        self.conditions |= surroundings
+        self.poses, self._control = poses, command_jacobians(poses)
+        self._before = pose_difference(poses.transforms, truth.poses(poses.commands, surroundings))
+        self._left, self.best = self._before, poses.commands
+        for _ in range(2):
+            self.best = self.best + best_commands(self._control, self._left)
+            self._left = pose_difference(poses.transforms, truth.poses(self.best, surroundings))
+        sigmas = instrument.sigmas
+        self._noise = float(tip_error(sigmas))
+        weights = np.array([1.0, 1.0, 1.0, TIP_LENGTH, TIP_LENGTH, TIP_LENGTH])
+        spread = np.linalg.pinv(self._control * weights[:, None]) * (weights * sigmas)
+        self._joint_noise = float(np.sqrt(np.mean(np.sum(spread**2, axis=2))))
+
+    def record(self, world: str, seed: int, count: int, method: str, test: str, commands: Array) -> Record:
+        excess = commands - self.best
+        reached = self._left + np.einsum("nij,nj->ni", self._control, excess)
+        differences = self._before if method == NONE else reached
+        return Record(
+            world,
+            seed,
+            count,
+            method,
+            test,
+            _spread(np.linalg.norm(differences[:, :3], axis=1)),
+            _spread(np.linalg.norm(differences[:, 3:], axis=1)),
+            _spread(tip_error(differences)),
+            float(np.sqrt(np.mean(excess**2))),
+            self._noise,
+            self._joint_noise,
+        )
+
+
+def select(records: Iterable[Record], **wanted: Any) -> list[Record]:
+    """Return the records with given attributes."""
+    return [record for record in records if all(getattr(record, name) == value for name, value in wanted.items())]
+
+
+def over_seeds(records: Sequence[Record], quantity: str, index: int | None = None) -> tuple[float, float, float]:
+    """Return mean, least and greatest of a quantity over the seeds.
+
+    Args:
+        records: of one world, count, method and test.
+        quantity: name of an attribute.
+        index: 0 mean, 1 95th percentile, 2 maximum, for quantities that have them.
+    """
+    values = [getattr(record, quantity) for record in records]
+    numbers = np.array(values if index is None else [value[index] for value in values], dtype=float)
+    return float(numbers.mean()), float(numbers.min()), float(numbers.max())
+
+
+def _spread(values: Array) -> tuple[float, float, float]:
+    return float(values.mean()), float(np.percentile(values, 95.0)), float(values.max())
+
+
+def _test_poses(errors: GeometricErrors, plan: StudyPlan, generator: np.random.Generator) -> dict[str, ToolPoses]:
+    mechanism = errors.mechanism
+    everywhere = reachable_poses(mechanism, plan.test_poses, generator)
+    pool = reachable_poses(mechanism, _POOL * plan.shell_poses, generator)
+    distances = _distances(pool)
+    shell = np.flatnonzero(distances >= np.quantile(distances, _SHELL))[: plan.shell_poses]
+    return dict(zip(TESTS, (everywhere, pool[shell]), strict=True))
+
+
+def _training(errors: GeometricErrors, plan: StudyPlan, world: str, generator: np.random.Generator) -> Array:
+    count = max(plan.counts)
+    if world != "inner half":
+        return reachable_poses(errors.mechanism, count, generator).commands
+    pool = reachable_poses(errors.mechanism, 4 * count, generator)
+    distances = _distances(pool)
+    return pool.commands[np.flatnonzero(distances <= np.quantile(distances, _INNER))[:count]]
+
+
+def _distances(poses: ToolPoses) -> Array:
+    """Return how far poses are from the middle of the workspace: root mean square over the motions' ranges."""
+    mechanism = poses.mechanism
+    joints = mechanism.motion_coordinates or mechanism.actuated_joints
+    lower, upper = coordinate_ranges(mechanism, joints)
+    middle = 0.5 * (lower + upper)
+    return np.asarray(np.sqrt(np.mean(((poses.coordinates(joints) - middle) / (upper - lower)) ** 2, axis=1)))
+
+
+def _claim(folder: Path, plan: StudyPlan) -> None:
+    """Write down which study the folder is for, or check it."""
+    wanted = {name: value for name, value in asdict(plan).items() if name not in ("seeds", "worlds")}
+    path = folder / "study.json"
+    if not path.is_file():
+        write_text_atomically(path, json.dumps(wanted, indent=1) + "\n")
+        return
+    found = json.loads(path.read_text(encoding="utf-8"))
+    if found != json.loads(json.dumps(wanted)):
+        raise InvalidValueError("study", wanted, f"{found}, which {folder} holds; or another folder")
+
+
+def _file(folder: Path, world: str, seed: int) -> Path:
+    return folder / f"{world.replace(' ', '_')}_{seed:03d}.json"
+
+
+def _finished(
+    plan: StudyPlan, jobs: Sequence[tuple[StudyWorld, int]], workers: int
+) -> Iterator[tuple[tuple[StudyWorld, int], list[Record]]]:
+    if workers == 1:
+        for job in jobs:
+            yield job, run_job(plan, *job)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(run_job, plan, *job): job for job in jobs}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+
+
+def _read(path: Path) -> list[Record]:
+    entries: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    spreads = ("position", "angle", "tip")
+    records = []
+    for entry in entries:
+        entry |= {name: tuple(entry[name]) for name in spreads}
+        records.append(Record(**entry))
+    return records

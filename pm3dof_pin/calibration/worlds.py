@@ -1,0 +1,115 @@
+"""Simulated worlds: a machine with its errors, its surroundings and an instrument, to measure in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.measurements import Measurements, command_units
+from pm3dof_pin.calibration.simulated_machine import Conditions, SimulatedMachine
+from pm3dof_pin.exceptions import InvalidValueError
+
+Array = NDArray[np.float64]
+WorldName = Literal["everything", "geometry"]
+WORLDS: tuple[WorldName, ...] = get_args(WorldName)
+
+TEMPERATURE = "temperature_screws_K"
+"""Column of the screws' temperature rise."""
+
+_WARMEST = 8.0
+_LINKS_SHARE = 0.5  # of the screws' temperature rise
+_VIBRATION = (2e-6, 1e-5)  # m, rad
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A machine and its surroundings.
+
+    Attributes:
+        machine: the machine.
+        warmest: screws are between 0 and so much warmer than when the machine was as described; known to those who
+            measure [K].
+    """
+
+    machine: SimulatedMachine
+    warmest: float
+
+    @classmethod
+    def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
+        """Draw a world.
+
+        Args:
+            name: "everything": all six freedoms of all joints and frames are wrong, drives are wavy, screws and links
+                warm up, bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only
+                for machines all of whose drives slide. "geometry": only the listed parameters are wrong.
+            errors: the parameters that are to be identified, with their tolerances.
+            generator: source of the random numbers.
+
+        Raises:
+            InvalidValueError: there is no such world.
+        """
+        if name not in WORLDS:
+            raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
+        if name == "geometry":
+            return cls(SimulatedMachine.random(errors, generator, everything=False), 0.0)
+        machine = SimulatedMachine.random(errors, generator)
+        mechanism = errors.mechanism
+        position, angle = _VIBRATION
+        machine = replace(machine, vibration=Vibration(np.diag(np.repeat([position, angle], 3) ** 2)))
+        if mechanism.springs:
+            machine = replace(machine, elastic=ElasticDeflection())
+        if set(command_units(mechanism)) != {"m"}:
+            return cls(machine, 0.0)
+        links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures}
+        machine = replace(
+            machine,
+            waviness=GuideWaviness.random(len(mechanism.actuated_joints), generator),
+            thermal=ThermalGrowth.from_command_zeros(errors, links),
+        )
+        return cls(machine, _WARMEST)
+
+    def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
+        """Draw the temperatures of some moments, by the name of their column, shape=(count,) each."""
+        return {TEMPERATURE: generator.uniform(0.0, self.warmest, count)} if self.warmest else {}
+
+    def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
+        """Return where the tool really is, shape=(n, 4, 4).
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            conditions: see :meth:`conditions`.
+
+        Raises:
+            ConvergenceError: the loops do not close at a command.
+        """
+        return self.machine.poses(commands, self._surroundings(commands, conditions))
+
+    def measure(
+        self, commands: Array, generator: np.random.Generator, instrument: Instrument | None = None
+    ) -> Measurements:
+        """Measure the machine at commands, each at its own temperature.
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            generator: source of the random numbers.
+            instrument: what it is measured with.
+
+        Raises:
+            ConvergenceError: the loops do not close at a command.
+        """
+        conditions = self.conditions(len(commands), generator)
+        surroundings = self._surroundings(commands, conditions)
+        seen = self.machine.measure(commands, generator, surroundings, instrument)
+        return replace(Measurements.of_poses(commands, seen, instrument), conditions=conditions)
+
+    def _surroundings(self, commands: Array, conditions: Mapping[str, Array]) -> Conditions:
+        if TEMPERATURE not in conditions:
+            return Conditions()
+        return Conditions(np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1))
