@@ -1,0 +1,139 @@
+"""`pm3dof calibrate`."""
+
+from __future__ import annotations
+
+import logging
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
+    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.calibration.measurements import Measurements
+    from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
+
+
+class MethodName(StrEnum):
+    """How a machine is calibrated."""
+
+    LM = "lm"
+    NN = "nn"
+    GP = "gp"
+    LM_NN = "lm+nn"
+    LM_GP = "lm+gp"
+
+
+class LossName(StrEnum):
+    """What residuals cost in the identification."""
+
+    SQUARES = "squares"
+    HUBER = "huber"
+    TUKEY = "tukey"
+
+
+def calibrate(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
+    out: Annotated[Path, typer.Option(help="Folder to write; an older calibration there is replaced.")],
+    method: Annotated[
+        MethodName,
+        typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
+    ] = MethodName.LM_GP,
+    robot: Annotated[
+        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
+    ] = "pm3dof",
+    eta: Annotated[float, typer.Option(help="Weight of the orientation in the tip error [m/rad].")] = 0.1,
+    prior: Annotated[
+        float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
+    ] = 3.0,
+    loss: Annotated[LossName, typer.Option(help="Robustness of the identification.")] = LossName.TUKEY,
+    seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
+    from pm3dof_pin.calibration.calibrate import Options
+    from pm3dof_pin.calibration.calibrate import calibrate as calibrated
+    from pm3dof_pin.calibration.measurements import read_measurements
+    from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
+    from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.figures.calibration_report import report_as_html
+
+    with _warnings_as_messages():
+        errors = _parameters(robot)
+        measurements = read_measurements(file, errors)
+        with progress_bar("calibrating") as progress:
+            calibration = calibrated(measurements, errors, Options(method.value, seed, eta, prior, loss.value))
+            progress(1, 4)
+            held_out = _held_out(calibration)
+            progress(2, 4)
+            maps = _maps(calibration)
+            progress(3, 4)
+            name = find_robot(robot).urdf.stem
+            folder = write_calibration(
+                calibration, robot, out, held_out, report_as_html(calibration, name, held_out, maps)
+            )
+            progress(4, 4)
+    summary = summary_of(calibration, name, held_out)
+    print_result({"directory": str(folder)} | summary, _lines(summary, measurements), as_json=as_json)
+    message(f"wrote {folder}, report in {folder / REPORT}")
+
+
+class _warnings_as_messages:  # noqa: N801 - used like a function
+    """Warnings of the calibration become lines on standard error."""
+
+    def __enter__(self) -> None:
+        self._handler = logging.StreamHandler()
+        self._handler.setFormatter(logging.Formatter("pm3dof: warning: %(message)s"))
+        logging.getLogger("pm3dof_pin.calibration").addHandler(self._handler)
+
+    def __exit__(self, *_: object) -> None:
+        logging.getLogger("pm3dof_pin.calibration").removeHandler(self._handler)
+
+
+def _parameters(robot: str) -> GeometricErrors:
+    """Load the robot with the error parameters with which its loops close."""
+    import numpy as np
+
+    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.calibration.reachable_poses import reachable_poses
+    from pm3dof_pin.calibration.sensitivity import closable
+
+    errors = GeometricErrors.load(robot)
+    return closable(errors, reachable_poses(errors.mechanism, 20, np.random.default_rng(0)))
+
+
+def _held_out(calibration: Calibration) -> HeldOut | None:
+    from pm3dof_pin.calibration.calibrate import LEAST_POSES, held_out_errors
+
+    trusted = len(calibration.measurements) - len(calibration.identification.outliers)
+    return held_out_errors(calibration) if trusted > LEAST_POSES + 1 else None
+
+
+def _maps(calibration: Calibration) -> WorkspaceErrors | None:
+    from pm3dof_pin.calibration.workspace_errors import workspace_errors
+
+    if len(calibration.compensation.errors.mechanism.motion_coordinates) < 2:
+        return None
+    return workspace_errors(calibration)
+
+
+def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:
+    lines = [f"{len(measurements)} measurements, method {summary['method']}"]
+    held_out = summary.get("held_out")
+    if held_out is None:
+        return [*lines, "too few measurements for a cross-validation"]
+    names = {
+        "tip_error_before_m": "as described",
+        "tip_error_after_m": "corrected",
+        "tip_error_floor_m": "best commands (floor)",
+        "tip_noise_m": "measurement noise",
+        "excess_joint_error": "corrected minus best commands",
+    }
+    rows = [[text, *(f"{1e6 * number:.1f}" for number in held_out[key].values())] for key, text in names.items()]
+    return [*lines, *table_lines(["held-out poses, tip error [um]", "mean", "95 %", "max"], rows)]

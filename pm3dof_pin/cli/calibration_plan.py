@@ -1,0 +1,140 @@
+"""`pm3dof calibration-plan`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from pm3dof_pin.calibration.planning import Plan, PlanningProblem
+
+SEEDS = range(10)
+COUNTS = (3, 6, 9, 12, 20, 40, 60)
+
+
+class StrategyName(StrEnum):
+    """How poses are chosen."""
+
+    D_OPTIMAL = "d-optimal"
+    TIP_OPTIMAL = "tip-optimal"
+    LEAST_SENSITIVE = "least-sensitive"
+    RANDOM = "random"
+
+
+def calibration_plan(
+    poses: Annotated[int, typer.Option(min=1, help="Number of poses to measure.")] = 9,
+    out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/plan.csv"),
+    strategy: Annotated[
+        StrategyName,
+        typer.Option(
+            help="least-sensitive is the chapter's rule; d-optimal and tip-optimal exchange poses for better."
+        ),
+    ] = StrategyName.D_OPTIMAL,
+    robot: Annotated[
+        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
+    ] = "pm3dof",
+    positions: Annotated[
+        bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
+    ] = False,
+    candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
+    margin: Annotated[
+        float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
+    ] = 0.0,
+    prior: Annotated[
+        float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
+    ] = 3.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers: the same seed, the same plan.")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (PNG).")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
+    import numpy as np
+
+    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.calibration.identifiability import minimum_poses
+    from pm3dof_pin.calibration.instrument import Instrument
+    from pm3dof_pin.calibration.plan_file import write_plan
+    from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
+    from pm3dof_pin.calibration.reachable_poses import reachable_poses
+    from pm3dof_pin.calibration.sensitivity import closable
+
+    errors = GeometricErrors.load(robot)
+    generator = np.random.default_rng(seed)
+    with progress_bar("planning") as progress:
+        choices = reachable_poses(errors.mechanism, candidates, generator, margin=margin)
+        tests = reachable_poses(errors.mechanism, min(candidates, 300), generator)
+        instrument = Instrument("position" if positions else "pose")
+        problem = PlanningProblem(closable(errors, choices[:20]), choices, tests, instrument=instrument, prior=prior)
+        progress(1, 3)
+        plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
+        progress(2, 3)
+        others = {
+            name: plan.predicted_tip_rms
+            if name == plan.strategy
+            else float(problem.accuracy_curve([poses], name, SEEDS if "optimal" not in name else [seed]).mean())
+            for name in STRATEGIES
+        }
+        files = [write_plan(errors, plan, out)]
+        minimum = minimum_poses(problem.regressor[: 2 * len(errors)])
+        if picture is not None:
+            files.append(_draw(problem, minimum, picture))
+    result = _result(problem, plan, minimum, others) | {"files": [str(file) for file in files]}
+    print_result(result, _lines(result), as_json=as_json)
+    for file in files:
+        message(f"wrote {file}")
+
+
+def _draw(problem: PlanningProblem, minimum: int, path: Path) -> Path:
+    from pm3dof_pin.calibration.planning import STRATEGIES
+    from pm3dof_pin.figures.plan_accuracy import plan_accuracy
+    from pm3dof_pin.figures.style import save_figure
+
+    seeds = {name: [0] if "optimal" in name else list(SEEDS) for name in STRATEGIES}
+    curves = {name: problem.accuracy_curve(COUNTS, name, seeds[name]) for name in STRATEGIES}
+    return save_figure(plan_accuracy(COUNTS, curves, minimum), path)
+
+
+def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[Any, float]) -> dict[str, Any]:
+    known = plan.identifiability
+    return {
+        "robot": problem.errors.mechanism.name,
+        "strategy": plan.strategy,
+        "poses": len(plan.indices),
+        "commands": plan.poses.commands + problem.errors.command_offsets,
+        "predicted_tip_rms_m": plan.predicted_tip_rms,
+        "tip_rms_before_m": problem.predicted_tip_rms([]),
+        "predicted_tip_rms_by_strategy_m": predicted,
+        "parameters": len(problem.errors),
+        "identifiable": known.rank,
+        "rank_gap": known.decision.gap,
+        "better_known_than_tolerances": known.better_than_tolerance,
+        "not_identifiable": known.unidentifiable,
+        "least_number_of_poses": minimum,
+        "observability": plan.observability.__dict__,
+    }
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    hidden = result["not_identifiable"]
+    observability = ", ".join(f"{name} = {value:.3g}" for name, value in result["observability"].items())
+    rows = [[name, f"{1e6 * value:.1f}"] for name, value in result["predicted_tip_rms_by_strategy_m"].items()]
+    return [
+        f"{result['robot']}: {result['poses']} poses, {result['strategy']}",
+        f"{result['identifiable']} of {result['parameters']} parameters identified, "
+        f"{result['better_known_than_tolerances']} combinations better than their tolerances; "
+        f"at least {result['least_number_of_poses']} poses identify all that can be",
+        f"not identified: {'; '.join(hidden[:3]) or 'nothing'}{f'; {len(hidden) - 3} more' if len(hidden) > 3 else ''}",
+        f"observability {observability}",
+        f"before any measurement the tip is known to {1e6 * result['tip_rms_before_m']:.1f} µm, rms",
+        "",
+        *table_lines([f"after {result['poses']} poses", "tip error, rms [µm]"], rows),
+    ]

@@ -1,0 +1,89 @@
+"""`pm3dof ik` and `pm3dof fk`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pm3dof_pin.cli.options import Config, Height, Json, ThetaX, ThetaY, load_tripod, pose_of
+from pm3dof_pin.cli.output import print_result, stop_on_broken_limits, table_lines
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Travels = Annotated[list[float], typer.Argument(metavar="U1 U2 U3", help="Slider travels of the legs [m].")]
+
+
+def ik(theta_x: ThetaX, theta_y: ThetaY, z_e: Height, as_json: Json = False, config: Config = None) -> None:
+    """Slider travels for a pose of the platform (inverse kinematics): angles in degrees, lengths in metres.
+
+    Legs in their order in the description (the chapter's: at -30, 90, -150 degrees). A pose that breaks a joint limit
+    is still answered, with a message and exit status 1.
+    """
+    from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
+    from pm3dof_pin.tripod.limits import limit_violations
+
+    tripod = load_tripod(config)
+    pose = pose_of(theta_x, theta_y, z_e)
+    u = inverse_kinematics(tripod, pose)
+    angles = passive_joint_angles(tripod, pose)
+    violations = limit_violations(tripod, pose)
+    result = {
+        "u_m": u,
+        "within_limits": not violations,
+        "violated": [violation.joint for violation in violations],
+        "universal_first_rad": angles[:, 0],
+        "universal_second_rad": angles[:, 1],
+        "spherical_swing_rad": angles[:, 2],
+    }
+    rows = [
+        [str(leg + 1), f"{u[leg]:.9f}", *(f"{math.degrees(angle):.3f}" for angle in angles[leg])]
+        for leg in range(tripod.leg_count)
+    ]
+    header = ["leg", "u [m]", "universal 1 [deg]", "universal 2 [deg]", "spherical [deg]"]
+    print_result(result, table_lines(header, rows), as_json=as_json)
+    stop_on_broken_limits(violations)
+
+
+def fk(
+    u: Travels,
+    as_json: Json = False,
+    all_modes: Annotated[bool, typer.Option("--all", help="Every assembly mode, not only the machine's own.")] = False,
+    config: Config = None,
+) -> None:
+    """Pose of the platform for slider travels in metres (direct kinematics).
+
+    Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
+    message and exit status 1.
+    """
+    import numpy as np
+
+    from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics, newton
+    from pm3dof_pin.tripod.kinematics import assembly_mode_of
+    from pm3dof_pin.tripod.limits import limit_violations
+
+    tripod = load_tripod(config)
+    if len(u) != tripod.leg_count or not np.all(np.isfinite(u)):
+        raise typer.BadParameter(f"expected {tripod.leg_count} finite slider travels in metres, got {u}")
+    pose = direct_kinematics(tripod, u)
+    violations = limit_violations(tripod, pose, assembly_mode=assembly_mode_of(tripod, pose, u))
+    result = _pose_result(pose, float(newton(tripod, u, pose).residual))
+    result |= {"within_limits": not violations, "violated": [violation.joint for violation in violations]}
+    poses = [pose]
+    if all_modes:
+        poses = list(all_assembly_modes(tripod, u))
+        residuals = newton(tripod, u, np.array(poses)).residual
+        result["assembly_modes"] = [
+            _pose_result(mode, float(left)) for mode, left in zip(poses, residuals, strict=True)
+        ]
+    rows = [[f"{math.degrees(x):.9f}", f"{math.degrees(y):.9f}", f"{z:.12f}"] for x, y, z in poses]
+    print_result(result, table_lines(["theta_x [deg]", "theta_y [deg]", "z_e [m]"], rows), as_json=as_json)
+    stop_on_broken_limits(violations)
+
+
+def _pose_result(pose: NDArray[np.float64], residual: float) -> dict[str, Any]:
+    theta_x, theta_y, z_e = pose
+    return {"theta_x_rad": theta_x, "theta_y_rad": theta_y, "z_e_m": z_e, "residual_m": residual}

@@ -1,0 +1,65 @@
+"""`pm3dof measure`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.output import message, print_result
+
+
+class WorldName(StrEnum):
+    """What is wrong with the simulated machine."""
+
+    EVERYTHING = "everything"
+    GEOMETRY = "geometry"
+
+
+def measure(
+    out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/measurements.csv"),
+    poses: Annotated[int, typer.Option(min=1, help="Number of random poses within all joint limits.")] = 60,
+    plan: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Commands to measure at instead, of `calibration-plan`.")
+    ] = None,
+    world: Annotated[
+        WorldName,
+        typer.Option(help="geometry: only the parameters of the error file are wrong; everything: much more."),
+    ] = WorldName.EVERYTHING,
+    machine: Annotated[int, typer.Option(min=0, help="Seed of the machine: the same number, the same machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
+    noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
+    positions: Annotated[bool, typer.Option("--positions", help="See positions only, not whole poses.")] = False,
+    robot: Annotated[
+        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
+    ] = "pm3dof",
+    as_json: Json = False,
+) -> None:
+    """Simulate the measurements of a machine with errors, into the file that `calibrate` reads. Lengths in metres."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.calibration.instrument import Instrument
+    from pm3dof_pin.calibration.measurements import read_commands, write_measurements
+    from pm3dof_pin.calibration.reachable_poses import reachable_poses
+    from pm3dof_pin.calibration.sensitivity import closable
+    from pm3dof_pin.calibration.worlds import World
+
+    errors = GeometricErrors.load(robot)
+    generator = np.random.default_rng(seed)
+    sample = reachable_poses(errors.mechanism, poses, generator)
+    commands = sample.commands if plan is None else read_commands(plan, errors)
+    truth = World.random(world.value, closable(errors, sample[:20]), np.random.default_rng(machine))
+    instrument = Instrument.with_targets(noise)
+    if positions:
+        instrument = replace(instrument, measured="position")
+    measurements = truth.measure(commands, generator, instrument)
+    path = write_measurements(measurements, errors, out)
+    result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
+    print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world.value}'"], as_json=as_json)
+    message(f"wrote {path}")

@@ -1,0 +1,90 @@
+"""`pm3dof modes`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pm3dof_pin.cli.options import (
+    Json,
+    NamedConfiguration,
+    OptionalHeight,
+    OptionalThetaX,
+    OptionalThetaY,
+    Payload,
+    Robot,
+    Target,
+    payloads_of,
+)
+from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.stiffness import AXES
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pm3dof_pin.dynamics import Modes
+
+
+def modes(
+    theta_x: OptionalThetaX = None,
+    theta_y: OptionalThetaY = None,
+    z_e: OptionalHeight = None,
+    count: Annotated[int, typer.Option(min=1, help="Number of modes, from the lowest on.")] = 6,
+    payload: Payload = 0.0,
+    robot: Robot = None,
+    configuration: NamedConfiguration = None,
+    as_json: Json = False,
+) -> None:
+    """Natural frequencies and mode shapes at a pose: angles in degrees, height in metres.
+
+    A mode's shape is the twist of the tool, and with --json the motion of every joint, at unit modal mass: in m and rad
+    per square root of kg m^2 / kg. Modes with all springs at rest, of frequency zero, are listed apart. A pose that
+    breaks a joint limit is still answered, with a message and exit status 1.
+    """
+    from pm3dof_pin.dynamics import natural_modes
+    from pm3dof_pin.elastic.elastic_model import ElasticModel
+
+    target = Target.of(theta_x, theta_y, z_e, robot, configuration)
+    model = ElasticModel.load(target.robot)
+    where = target.configuration(model.rigid)
+    found = natural_modes(model, where, count=count, payloads=payloads_of(model.rigid, payload))
+    broken = target.broken_limits(where)
+    result = {"robot": model.rigid.name, "payload_kg": payload, "within_limits": not broken} | _result(found)
+    print_result(result, _lines(result), as_json=as_json)
+    stop_on_broken_limits(broken)
+
+
+def _result(found: Modes) -> dict[str, Any]:
+    return {
+        "frequency_Hz": found.frequencies,
+        "tool_twists": list(found.twists.T),
+        "joint_motions": [_by_joint(found, shape) for shape in found.shapes.T],
+        "free_tool_twists": list(found.free_twists.T),
+        "free_joint_motions": [_by_joint(found, motion) for motion in found.free_motions.T],
+        "modes_without_mass": found.without_mass,
+    }
+
+
+def _by_joint(found: Modes, velocity: NDArray[np.float64]) -> dict[str, Any]:
+    """Name the entries of a velocity: a number for a joint with one freedom, a list for one with several."""
+    model = found.configuration.mechanism.model
+    joints = list(zip(model.names, model.joints, strict=True))[1:]
+    return {
+        name: velocity[joint.idx_v] if joint.nv == 1 else velocity[joint.idx_v : joint.idx_v + joint.nv]
+        for name, joint in joints
+    }
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    shapes = zip(result["frequency_Hz"], result["tool_twists"], strict=True)
+    rows = [
+        [str(mode + 1), f"{frequency:.4f}", *(fixed(entry, 4) for entry in twist)]
+        for mode, (frequency, twist) in enumerate(shapes)
+    ]
+    rows += [["free", "0", *(fixed(entry, 4) for entry in twist)] for twist in result["free_tool_twists"]]
+    lines = table_lines(["mode", "frequency [Hz]", *AXES], rows)
+    if result["modes_without_mass"]:
+        lines.append(f"motions that strain springs and move no mass: {result['modes_without_mass']}")
+    return lines

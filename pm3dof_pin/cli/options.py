@@ -1,0 +1,138 @@
+"""Arguments and options that several subcommands share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pm3dof_pin.mechanism import Configuration, Mechanism
+    from pm3dof_pin.tripod.tripod import Tripod
+
+THE_TRIPOD = "pm3dof"
+
+
+def _finite(number: float | None) -> float | None:
+    if number is not None and not math.isfinite(number):
+        raise typer.BadParameter(f"{number} is not a finite number")
+    return number
+
+
+ThetaX = Annotated[float, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", callback=_finite)]
+ThetaY = Annotated[float, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", callback=_finite)]
+Height = Annotated[float, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", callback=_finite)]
+OptionalThetaX = Annotated[
+    float | None, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", callback=_finite)
+]
+OptionalThetaY = Annotated[
+    float | None, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", callback=_finite)
+]
+OptionalHeight = Annotated[
+    float | None, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", callback=_finite)
+]
+Robot = Annotated[
+    str | None,
+    typer.Option("--robot", metavar="NAME|URDF", help="Another robot, by name or by the path of its URDF."),
+]
+NamedConfiguration = Annotated[
+    str | None,
+    typer.Option("--configuration", metavar="NAME", help="A named configuration of the robot; home by default."),
+]
+Payload = Annotated[float, typer.Option(min=0.0, metavar="KG", help="A mass at the tool point [kg].", callback=_finite)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Parameters of another tripod (YAML); the chapter's by default."),
+]
+
+
+def load_tripod(config: Path | None) -> Tripod:
+    """Load the tripod of `--config`, or the chapter's."""
+    from pm3dof_pin.tripod.tripod import Tripod
+
+    return Tripod.load(config)
+
+
+def pose_of(theta_x_deg: float, theta_y_deg: float, z_e: float) -> NDArray[np.float64]:
+    """Return the pose (theta_x, theta_y, z_e) in radians and metres, shape=(3,)."""
+    import numpy as np
+
+    return np.array([math.radians(theta_x_deg), math.radians(theta_y_deg), z_e])
+
+
+def payloads_of(mechanism: Mechanism, payload: float) -> dict[str, float]:
+    """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
+    return {mechanism.model.frames[mechanism.tool_frame_id].name: payload} if payload else {}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Which robot, and where: at the pose TX TY Z of the tripod, or in a named configuration of any robot.
+
+    Attributes:
+        robot: name, or the path of a URDF.
+        pose: theta_x, theta_y [deg], z_e [m], or None.
+        name: name of the configuration; None for home, or if there is a pose.
+    """
+
+    robot: str
+    pose: tuple[float, float, float] | None
+    name: str | None
+
+    @classmethod
+    def of(
+        cls,
+        theta_x: float | None,
+        theta_y: float | None,
+        z_e: float | None,
+        robot: str | None,
+        configuration: str | None,
+    ) -> Target:
+        """Check the arguments and options against each other."""
+        if theta_x is None or theta_y is None or z_e is None:
+            if theta_x is not None:
+                raise typer.BadParameter("expected all of TX TY Z, or none of them with --robot or --configuration")
+            if robot is None and configuration is None:
+                raise typer.BadParameter("expected TX TY Z, or --robot or --configuration")
+            return cls(robot or THE_TRIPOD, None, configuration)
+        if configuration is not None or robot not in (None, THE_TRIPOD):
+            raise typer.BadParameter(
+                f"TX TY Z is a pose of {THE_TRIPOD}: expected either it, or --robot and --configuration"
+            )
+        return cls(THE_TRIPOD, (theta_x, theta_y, z_e), None)
+
+    def configuration(self, mechanism: Mechanism) -> Configuration:
+        """Find the assembled configuration of the robot, once it is loaded."""
+        from pm3dof_pin.exceptions import InvalidValueError
+
+        if self.pose is not None:
+            from pm3dof_pin.tripod.kinematics import joint_positions
+
+            positions = joint_positions(load_tripod(None), pose_of(*self.pose))
+            return mechanism.configuration(mechanism.held_positions(mechanism.home.q, positions)[0])
+        named = mechanism.named_configurations
+        if self.name is None:
+            return mechanism.assemble(mechanism.home)
+        if self.name not in named:
+            raise InvalidValueError(
+                "--configuration", self.name, f"one of {', '.join(named) or 'none, there are none'}"
+            )
+        return mechanism.assemble(named[self.name])
+
+    def broken_limits(self, configuration: Configuration) -> list[str]:
+        """Say which joint limits are broken, a line for each."""
+        if self.pose is not None:
+            from pm3dof_pin.tripod.limits import limit_violations
+
+            return [str(violation) for violation in limit_violations(load_tripod(None), pose_of(*self.pose))]
+        return [
+            f"{broken.name} at {broken.value:.5g}, outside {broken.lower:.5g} .. {broken.upper:.5g} [m, rad]"
+            for broken in configuration.violated_limits()
+        ]

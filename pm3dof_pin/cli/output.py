@@ -1,0 +1,62 @@
+"""What the subcommands print: results to standard output, messages to standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import typer
+
+LIMIT_BROKEN = 1
+
+
+def print_result(result: Mapping[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
+    """Print a result once, as a JSON object or as lines for a person."""
+    if as_json:
+        typer.echo(json.dumps(_plain(result), indent=2, allow_nan=False))
+    else:
+        typer.echo("\n".join(lines))
+
+
+def message(text: str) -> None:
+    """Print a message to standard error."""
+    typer.echo(text, err=True)
+
+
+def table_lines(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lay out a table: the first column to the left, the others to the right."""
+    widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        )
+        for row in [header, *rows]
+    ]
+
+
+def fixed(number: float, digits: int) -> str:
+    """Write a number with so many digits after the point, and no sign on a zero."""
+    return f"{round(float(number), digits) + 0.0:.{digits}f}"
+
+
+def stop_on_broken_limits(violations: Sequence[object]) -> None:
+    """Name every broken limit on standard error, a line each, and leave with status 1, if there are any."""
+    for violation in violations:
+        message(f"pm3dof: joint limit broken: {violation}")
+    if violations:
+        raise typer.Exit(LIMIT_BROKEN)
+
+
+def _plain(value: Any) -> Any:
+    """Turn arrays and NumPy numbers into lists and numbers; what is not finite becomes null, as JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

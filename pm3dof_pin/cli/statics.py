@@ -1,0 +1,105 @@
+"""`pm3dof statics`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pm3dof_pin.cli.options import (
+    Json,
+    NamedConfiguration,
+    OptionalHeight,
+    OptionalThetaX,
+    OptionalThetaY,
+    Payload,
+    Robot,
+    Target,
+    payloads_of,
+)
+from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
+
+if TYPE_CHECKING:
+    from pm3dof_pin.dynamics import ActuatorForces
+    from pm3dof_pin.mechanism import Mechanism
+
+
+def statics(
+    theta_x: OptionalThetaX = None,
+    theta_y: OptionalThetaY = None,
+    z_e: OptionalHeight = None,
+    payload: Payload = 0.0,
+    robot: Robot = None,
+    configuration: NamedConfiguration = None,
+    as_json: Json = False,
+) -> None:
+    """Holding forces of the actuators against gravity, at a pose: angles in degrees, height in metres.
+
+    Positive as the joints' coordinates: up the guideways. The force in each loop closure is that on its second frame,
+    in the axes of its first one: for the legs, that of a link on the platform, z along the link. A pose that breaks a
+    joint limit is still answered, with a message and exit status 1.
+    """
+    from pm3dof_pin.dynamics import holding_forces
+    from pm3dof_pin.mechanism import Mechanism
+
+    target = Target.of(theta_x, theta_y, z_e, robot, configuration)
+    mechanism = Mechanism.load(target.robot)
+    where = target.configuration(mechanism)
+    forces = holding_forces(where, payloads=payloads_of(mechanism, payload))
+    broken = target.broken_limits(where)
+    result = {"robot": mechanism.name, "payload_kg": payload, "within_limits": not broken}
+    result |= _result(mechanism, forces)
+    print_result(result, _lines(result), as_json=as_json)
+    stop_on_broken_limits(broken)
+
+
+def _result(mechanism: Mechanism, forces: ActuatorForces) -> dict[str, Any]:
+    slides = [
+        mechanism.model.joints[mechanism.model.getJointId(name)].shortname().startswith("JointModelP")
+        for name in mechanism.actuated_joints
+    ]
+    numbers = list(zip(forces.actuator_forces, slides, strict=True))
+    wrenches = [forces.closure_forces[rows] for rows in mechanism.loop_kinematics.rows]
+    result: dict[str, Any] = {
+        "actuated_joints": mechanism.actuated_joints,
+        "force_N": [number if slide else None for number, slide in numbers],
+    }
+    if not all(slides):
+        result["torque_N_m"] = [None if slide else number for number, slide in numbers]
+    result["closures"] = [f"{closure.frame_a}-{closure.frame_b}" for closure in mechanism.closures]
+    result["closure_force_N"] = [wrench[:3] for wrench in wrenches]
+    if any(closure.type == "6d" for closure in mechanism.closures):
+        result["closure_moment_N_m"] = [wrench[3:] if len(wrench) == 6 else None for wrench in wrenches]
+    return result | {
+        "residual_N": forces.residual,
+        "actuator_forces_unique": forces.actuator_forces_unique,
+        "closure_forces_unique": forces.closure_forces_unique,
+    }
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    torques = result.get("torque_N_m", result["force_N"])
+    rows = [
+        [name, fixed(torque if force is None else force, 9), "N m" if force is None else "N"]
+        for name, force, torque in zip(result["actuated_joints"], result["force_N"], torques, strict=True)
+    ]
+    lines = table_lines(["actuated joint", "holding force", ""], rows)
+    if not result["actuator_forces_unique"]:
+        lines.append("more actuators than freedoms: these are the least forces that hold")
+    if result["closures"]:
+        lines += ["", *_closure_lines(result)]
+    return [*lines, "", f"residual {result['residual_N']:.1e} N"]
+
+
+def _closure_lines(result: dict[str, Any]) -> list[str]:
+    header = ["loop closure", "f_x [N]", "f_y [N]", "f_z [N]"]
+    rows = [
+        [name, *(fixed(number, 6) for number in force)]
+        for name, force in zip(result["closures"], result["closure_force_N"], strict=True)
+    ]
+    if "closure_moment_N_m" in result:
+        header += ["m_x [N m]", "m_y [N m]", "m_z [N m]"]
+        for row, moment in zip(rows, result["closure_moment_N_m"], strict=True):
+            row += [""] * 3 if moment is None else [fixed(number, 6) for number in moment]
+    lines = [line.rstrip() for line in table_lines(header, rows)]
+    if not result["closure_forces_unique"]:
+        lines.append("redundant closures: rigid bodies do not tell these forces; the least ones that balance")
+    return lines

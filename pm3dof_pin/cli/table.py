@@ -1,0 +1,61 @@
+"""`pm3dof table-8-3`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pm3dof_pin.cli.options import Config, Json, load_tripod
+from pm3dof_pin.cli.output import print_result, table_lines
+
+if TYPE_CHECKING:
+    from pm3dof_pin.maps.table_8_3 import TableRow
+
+
+def table_8_3(as_json: Json = False, config: Config = None) -> None:
+    """Table 8.3, published and computed side by side."""
+    from pm3dof_pin.maps import table_8_3 as table
+
+    rows = table.table_8_3(load_tripod(config))
+    print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
+
+
+def rows_as_data(rows: Sequence[TableRow]) -> list[dict[str, Any]]:
+    """Return the rows as plain data for JSON."""
+    return [
+        {
+            "axis": row.axis,
+            "statistic": row.statistic,
+            "published": row.published,
+            "computed": row.computed,
+            "relative_difference": row.relative_difference,
+            "last_digit_difference": row.last_digit_difference,
+            "remark": row.remark,
+        }
+        for row in rows
+    ]
+
+
+def rows_as_lines(rows: Sequence[TableRow]) -> list[str]:
+    """Return the rows as a table for a person, remarks below it."""
+    cells = [
+        [
+            row.axis,
+            row.statistic,
+            f"{row.published:.4e}",
+            f"{row.computed:.4e}",
+            f"{row.relative_difference:+.1e}",
+            _verdict(row),
+        ]
+        for row in rows
+    ]
+    header = ["axis", "statistic", "published", "computed", "difference", "to five digits"]
+    remarks = [f"{row.axis} {row.statistic}: the printed number {row.remark}" for row in rows if row.remark]
+    return [*table_lines(header, cells), *remarks]
+
+
+def _verdict(row: TableRow) -> str:
+    difference = row.last_digit_difference
+    if difference == 0:
+        return "as printed"
+    return f"{difference:+d} in the last" if abs(difference) < 10 else "not met"
