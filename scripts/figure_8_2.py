@@ -1,0 +1,28 @@
+"""Draw Fig. 8.2, the workspace of the chapter's machine, and say where it departs from the printed ranges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.workspace import workspace_figure
+from pm3dof_pin.maps.boundary import workspace_boundary
+from pm3dof_pin.maps.printed_ranges import compare_printed_ranges
+from pm3dof_pin.maps.storage import write_csv
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.workspace import workspace
+
+RESULTS = Path(__file__).resolve().parents[1] / "results"
+
+
+def main() -> None:
+    tripod = Tripod.load()
+    reachable = workspace(tripod, heights=241)
+    print(save_figure(workspace_figure(tripod, reachable), RESULTS / "figure_8_2.png"))
+    print(write_csv(workspace_boundary(tripod, reachable), RESULTS / "figure_8_2_boundary.csv"))
+    for statement in compare_printed_ranges(tripod, reachable):
+        print(f"- {statement.text}")
+
+
+if __name__ == "__main__":
+    main()

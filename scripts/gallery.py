@@ -1,0 +1,106 @@
+"""Take the pictures of the documentation's gallery with a browser that has no window.
+
+They are written under results/gallery/, or with --out docs/pictures where the documentation shows them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.indices import Motion
+from pm3dof_pin.elastic.springs import JointSpring
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.kinematics import joint_positions
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.ellipsoids import Quantity
+
+RESULTS = Path(__file__).resolve().parents[1] / "results" / "gallery"
+SIZE = {"width": 1000, "height": 750}
+KINDS: tuple[Motion, Motion] = ("translation", "rotation")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the pictures")
+    folder = parser.parse_args().out
+    folder.mkdir(parents=True, exist_ok=True)
+
+    with tripod_at(10.0, -15.0, 0.5) as (viewer, model):
+        draw_ellipsoids(viewer, model, "stiffness")
+        draw_forces(viewer)
+        print(viewer.save_picture(folder / "viewer_stiffness.png", **SIZE))
+
+    with tripod_at(-22.0, 18.0, 0.47) as (viewer, model):
+        draw_ellipsoids(viewer, model, "compliance")
+        viewer.colour_legs(model)
+        viewer.frames()
+        print(viewer.save_picture(folder / "viewer_compliance.png", **SIZE))
+
+    with tripod_at(12.0, 20.0, 0.49) as (viewer, _):
+        viewer.workspace(Tripod.load(), "translational_stiffness:least")
+        viewer.look(closeness=1.1)
+        print(viewer.save_picture(folder / "viewer_workspace.png", **SIZE))
+
+    for robot in ("hexapod", "three_rps"):
+        with Viewer(Mechanism.load(robot)) as viewer:
+            model = ElasticModel(viewer.mechanism)
+            draw_ellipsoids(viewer, model, "stiffness")
+            draw_forces(viewer)
+            viewer.colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+            print(viewer.save_picture(folder / f"viewer_{robot}.png", **SIZE))
+
+    with serial_arm() as (viewer, model):
+        draw_ellipsoids(viewer, model, "compliance")
+        draw_forces(viewer)
+        viewer.colour_legs(model)
+        print(viewer.save_picture(folder / "viewer_arm.png", **SIZE))
+
+
+@contextmanager
+def tripod_at(theta_x: float, theta_y: float, z_e: float) -> Iterator[tuple[Viewer, ElasticModel]]:
+    """Angles in degrees, the height in metres."""
+    mechanism, tripod = Mechanism.load("pm3dof"), Tripod.load()
+    pose = np.array([np.radians(theta_x), np.radians(theta_y), z_e])
+    positions = joint_positions(tripod, pose)
+    with Viewer(mechanism, tripod=tripod) as viewer:
+        viewer.display([positions[name] for name in mechanism.coordinate_names])
+        yield viewer, ElasticModel(mechanism)
+
+
+@contextmanager
+def serial_arm() -> Iterator[tuple[Viewer, ElasticModel]]:
+    """A UR5 of example-robot-data, which comes with the test extra, with springs at its joints."""
+    import example_robot_data
+
+    arm = example_robot_data.load("ur5")
+    mechanism = Mechanism(arm.model, tool_frame="ee_link")
+    stiffness = (4e4, 4e4, 2e4, 1e4, 1e4, 1e4)
+    springs = [
+        JointSpring(name, name, k, "N m/rad") for name, k in zip(mechanism.actuated_joints, stiffness, strict=True)
+    ]
+    with Viewer(mechanism, visuals=arm.visual_model) as viewer:
+        viewer.display([0.3, -1.2, 1.4, -1.0, -1.5, 0.2])
+        yield viewer, ElasticModel(mechanism, springs)
+
+
+def draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity) -> None:
+    compliance = cartesian_compliance(model, viewer.configuration).compliance
+    for kind in KINDS:
+        viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=of)
+
+
+def draw_forces(viewer: Viewer) -> None:
+    viewer.actuator_forces(holding_forces(viewer.configuration).actuator_forces, what="Holding forces")
+
+
+if __name__ == "__main__":
+    main()
