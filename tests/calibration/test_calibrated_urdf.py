@@ -1,0 +1,65 @@
+"""A calibrated URDF moves as the mechanism with the same errors does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.calibrated_urdf import calibrated_urdf, write_calibrated_robot
+from pm3dof_pin.calibration.geometry import GeometricErrors, GeometricParameter
+from pm3dof_pin.calibration.tool_poses import forward_poses
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism import Mechanism
+
+
+@pytest.mark.parametrize("robot", ["pm3dof", "hexapod"])
+def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
+    errors = GeometricErrors(Mechanism.load(robot))
+    values = 10.0 * errors.sample(np.random.default_rng(3))
+    written = Mechanism.load(write_calibrated_robot(errors, values, robot, tmp_path))
+    home = errors.mechanism.home.actuated_positions
+    commands = home + np.random.default_rng(4).uniform(-0.002, 0.002, (5, len(home)))
+    expected = forward_poses(errors.apply(values), commands, errors.mechanism.home.q)
+    np.testing.assert_allclose(forward_poses(written, commands).transforms, expected.transforms, atol=1e-12)
+    assert written.closures == errors.mechanism.closures
+    assert GeometricErrors.load(tmp_path / f"{robot}.urdf").names == GeometricErrors.load(robot).names
+
+
+def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
+    """At a pitch of 90 deg roll and yaw are one; small turns there must come back to the last digits."""
+    source = find_robot("pm3dof").urdf
+    text = re.sub(
+        r'(<joint name="O_e_fixed".*?rpy=)"0 0 0"', rf'\1"0.3 {np.pi / 2} 0.2"', source.read_text(), flags=re.S
+    )
+    path = tmp_path / "pm3dof.urdf"
+    path.write_text(text)
+    path.with_suffix(".closures.yaml").write_text(find_robot("pm3dof").closures.read_text())
+    errors = GeometricErrors(Mechanism.load(path))
+    values = errors.values({"O_e.rx": 1e-9, "O_e.ry": 2e-9, "O_e.rz": -3e-9})
+    written = Mechanism.load(write_calibrated_robot(errors, values, path, tmp_path / "out"))
+    expected = errors.apply(values).home.tool_placement.rotation
+    assert not np.allclose(expected, errors.mechanism.home.tool_placement.rotation, atol=1e-9)
+    np.testing.assert_allclose(written.home.tool_placement.rotation, expected, atol=1e-15)
+
+
+def test_nothing_else_changes() -> None:
+    errors = GeometricErrors.load("pm3dof")
+    source = find_robot("pm3dof").urdf
+    text = calibrated_urdf(errors, errors.zeros, source)
+    assert text.count("<link") == source.read_text().count("<link")
+    nominal = {place: errors.mechanism.home.frame_placement(place) for place in ("E1", "link3_tip", "O_e")}
+    assert 'xyz="0.0 0.0 0.353"' in text
+    assert nominal["O_e"].translation[2] == pytest.approx(0.49299, abs=1e-5)
+
+
+def test_a_place_without_an_origin_is_named() -> None:
+    mechanism = Mechanism.load("pm3dof")
+    errors = GeometricErrors(
+        mechanism, [GeometricParameter("p", "slider1", "translation", (1.0, 0.0, 0.0), "legs", 1e-4)]
+    )
+    with pytest.raises(DescriptionError, match="slider1"):
+        calibrated_urdf(errors, [1e-4], find_robot("pm3dof").urdf)

@@ -1,0 +1,123 @@
+"""`pm3dof measure`, `calibrate` and `compensate` from outside, one after the other."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-W", "error", "-c", "from pm3dof_pin.cli.app import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+def answer(*arguments: str, cwd: Path, status: int = 0) -> dict:
+    result = run(*arguments, "--json", cwd=cwd)
+    assert result.returncode == status, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with measurements m.csv and their calibration."""
+    folder = tmp_path_factory.mktemp("calibration")
+    measured = answer("measure", "--out", "m.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=folder)
+    assert measured["poses"] == 30
+    calibrated = answer("calibrate", "m.csv", "--method", "lm+gp", "--out", "calibration", cwd=folder)
+    assert calibrated["directory"] == "calibration"
+    assert calibrated["held_out"]["poses"] == 30
+    return folder
+
+
+def test_the_same_seed_gives_the_same_file(place: Path) -> None:
+    answer("measure", "--out", "again.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=place)
+    assert (place / "again.csv").read_bytes() == (place / "m.csv").read_bytes()
+    answer("measure", "--out", "other.csv", "--poses", "30", "--seed", "5", "--machine", "2", cwd=place)
+    assert (place / "other.csv").read_bytes() != (place / "m.csv").read_bytes()
+
+
+def test_compensate(place: Path) -> None:
+    result = answer("compensate", "10", "-15", "0.5", "--calibration", "calibration", cwd=place)
+    np.testing.assert_allclose(result["u_nominal_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)
+    difference = np.abs(np.array(result["u_m"]) - result["u_nominal_m"])
+    assert np.all((difference > 1e-7) & (difference < 2e-3))
+    assert 1e-6 < result["predicted_error_m"] < 1e-3
+
+
+def test_conditions(place: Path) -> None:
+    pose = ("0", "5", "0.49", "--calibration", "calibration")
+    cold, warm = (
+        answer("compensate", *pose, "--condition", f"temperature_screws_K={rise}", cwd=place)["u_m"] for rise in (0, 8)
+    )
+    # a screw of 0.24 m grows by 22 um: the command has to be shorter
+    assert np.all(np.array(cold) - warm > 5e-6)
+    usual = run("compensate", *pose, cwd=place)
+    assert "temperature_screws_K is not given" in usual.stderr
+    wrong = run("compensate", *pose, "--condition", "wind=3", cwd=place)
+    assert wrong.returncode == 1
+    assert "expected one of temperature_screws_K" in wrong.stderr
+    assert run("compensate", *pose, "--condition", "warm", cwd=place).returncode == 2
+
+
+def test_poses_beyond_limits_and_reach(place: Path) -> None:
+    tilted = run("compensate", "50", "0", "0.5", "--calibration", "calibration", "--json", cwd=place)
+    assert tilted.returncode == 1
+    assert "joint limit broken" in tilted.stderr
+    far = run("compensate", "0", "0", "1.5", "--calibration", "calibration", cwd=place)
+    assert far.returncode == 1
+    assert far.stdout == ""
+    assert far.stderr.startswith("pm3dof: ")
+    assert "Traceback" not in far.stderr
+
+
+def test_a_plan_is_measured_and_a_network_trained(place: Path) -> None:
+    pytest.importorskip("sklearn")
+    plan = ("calibration-plan", "--poses", "12", "--candidates", "200", "--out", "plan.csv")
+    assert run(*plan, cwd=place).returncode == 0
+    world = ("--world", "geometry", "--positions", "--noise", "1e-5")
+    measured = answer("measure", "--plan", "plan.csv", *world, "--out", "p.csv", cwd=place)
+    assert measured["measured"] == "position"
+    assert measured["poses"] == 12
+    result = run("calibrate", "p.csv", "--method", "nn", "--out", "positions", cwd=place)
+    assert result.returncode == 0, result.stderr
+    assert "shows 1 of 3 motions of the drives" in result.stderr
+    assert not (place / "positions" / "calibrated").exists()
+
+
+def test_bad_files_and_folders(place: Path) -> None:
+    text = (place / "m.csv").read_text().splitlines()
+    cells = text[3].split(",")
+    cells[3] = "nan"
+    (place / "gap.csv").write_text("\n".join([*text[:3], ",".join(cells), *text[4:]]) + "\n")
+    gap = run("calibrate", "gap.csv", "--method", "lm", "--out", "gap", cwd=place)
+    assert gap.returncode == 0
+    assert "pm3dof: warning: gap.csv: line 4: numbers are missing or not finite; left out" in gap.stderr
+    assert "line 4" in (place / "gap" / "report.html").read_text()
+
+    (place / "few.csv").write_text("\n".join(text[:3]) + "\n")
+    few = run("calibrate", "few.csv", "--method", "gp", "--out", "few", cwd=place)
+    assert few.returncode == 1
+    assert "at least 4" in few.stderr
+    assert not (place / "few").exists()
+
+    missing = run("calibrate", "none.csv", "--out", "none", cwd=place)
+    assert missing.returncode == 1
+    assert "expected a readable CSV file" in missing.stderr
+    assert run("compensate", "0", "0", "0.49", "--calibration", "none", cwd=place).returncode == 1
+    assert run("calibrate", "m.csv", "--method", "svm", "--out", "none", cwd=place).returncode == 2
+
+
+def test_another_robot(place: Path) -> None:
+    measured = answer("measure", "--robot", "hexapod", "--poses", "40", "--out", "hexapod.csv", cwd=place)
+    assert measured["poses"] == 40
+    result = answer("calibrate", "hexapod.csv", "--robot", "hexapod", "--out", "hexapod", cwd=place)
+    held_out = result["held_out"]
+    assert held_out["tip_error_after_m"]["mean"] < 0.3 * held_out["tip_error_before_m"]["mean"]
+    assert math.isfinite(result["noise_factor"])
+    assert run("compensate", "0", "0", "0.1", "--calibration", "hexapod", cwd=place).returncode == 1

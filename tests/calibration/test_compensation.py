@@ -1,0 +1,224 @@
+"""Compensation in a loop with simulated machines: do corrected commands bring the tool where it is wanted?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
+from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.kinematics import inverse_kinematics, placement
+
+METHODS = ("lm", "gp", "nn", "lm+gp", "lm+nn")
+
+
+@pytest.fixture(scope="module")
+def world(tripod_errors: GeometricErrors) -> World:
+    return World.random("everything", tripod_errors, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def measured(world: World, tripod_nominal: ToolPoses) -> Measurements:
+    return world.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
+
+
+def calibrated(measured: Measurements, errors: GeometricErrors, method: str) -> Compensation:
+    if "nn" in method:
+        pytest.importorskip("sklearn")
+    return calibrate(measured, errors, Options(method)).compensation
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_sixty_poses_bring_the_tip_to_its_floor(
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    """The machine itself is commanded, at poses it was not measured at: 10 % over the best commands' tip error."""
+    wanted = tripod_nominal[200:225]
+    conditions = {name: np.linspace(values.min(), values.max(), 25) for name, values in measured.conditions.items()}
+    best = wanted.commands
+    for _ in range(2):
+        reached = world.poses(best, conditions)
+        nearest = nearest_commands(wanted, reached).commands
+        best = best - (nearest - wanted.commands)
+    floor = tip_error(pose_difference(wanted.transforms, world.poses(best, conditions)))
+    commands = calibrated(measured, tripod_errors, method).corrected(wanted, conditions)
+    left = tip_error(pose_difference(wanted.transforms, world.poses(commands, conditions)))
+    before = tip_error(pose_difference(wanted.transforms, world.poses(wanted.commands, conditions)))
+    assert left.mean() < 1.1 * floor.mean() < before.mean()
+    excess = np.sqrt(np.mean((commands - best) ** 2))
+    assert excess < (15e-6 if "+" in method else 25e-6)
+    assert excess < 0.15 * np.sqrt(np.mean((wanted.commands - best) ** 2))
+
+
+def test_the_flow_of_the_figure(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses, tripod: Tripod) -> None:
+    """u - du(u) at the command given: a machine with that pseudo-error then is where it was wanted."""
+
+    class Linear:
+        def deviations(self, inputs: np.ndarray) -> np.ndarray:
+            return 2e-4 * inputs[:, :3] + 1e-4
+
+        def uncertainties(self, inputs: np.ndarray) -> np.ndarray:
+            return np.full((len(inputs), 3), 3e-6)
+
+        def as_data(self) -> dict[str, object]:
+            return {}
+
+    scale = InputScale((), np.zeros(3), np.full(3, 0.085))
+    compensation = Compensation(tripod_errors, learned=Linear(), inputs=scale)
+    pose = np.array([0.1, -0.2, 0.5])
+    answer = compensation.compensate(placement(pose))
+    nominal = inverse_kinematics(tripod, pose)
+    np.testing.assert_allclose(answer.nominal_commands[0], nominal, atol=1e-9)
+    joints = answer.commands[0] - tripod_errors.command_offsets
+    wanted = nominal - tripod_errors.command_offsets
+    np.testing.assert_allclose(joints + Linear().deviations(joints[None] / 0.085)[0], wanted, atol=1e-9)
+    np.testing.assert_allclose(answer.deviations[0], Linear().deviations(wanted[None] / 0.085)[0], atol=1e-9)
+    assert answer.predicted_error[0] > 0.0
+
+
+def test_without_anything_known_the_nominal_commands_come_out(tripod_errors: GeometricErrors, tripod: Tripod) -> None:
+    home = tripod_errors.mechanism.home.tool_placement.translation[2]
+    answer = Compensation(tripod_errors).compensate_coordinates([[0.1, -0.2, 0.5 - home]])
+    np.testing.assert_array_equal(answer.commands, answer.nominal_commands)
+    np.testing.assert_allclose(answer.commands[0], inverse_kinematics(tripod, [0.1, -0.2, 0.5]), atol=1e-13)
+    np.testing.assert_array_equal(answer.predicted_error, 0.0)
+
+
+def test_the_inverse_of_the_true_model_has_only_the_floor(
+    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    values = tripod_errors.sample(np.random.default_rng(0))
+    poses = tripod_nominal[:10]
+    compensation = Compensation(tripod_errors, values)
+    commands = compensation.corrected(poses)
+    machine = tripod_errors.apply(values)
+
+    def missed(u: np.ndarray) -> np.ndarray:
+        return tip_error(pose_difference(poses.transforms, forward_poses(machine, u, poses.q).transforms))
+
+    least = missed(commands)
+    np.testing.assert_allclose(compensation.predicted_error(poses), least, rtol=1e-6)
+    for step in 2e-6 * np.concatenate([np.eye(3), -np.eye(3)]):
+        assert np.all(missed(commands + step) > least)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_predicted_error_is_about_the_error(
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    wanted = tripod_nominal[200:225]
+    conditions = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
+    compensation = calibrated(measured, tripod_errors, method)
+    reached = world.poses(compensation.corrected(wanted, conditions), conditions)
+    left = np.sqrt(np.mean(tip_error(pose_difference(wanted.transforms, reached)) ** 2))
+    predicted = np.sqrt(np.mean(compensation.predicted_error(wanted, conditions) ** 2))
+    assert 0.6 < predicted / left < 1.7
+
+
+@pytest.mark.parametrize("method", ["lm+gp", "lm+nn"])
+def test_hybrids_do_a_geometric_machine_no_harm(
+    method: str, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    wanted, noise = tripod_nominal[200:300], 8.6e-6  # of a joint deviation found from one measurement
+    for seed in range(2):
+        world = World.random("geometry", tripod_errors, np.random.default_rng([seed, 4]))
+        measured = world.measure(tripod_nominal.commands[40 * seed : 40 * seed + 40], np.random.default_rng(seed))
+        parametric = calibrated(measured, tripod_errors, "lm").corrected(wanted)
+        hybrid = calibrated(measured, tripod_errors, method).corrected(wanted)
+        assert np.sqrt(np.mean((hybrid - parametric) ** 2)) < 0.3 * noise
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_gross_outliers_change_little(
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    """5 % of the rows are wrong by millimetres: the corrected commands stay within a fifth of the error before."""
+    positions = np.array(measured.positions)
+    positions[[5, 20, 41]] += np.array([[4e-3, 0.0, 0.0], [0.0, 6e-3, 0.0], [0.0, 0.0, -3e-3]])
+    dirty = replace(measured, positions=positions)
+    assert calibrate(dirty, tripod_errors, Options("lm")).identification.outliers == (5, 20, 41)
+    wanted = tripod_nominal[200:260]
+    middle = {name: float(values.mean()) for name, values in measured.conditions.items()}
+    clean = calibrated(measured, tripod_errors, method).corrected(wanted, middle)
+    changed = calibrated(dirty, tripod_errors, method).corrected(wanted, middle)
+    assert np.sqrt(np.mean((changed - clean) ** 2)) < 5e-6
+
+
+def test_cross_validation_tells_before_after_and_floor(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    held_out = held_out_errors(calibrate(measured, tripod_errors, Options("lm+gp")))
+    assert len(held_out.rows) == 60
+    assert np.all(held_out.floor <= held_out.before + 1e-9)
+    assert held_out.floor.mean() < held_out.after.mean() < 1.2 * held_out.floor.mean() < held_out.before.mean()
+    np.testing.assert_allclose(held_out.noise, np.sqrt(3.0 * 7.5e-6**2 + 3.0 * (0.1 * 7.0710678e-5) ** 2), rtol=1e-6)
+
+
+def test_too_few_and_out_of_reach(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    with pytest.raises(InvalidValueError, match="at least 4"):
+        calibrate(measured[:3], tripod_errors, Options("gp"))
+    with pytest.raises(InvalidValueError, match="more than 4 for a cross-validation"):
+        held_out_errors(calibrate(measured[:4], tripod_errors, Options("lm")))
+    with pytest.raises(InvalidValueError, match="one of lm, nn, gp"):
+        Options("svm")  # type: ignore[arg-type]
+    with pytest.raises(UnreachablePoseError):
+        Compensation(tripod_errors).compensate(placement([0.0, 0.0, 1.5]))
+
+
+def test_too_few_poses_are_said(
+    measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
+) -> None:
+    calibrate(measured[:5], tripod_errors, Options("lm"))
+    assert "5 measurements give 30 equations for 35 parameters: too few; 22 combinations are identified" in caplog.text
+
+
+def test_three_targets_are_as_good_as_poses(
+    world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    """Positions of targets on the platform, a row each, at the same commands."""
+    assert measured.rotations is not None
+    offsets = np.array([[0.15, 0.0, 0.0], [-0.075, 0.13, 0.0], [-0.075, -0.13, 0.0]])
+    seen = [measured.positions + measured.rotations @ offset for offset in offsets]
+    points = replace(
+        measured,
+        commands=np.tile(measured.commands, (3, 1)),
+        positions=np.concatenate(seen),
+        rotations=None,
+        sigmas=np.full((180, 3), 15e-6),
+        points=np.repeat(offsets, 60, axis=0),
+        conditions={name: np.tile(values, 3) for name, values in measured.conditions.items()},
+        lines=tuple(range(2, 182)),
+    )
+    wanted = tripod_nominal[200:225]
+    middle = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
+    commands = calibrated(points, tripod_errors, "lm").corrected(wanted, middle)
+    from_poses = calibrated(measured, tripod_errors, "lm").corrected(wanted, middle)
+    assert np.sqrt(np.mean((commands - from_poses) ** 2)) < 10e-6
+
+
+def test_positions_of_the_tool_point_correct_its_height(
+    world: World,
+    measured: Measurements,
+    tripod_errors: GeometricErrors,
+    tripod_nominal: ToolPoses,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """It sits in the universal joint: of the tilts nothing is seen, which is said."""
+    positions = replace(measured, rotations=None, sigmas=measured.sigmas[:, :3])
+    wanted = tripod_nominal[200:225]
+    middle = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
+    commands = calibrated(positions, tripod_errors, "gp").corrected(wanted, middle)
+
+    def height_error(u: np.ndarray) -> float:
+        return float(np.abs(world.poses(u, middle)[:, 2, 3] - wanted.positions[:, 2]).mean())
+
+    assert height_error(commands) < 0.2 * height_error(wanted.commands)
+    assert "shows 1 of 3 motions of the drives" in caplog.text

@@ -1,0 +1,164 @@
+"""Ranks against those that freedoms of joints leave, and the known numbers of this machine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identifiability import (
+    identifiability,
+    identifiability_of,
+    minimum_poses,
+    observability_indices,
+    rank_growth,
+    scaled_regressor,
+)
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses, poses_at
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Mechanism
+
+
+def test_the_tripods_34_parameters_and_its_nine_poses(
+    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    """A leg has nine parameters and adds one equation a pose; the seven of the middle are known after three poses."""
+    regressor = scaled_regressor(tripod_errors, tripod_nominal[:40])
+    growth = rank_growth(regressor)
+    np.testing.assert_array_equal(growth[:12], [6, 11, 16, 19, 22, 25, 28, 31, 34, 34, 34, 34])
+    assert minimum_poses(regressor) == 9
+    result = identifiability_of(tripod_errors, tripod_nominal[:40])
+    assert result.rank == 34
+    assert result.decision.gap > 1e6
+    assert result.unidentifiable == ("platform_x_joint.rx",)
+    assert set(result.base) == set(tripod_errors.names) - {"platform_x_joint.rx"}
+    assert result.relations == {"platform_x_joint.rx": {}}
+
+
+def test_positions_alone_say_less(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    regressor = scaled_regressor(tripod_errors, tripod_nominal[:60], Instrument("position"))
+    assert regressor.shape[1] == 3
+    result = identifiability(tripod_errors.names, tripod_errors.tolerances, regressor)
+    assert result.rank < 34
+    assert minimum_poses(regressor) > 9
+
+
+def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    result = identifiability_of(tripod_errors, tripod_nominal[:5])
+    assert result.rank == 22
+    assert len(result.base) == 22
+    assert len(result.unidentifiable) == 13
+
+
+def test_unidentifiable_directions_do_nothing(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    """Four poses leave 16 combinations open; moving along them, closed loops give the same poses."""
+    poses = tripod_nominal[:4]
+    result = identifiability_of(tripod_errors, poses)
+    hidden = result.directions[:, result.rank :]
+    values = 0.01 * tripod_errors.tolerances * (hidden @ np.random.default_rng(0).standard_normal(hidden.shape[1]))
+    moved = forward_poses(tripod_errors.apply(values), poses.commands, poses.q)
+    visible = forward_poses(tripod_errors.apply(np.abs(values)), poses.commands, poses.q)
+    hidden_motion = np.abs(moved.transforms - poses.transforms).max()
+    assert hidden_motion < 1e-3 * np.abs(visible.transforms - poses.transforms).max()
+
+
+def _chain(joints: str) -> Mechanism:
+    """A serial chain of revolute (R) and prismatic (P) joints along z, at random placements."""
+    model, parent = pin.Model(), 0
+    pin.seed(len(joints))
+    for index, kind in enumerate(joints):
+        joint = pin.JointModelRZ() if kind == "R" else pin.JointModelPZ()
+        parent = model.addJoint(parent, joint, pin.SE3.Random(), f"joint{index}")
+    model.addFrame(pin.Frame("tool", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    return Mechanism(model, tool_frame="tool")
+
+
+@pytest.mark.parametrize("joints", ["R", "RR", "RPR", "PPR", "RRPRRR", "RRRRRRR"])
+def test_a_serial_arm_has_4r_2p_6_parameters(joints: str) -> None:
+    """B. Mooring, Z. Roth and M. Driels, Fundamentals of Manipulator Calibration (1991); L. Everett and T.-W. Hsu."""
+    arm = _chain(joints)
+    poses = forward_poses(arm, np.random.default_rng(0).uniform(-2.0, 2.0, (30, len(joints))))
+    result = identifiability_of(GeometricErrors(arm), poses)
+    assert result.rank == 4 * joints.count("R") + 2 * joints.count("P") + 6
+    assert result.decision.gap > 1e6
+
+
+def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Mechanism) -> None:
+    errors = GeometricErrors(serial_arm)
+    poses = forward_poses(serial_arm, np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6)))
+    result = identifiability_of(errors, poses)
+    assert len(errors) == 42
+    assert result.rank == 30
+    assert minimum_poses(scaled_regressor(errors, poses)) == 5
+    for name, parts in result.relations.items():  # the base parameters do what the others do
+        one = errors.tolerances[errors.names.index(name)]
+        stand_in = errors.values({base: part * one for base, part in parts.items()})
+        rows = scaled_regressor(errors, poses[:3]).reshape(-1, len(errors)) / errors.tolerances
+        np.testing.assert_allclose(rows @ stand_in, rows[:, errors.names.index(name)] * one, atol=1e-9)
+
+
+def _freedom_count(chain: str, driven: str) -> int:
+    """Parameters of a chain between two known frames that can be told apart, if nothing is special about it.
+
+    A displacement that commutes with a joint may stand on either side of it: 2 for R, 4 for P, 3 for S. In a joint
+    whose coordinate is not known, its own motions are hidden besides.
+    """
+    count = 6 * (len(chain) + 1)
+    for kind, known in zip(chain, driven, strict=True):
+        count -= {"R": 2, "P": 4, "S": 3}[kind] + (0 if known == "u" else {"R": 1, "P": 1, "S": 3}[kind])
+    return count
+
+
+def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: Mechanism) -> None:
+    """Near the machine as described some do nothing to first order; a machine far from it shows them all."""
+    hexapod = Mechanism.load("hexapod")
+    legs, middle = _freedom_count("PRRS", "u..."), _freedom_count("PRR", "...")
+    cases = (
+        (mechanism, 100.0, 3 * legs + middle, 0.07),
+        (hexapod, 50.0, 6 * _freedom_count("RRPS", "..u."), 0.004),
+    )
+    for nominal, size, expected, reach in cases:
+        errors = GeometricErrors(nominal)
+        rng = np.random.default_rng(1)
+        far = errors.apply(size * errors.sample(rng))
+        home = forward_poses(far, nominal.home.actuated_positions[None], nominal.home.q)
+        commands = home.commands + rng.uniform(-reach, reach, (150, home.commands.shape[1]))
+        poses = poses_at(far, far.actuated_joints, commands, home.q[0], unreachable="drop")
+        values = identifiability_of(GeometricErrors(far), poses).decision.singular_values
+        assert values[expected - 1] > 1e3 * values[expected]
+
+
+def test_observability_indices_by_hand() -> None:
+    indices = observability_indices([8.0, 4.0, 2.0], 4)
+    assert pytest.approx(4.0 / 2.0) == indices.O1
+    assert pytest.approx(0.25) == indices.O2
+    assert pytest.approx(2.0) == indices.O3
+    assert pytest.approx(0.5) == indices.O4
+    assert pytest.approx(1.0 / (0.125 + 0.25 + 0.5)) == indices.O5
+    with pytest.raises(InvalidValueError):
+        observability_indices([1.0, 0.0], 1)
+
+
+def test_names_of_directions_and_shapes() -> None:
+    rows = np.array([[[1.0, 1.0, 0.0]], [[2.0, 2.0, 0.0]]])
+    result = identifiability(["a", "b", "c"], [1.0, 1.0, 1.0], rows)
+    assert set(result.unidentifiable) in ({"a - b", "c"}, {"b - a", "c"})
+    with pytest.raises(InvalidValueError, match="shape"):
+        identifiability(["a"], [1.0], rows)
+
+
+def test_the_noise_of_targets() -> None:
+    """Against a least-squares fit of the pose to four targets on a circle, with noise."""
+    angles = 2.0 * np.pi * np.arange(4) / 4
+    points = 0.15 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    rows = np.concatenate([np.hstack([np.eye(3), -pin.skew(point)]) for point in points])
+    covariance = np.linalg.inv(rows.T @ rows) * 15e-6**2
+    instrument = Instrument.with_targets(15e-6, 4, 0.15)
+    assert instrument == Instrument()
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance))[:5], instrument.sigmas[:5])
+    assert np.sqrt(covariance[5, 5]) < instrument.sigmas[5]
+    for wrong in ({"count": 2}, {"radius": 0.0}, {"sigma": 0.0}):
+        with pytest.raises(InvalidValueError):
+            Instrument.with_targets(**wrong)

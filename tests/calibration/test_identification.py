@@ -1,0 +1,202 @@
+"""Identification against simulated machines whose errors are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.identification import Identification, identify, measured_residuals, measured_rows
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
+from pm3dof_pin.calibration.sensitivity import closable, sensitivities
+from pm3dof_pin.calibration.simulated_machine import SimulatedMachine
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Mechanism
+
+REDUNDANT = "platform_x_joint.rx"
+
+
+@pytest.fixture(scope="module")
+def truth(tripod_errors: GeometricErrors) -> np.ndarray:
+    return tripod_errors.sample(np.random.default_rng(5))
+
+
+def simulated(errors: GeometricErrors, truth: np.ndarray, poses: ToolPoses, seed: int | None = None) -> Measurements:
+    """Measure a machine with geometric errors, with the instrument's noise if there is a seed."""
+    reached = forward_poses(errors.apply(truth), poses.commands, poses.q).transforms
+    if seed is not None:
+        noise = np.random.default_rng(seed).standard_normal((len(poses), 6)) * Instrument().sigmas
+        turned = np.array(reached)
+        turned[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
+        turned[:, :3, 3] += noise[:, :3]
+        reached = turned
+    return Measurements.of_poses(poses.commands, reached)
+
+
+def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses) -> None:
+    """Without the one parameter that nothing tells, all others come back to a nanometre and a nanoradian."""
+    errors = tripod_errors.without([REDUNDANT])
+    values = np.delete(truth, tripod_errors.names.index(REDUNDANT))
+    found = identify(simulated(errors, values, tripod_nominal[:60]), errors, prior=np.inf)
+    np.testing.assert_allclose(found.values, values, atol=1e-9)
+    assert np.abs(found.residuals).max() < 1e-12
+    assert found.identifiability.rank == 34
+    assert found.untold == ()
+
+
+def test_a_redundant_parameter_is_reported_and_harmless(
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+) -> None:
+    found = identify(simulated(tripod_errors, truth, tripod_nominal[:60]), tripod_errors, prior=np.inf)
+    assert found.identifiability.unidentifiable == (REDUNDANT,)
+    assert found.untold == (REDUNDANT,)
+    reached = forward_poses(tripod_errors.apply(found.values), tripod_nominal.commands, tripod_nominal.q).transforms
+    expected = forward_poses(tripod_errors.apply(truth), tripod_nominal.commands, tripod_nominal.q).transforms
+    np.testing.assert_allclose(reached, expected, atol=1e-9)
+
+
+def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    """Over six machines of 35 parameters: none beyond four sigmas, and as many within one as a normal law has."""
+    scores = []
+    for seed in range(6):
+        values = tripod_errors.sample(np.random.default_rng([seed, 1]))
+        poses = tripod_nominal[50 * (seed % 6) : 50 * (seed % 6) + 50]
+        found = identify(simulated(tripod_errors, values, poses, seed), tripod_errors, prior=1.0)
+        scores.append((found.values - values) / found.sigmas)
+    size = np.abs(np.array(scores))
+    assert np.mean(size > 3.0) < 0.01
+    assert size.max() < 4.0
+    assert 0.6 < np.mean(size < 1.0) < 0.85
+
+
+@pytest.mark.parametrize("kind", ["pose", "position", "point"])
+def test_the_derivatives_are_those_of_finite_differences(
+    kind: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+) -> None:
+    poses = tripod_nominal[:5]
+    measurements = simulated(tripod_errors, truth, poses)
+    if kind != "pose":
+        points = np.zeros((5, 3)) if kind == "position" else np.tile([0.05, -0.1, 0.02], (5, 1))
+        measurements = replace(measurements, rotations=None, sigmas=measurements.sigmas[:, :3], points=points)
+    rows = measured_rows(measurements, poses, sensitivities(tripod_errors, poses).errors)
+    step = 1e-6
+    for k in range(0, len(tripod_errors), 3):
+        values = tripod_errors.zeros
+        values[k] = step
+        ahead = measured_residuals(measurements, forward_poses(tripod_errors.apply(values), poses.commands, poses.q))
+        back = measured_residuals(measurements, forward_poses(tripod_errors.apply(-values), poses.commands, poses.q))
+        np.testing.assert_allclose(rows[:, :, k], -(ahead - back) / (2.0 * step), atol=2e-8)
+
+
+def test_points_on_the_platform_tell_the_orientation(
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+) -> None:
+    """Three points seen one by one are worth a whole pose; one alone is not."""
+    poses = tripod_nominal[:40]
+    reached = forward_poses(tripod_errors.apply(truth), poses.commands, poses.q).transforms
+    offsets = np.array([[0.1, 0.0, 0.0], [-0.05, 0.09, 0.0], [-0.05, -0.09, 0.02]])
+    seen = [reached[:, :3, 3] + reached[:, :3, :3] @ offset for offset in offsets]
+    measurements = Measurements(
+        np.tile(poses.commands, (3, 1)),
+        np.concatenate(seen),
+        None,
+        np.full((120, 3), 15e-6),
+        np.repeat(offsets, 40, axis=0),
+    )
+    found = identify(measurements, tripod_errors, prior=np.inf)
+    assert found.identifiability.rank == 34
+    calibrated = forward_poses(tripod_errors.apply(found.values), poses.commands, poses.q).transforms
+    np.testing.assert_allclose(calibrated, reached, atol=1e-9)
+    assert identify(measurements[:40], tripod_errors).identifiability.rank < 34
+
+
+def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: GeometricErrors) -> None:
+    """Root mean square over ten machines and 100 other poses."""
+    problem = PlanningProblem.sampled(tripod_errors, np.random.default_rng(0), candidates=500, test_poses=100)
+    plan = problem.plan(9, "d-optimal", np.random.default_rng(0))
+    poses = problem.candidates[:100]
+    squares = []
+    for seed in range(10):
+        values = tripod_errors.sample(np.random.default_rng([seed, 2]))
+        found = identify(simulated(tripod_errors, values, plan.poses, seed), tripod_errors)
+        reached = [
+            forward_poses(tripod_errors.apply(p), poses.commands, poses.q).transforms for p in (values, found.values)
+        ]
+        squares.append(tip_error(pose_difference(*reached)) ** 2)
+    assert np.sqrt(np.mean(squares)) < 12e-6
+
+
+@pytest.mark.parametrize("loss", ["huber", "tukey"])
+def test_gross_outliers_are_named_and_do_little(
+    loss: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+) -> None:
+    """5 % of the rows are off by millimetres; the error over other poses stays within 20 % of the clean one's."""
+    poses, others = tripod_nominal[:60], tripod_nominal[100:200]
+    clean = simulated(tripod_errors, truth, poses, 3)
+    positions = np.array(clean.positions)
+    positions[[7, 31, 50]] += np.array([[3e-3, 0.0, 0.0], [0.0, -5e-3, 1e-3], [0.02, 0.0, 0.0]])
+    dirty = replace(clean, positions=positions)
+
+    def error(measurements: Measurements, how: str) -> float:
+        found = identify(measurements, tripod_errors, loss=how)
+        machines = [tripod_errors.apply(values) for values in (truth, found.values)]
+        reached = [forward_poses(machine, others.commands, others.q).transforms for machine in machines]
+        return float(np.sqrt(np.mean(tip_error(pose_difference(*reached)) ** 2)))
+
+    found = identify(dirty, tripod_errors, loss=loss)
+    assert found.outliers == (7, 31, 50)
+    assert found.outlier_lines == (9, 33, 52)
+    assert identify(clean, tripod_errors, loss=loss).outliers == ()
+    if loss == "tukey":
+        assert error(dirty, "tukey") < 1.2 * error(clean, "squares")
+    assert error(dirty, "squares") > 5.0 * error(clean, "squares")
+
+
+def test_residuals_are_noise_of_the_stated_size(
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+) -> None:
+    found: Identification = identify(simulated(tripod_errors, truth, tripod_nominal, 8), tripod_errors, loss="squares")
+    total = float(np.sum(found.normalized_residuals**2))
+    assert chi2.ppf(1e-4, 1800 - 34) < total < chi2.isf(1e-4, 1800 - 34)
+    assert found.noise_factor == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_richer_machine_shows_in_the_noise_factor(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    machine = SimulatedMachine.random(tripod_errors, np.random.default_rng(0))
+    seen = machine.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
+    assert identify(Measurements.of_poses(tripod_nominal.commands[:60], seen), tripod_errors).noise_factor > 2.0
+
+
+@pytest.mark.parametrize("name", ["hexapod", "serial"])
+def test_other_mechanisms(name: str, serial_arm: Mechanism) -> None:
+    """What is measured is predicted exactly, by whichever of the redundant parameters."""
+    everything = GeometricErrors(serial_arm) if name == "serial" else GeometricErrors.load("hexapod")
+    mechanism = everything.mechanism
+    generator = np.random.default_rng(0)
+    spread = 1.5 if name == "serial" else 0.004
+    commands = mechanism.home.actuated_positions + generator.uniform(-spread, spread, (60, 6))
+    nominal = forward_poses(mechanism, commands)
+    errors = closable(everything, nominal[:5])
+    truth = errors.sample(generator)
+    found = identify(simulated(errors, truth, nominal[:50]), errors, prior=np.inf)
+    expected = forward_poses(errors.apply(truth), commands[50:], nominal.q[50:]).transforms
+    reached = forward_poses(errors.apply(found.values), commands[50:], nominal.q[50:]).transforms
+    np.testing.assert_allclose(reached, expected, atol=1e-8)
+    assert found.identifiability.rank == (42 if name == "hexapod" else 30)
+
+
+def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
+    with pytest.raises(InvalidValueError, match="0 measurements"):
+        identify(measurements[:0], tripod_errors)
+    with pytest.raises(InvalidValueError, match="prior"):
+        identify(measurements, tripod_errors, prior=0.0)
+    assert identify(measurements, tripod_errors).identifiability.rank == 16

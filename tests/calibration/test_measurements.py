@@ -1,0 +1,219 @@
+"""Measurement files: the round trip, and what is said about files that are not right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.measurements import (
+    Measurements,
+    command_columns,
+    read_commands,
+    read_measurements,
+    rotations_of,
+    write_measurements,
+)
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
+from pm3dof_pin.mechanism import Mechanism
+
+HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
+
+
+@pytest.fixture(scope="module")
+def measurements(tripod_nominal: ToolPoses) -> Measurements:
+    return Measurements.of_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
+
+
+@pytest.fixture
+def lines(measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path) -> list[list[str]]:
+    """Cells of a good file, header first, without sigmas."""
+    path = write_measurements(measurements, tripod_errors, tmp_path / "good.csv")
+    return [line.split(",")[:10] for line in path.read_text().splitlines()]
+
+
+def read(lines: list[list[str]], errors: GeometricErrors, tmp_path: Path) -> Measurements:
+    path = tmp_path / "file.csv"
+    path.write_text("\n".join(",".join(line) for line in lines) + "\n")
+    return read_measurements(path, errors)
+
+
+def scaled(lines: list[list[str]], columns: slice, factor: float) -> list[list[str]]:
+    header, *rows = lines
+    changed = [[*row] for row in rows]
+    for row in changed:
+        row[columns] = [repr(factor * float(cell)) for cell in row[columns]]
+    return [header, *changed]
+
+
+def test_every_digit_survives(
+    measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path, tripod_nominal: ToolPoses
+) -> None:
+    path = write_measurements(measurements, tripod_errors, tmp_path / "file.csv")
+    again = read_measurements(path, tripod_errors)
+    np.testing.assert_allclose(again.commands, tripod_nominal.commands[:12], atol=1e-16)
+    np.testing.assert_array_equal(again.positions, tripod_nominal.positions[:12])
+    assert again.rotations is not None
+    np.testing.assert_allclose(again.rotations, tripod_nominal.rotations[:12], atol=5e-16)
+    assert again.warnings == ()
+    assert again.lines == tuple(range(2, 14))
+
+
+def test_commands_count_from_the_bottom_of_the_guideways(lines: list[list[str]], tripod_nominal: ToolPoses) -> None:
+    """u = 0.240272 m is joint coordinate 0."""
+    assert ",".join(lines[0]) == HEADER
+    np.testing.assert_allclose(np.array(lines[1][:3], dtype=float), tripod_nominal.commands[0] + 0.240272, atol=1e-15)
+
+
+def test_columns_of_other_robots(serial_arm: Mechanism) -> None:
+    assert command_columns(serial_arm) == tuple(f"u{k}_rad" for k in range(1, 7))
+    assert command_columns(Mechanism.load("hexapod")) == tuple(f"u{k}_m" for k in range(1, 7))
+
+
+def test_quaternions_turn_into_the_rotations_of_scipy() -> None:
+    quaternions = np.random.default_rng(0).standard_normal((20, 4))
+    expected = Rotation.from_quat(np.roll(quaternions, -1, axis=1)).as_matrix()
+    np.testing.assert_allclose(rotations_of(quaternions), expected, atol=1e-14)
+
+
+def test_positions_alone(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    found = read([line[:6] for line in lines], tripod_errors, tmp_path)
+    assert found.measured == "position"
+    assert found.rotations is None
+    np.testing.assert_allclose(found.sigmas, np.full((12, 3), Instrument().position_sigma))
+
+
+def test_sigmas_points_and_conditions(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    more = ["px_m", "py_m", "pz_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "temperature_screw_K", "load_fz_N"]
+    table = [[*lines[0][:6], *more]]
+    table += [[*row[:6], "0", "0", "0", "1e-5", "2e-5", "3e-5", str(k), "-50"] for k, row in enumerate(lines[1:])]
+    found = read(table, tripod_errors, tmp_path)
+    np.testing.assert_array_equal(found.sigmas[3], [1e-5, 2e-5, 3e-5])
+    np.testing.assert_array_equal(found.conditions["temperature_screw_K"], np.arange(12))
+    np.testing.assert_array_equal(found.conditions["load_fz_N"], np.full(12, -50.0))
+    assert not found.points.any()
+
+
+@pytest.mark.parametrize("column", ["u2_m", "z_m", "qy"])
+def test_a_missing_column_is_named(
+    column: str, lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    place = lines[0].index(column)
+    with pytest.raises(MeasurementError, match=f"no column {column};"):
+        read([[*line[:place], *line[place + 1 :]] for line in lines], tripod_errors, tmp_path)
+
+
+@pytest.mark.parametrize(("columns", "named"), [(slice(0, 3), "u1_m"), (slice(3, 6), "x_m,y_m,z_m")])
+def test_millimetres_are_suspected(
+    columns: slice, named: str, lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    with pytest.raises(MeasurementError, match=f"{named} .*look like millimetres"):
+        read(scaled(lines, columns, 1e3), tripod_errors, tmp_path)
+
+
+def test_degrees_are_suspected(four_bar: Path, tmp_path: Path) -> None:
+    errors = GeometricErrors.load(four_bar)
+    path = tmp_path / "file.csv"
+    path.write_text("u1_rad,x_m,y_m,z_m\n" + "\n".join(f"{angle},0.3,0.4,0" for angle in (20.0, 30.0, -25.0)) + "\n")
+    with pytest.raises(MeasurementError, match=r"lines 2, 3, 4: u1_rad .*look like degrees") as caught:
+        read_measurements(path, errors)
+    assert caught.value.rows == (2, 3, 4)
+
+
+def test_a_command_out_of_reach_is_named_by_its_line(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    lines[4][1] = "0.5"
+    with pytest.raises(MeasurementError, match=r"line 5: u2_m is far outside the joint's limits 0\.155\d* \.\. 0\.325"):
+        read(lines, tripod_errors, tmp_path)
+
+
+@pytest.mark.parametrize("cell", ["nan", "", "inf"])
+def test_rows_without_numbers_are_left_out_and_named(
+    cell: str, lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    lines[2][4] = lines[7][0] = cell
+    found = read(lines, tripod_errors, tmp_path)
+    assert len(found) == 10
+    assert found.lines == (2, 4, 5, 6, 7, 9, 10, 11, 12, 13)
+    assert found.warnings == ("lines 3, 8: numbers are missing or not finite; left out",)
+
+
+def test_a_quaternion_that_is_no_rotation(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    lines[6][6] = "0.3"
+    with pytest.raises(MeasurementError, match=r"line 7: qw,qx,qy,qz is no rotation: its length is 0\.\d+, expected 1"):
+        read(lines, tripod_errors, tmp_path)
+
+
+def test_copies_and_repeated_commands_are_named(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    moved = [*lines[3]]
+    moved[3] = repr(float(moved[3]) + 1e-6)
+    found = read([*lines, lines[1], moved], tripod_errors, tmp_path)
+    assert len(found) == 14
+    assert found.warnings[0].startswith("line 14: copies of earlier lines")
+    assert found.warnings[1].startswith("14 rows at 12 different commands")
+
+
+def test_a_position_far_off_is_named(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    lines[9][3] = "0.2"
+    assert read(lines, tripod_errors, tmp_path).warnings[0].startswith("line 10: positions are more than 0.02")
+
+
+def test_another_frame_is_suspected(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    for line in lines[1:]:
+        line[5] = repr(float(line[5]) - 0.3)
+    assert "other axes, another zero" in read(lines, tripod_errors, tmp_path).warnings[0]
+
+
+def test_large_sigmas_are_suspected(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    names = ["sigma_x_m", "sigma_y_m", "sigma_z_m"]
+    table = [[*lines[0][:6], *names], *([*row[:6], "0.015", "0.015", "0.015"] for row in lines[1:])]
+    assert "sigma_x_m is 0.015 m (median), a great deal: millimetres?" in read(table, tripod_errors, tmp_path).warnings
+
+
+def test_columns_that_are_not_used_are_named(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    table = [[*line, "operator" if k == 0 else "7"] for k, line in enumerate(lines)]
+    assert read(table, tripod_errors, tmp_path).warnings == ("columns operator are not used",)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "no column u1_m"),
+        (HEADER + "\n", "no complete row"),
+        (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
+        (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
+        (HEADER + ",u1_m\n", "line 1: column u1_m stands there more than once"),
+    ],
+)
+def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    path = tmp_path / "file.csv"
+    path.write_text(text)
+    with pytest.raises(MeasurementError, match=problem):
+        read_measurements(path, tripod_errors)
+    with pytest.raises(MeasurementError, match="expected a readable CSV file"):
+        read_measurements(tmp_path / "missing.csv", tripod_errors)
+
+
+def test_commands_of_a_plan(tripod_errors: GeometricErrors, tmp_path: Path) -> None:
+    path = tmp_path / "plan.csv"
+    path.write_text("u1_m,u2_m,u3_m,nominal_x_m\n0.25,0.24,0.23,\n")
+    np.testing.assert_allclose(read_commands(path, tripod_errors), [[0.009728, -0.000272, -0.010272]], atol=1e-12)
+
+
+def test_arrays_that_do_not_fit() -> None:
+    with pytest.raises(InvalidValueError, match="positions"):
+        Measurements(np.zeros((2, 3)), np.zeros((3, 3)), None, np.ones((2, 3)), np.zeros((2, 3)))
+    with pytest.raises(InvalidValueError, match="sigmas"):
+        Measurements(np.zeros((2, 3)), np.zeros((2, 3)), None, np.zeros((2, 3)), np.zeros((2, 3)))

@@ -1,0 +1,139 @@
+"""Plans against exhaustive search and simulated calibrations."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
+from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
+from pm3dof_pin.calibration.reachable_poses import reachable_poses
+from pm3dof_pin.calibration.sensitivity import sensitivities
+from pm3dof_pin.calibration.simulated_machine import GeometricSource, SimulatedMachine
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Mechanism
+
+SEEDS = range(10)
+
+
+@pytest.fixture(scope="module")
+def candidates(mechanism: Mechanism) -> ToolPoses:
+    return reachable_poses(mechanism, 2000, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def problem(tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses) -> PlanningProblem:
+    return PlanningProblem(tripod_errors, candidates, tripod_nominal)
+
+
+@pytest.fixture(scope="module")
+def small(tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses) -> PlanningProblem:
+    return PlanningProblem(tripod_errors, candidates[:300], tripod_nominal[:50])
+
+
+@pytest.mark.parametrize("strategy", ["d-optimal", "tip-optimal"])
+def test_nothing_better_exists_among_few(
+    tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses, strategy: str
+) -> None:
+    """All 1,820 choices of 4 out of 16."""
+    small = PlanningProblem(tripod_errors, candidates[:16], tripod_nominal[:50], min_distance=0.0)
+
+    def value(chosen: tuple[int, ...]) -> float:
+        if strategy == "d-optimal":
+            return float(np.linalg.slogdet(small.information(chosen))[1])
+        return -small.predicted_tip_rms(chosen)
+
+    best = max(map(value, combinations(range(16), 4)))
+    plan = small.plan(4, strategy, np.random.default_rng(0), restarts=5)  # type: ignore[arg-type]
+    assert value(tuple(plan.indices)) == pytest.approx(best, rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [9, 20])
+def test_optimal_plans_beat_random_ones(problem: PlanningProblem, count: int) -> None:
+    """By 1.4 or more in predicted tip error, the mean over ten seeds; the chapter's rule does worse than chance."""
+    predicted = {s: problem.accuracy_curve([count], s, SEEDS).mean() for s in ("random", "least-sensitive")}
+    d_optimal = problem.accuracy_curve([count], "d-optimal", SEEDS).mean()
+    tip_optimal = problem.accuracy_curve([count], "tip-optimal", [0]).mean()
+    assert predicted["random"] / d_optimal > 1.4
+    assert predicted["least-sensitive"] / d_optimal > 2.0
+    assert tip_optimal < d_optimal
+
+
+@pytest.mark.parametrize(("count", "prior", "least"), [(9, 1.0, 1.4), (20, 1.0, 1.2), (20, 1e4, 1.4)])
+def test_the_gain_rests_on_how_far_tolerances_are_believed(
+    problem: PlanningProblem, tripod_nominal: ToolPoses, count: int, prior: float, least: float
+) -> None:
+    other = PlanningProblem(problem.errors, problem.candidates, tripod_nominal, prior=prior)
+    random = other.accuracy_curve([count], "random", SEEDS).mean()
+    assert random / other.accuracy_curve([count], "d-optimal", [0]).mean() > least
+
+
+def test_the_prediction_is_what_a_calibration_attains(
+    tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses
+) -> None:
+    """Machines are drawn, measured with noise by closed loops, and their parameters estimated to first order."""
+    problem = PlanningProblem(tripod_errors, candidates, tripod_nominal[:60], prior=1.0)
+    plan = problem.plan(12, "d-optimal", np.random.default_rng(0), restarts=1)
+    instrument, rng = Instrument(), np.random.default_rng(1)
+    finer = Instrument("pose", instrument.position_sigma / 10, instrument.angle_sigma / 10)
+    blocks = problem.regressor[plan.indices].reshape(-1, len(tripod_errors))
+    tests = sensitivities(tripod_errors, tripod_nominal[:60]).errors
+    squares = []
+    for _ in range(60):
+        truth = 0.1 * tripod_errors.sample(rng)  # small, so that one linear step is the whole estimate
+        machine = SimulatedMachine(tripod_errors.mechanism, GeometricSource(tripod_errors, truth))
+        measured = machine.measure(plan.poses.commands, rng, instrument=finer)
+        rows = (10.0 * pose_difference(plan.poses.transforms, measured) / instrument.sigmas).ravel()
+        found = 0.1 * tripod_errors.tolerances * np.linalg.solve(problem.information(plan.indices), blocks.T @ rows)
+        squares.append(np.mean(tip_error(tests @ (found - truth)) ** 2))
+    assert 10.0 * np.sqrt(np.mean(squares)) == pytest.approx(plan.predicted_tip_rms, rel=0.1)
+
+
+def test_plans_keep_their_distance_and_limits(small: PlanningProblem) -> None:
+    for strategy in STRATEGIES:
+        plan = small.plan(15, strategy, np.random.default_rng(2), restarts=1)
+        assert len(set(plan.indices)) == 15
+        assert plan.poses.within_limits().all()
+        shares = plan.poses.commands / 0.17  # the stroke
+        distances = np.sqrt(np.mean((shares[:, None] - shares) ** 2, axis=2)) + np.eye(15)
+        assert distances.min() >= 0.05
+        assert plan.identifiability.rank == 34
+        assert plan.observability.O1 > 0.0
+
+
+def test_the_chapters_rule_stays_in_its_region(small: PlanningProblem) -> None:
+    plan = small.plan(12, "least-sensitive", np.random.default_rng(0))
+    assert small.sensitivity_map.least_sensitive(0.2)[plan.indices].all()
+
+
+def test_the_same_seed_gives_the_same_plan(small: PlanningProblem) -> None:
+    for strategy in STRATEGIES:
+        first, again = (small.plan(9, strategy, np.random.default_rng(4), restarts=2) for _ in range(2))
+        np.testing.assert_array_equal(first.indices, again.indices)
+
+
+def test_more_poses_predict_better(small: PlanningProblem) -> None:
+    curve = small.accuracy_curve([0, 3, 9, 30], "d-optimal", [0])[:, 0]
+    assert np.all(np.diff(curve) < 0.0)
+
+
+def test_what_cannot_be_planned_is_refused(problem: PlanningProblem, tripod_errors: GeometricErrors) -> None:
+    with pytest.raises(InvalidValueError, match="at most about"):
+        problem.plan(700, "random", np.random.default_rng(0))
+    with pytest.raises(InvalidValueError, match="strategy"):
+        problem.plan(3, "best", np.random.default_rng(0))  # type: ignore[arg-type]
+    for wrong in ({"min_distance": -1.0}, {"prior": 0.0}):
+        with pytest.raises(InvalidValueError):
+            PlanningProblem(tripod_errors, problem.candidates[:3], **wrong)
+
+
+def test_other_machines_are_planned_too() -> None:
+    errors = GeometricErrors.load("hexapod")
+    problem = PlanningProblem.sampled(errors, np.random.default_rng(0), candidates=60, test_poses=20)
+    plan = problem.plan(10, "d-optimal", np.random.default_rng(0), restarts=1)
+    assert plan.predicted_tip_rms < problem.predicted_tip_rms([])

@@ -1,0 +1,191 @@
+"""Pseudo-errors and what learns them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
+
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.instrument import Instrument
+from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
+from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands, pseudo_errors
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import InvalidValueError
+
+NOISE = 5e-6
+
+
+def smooth(inputs: np.ndarray) -> np.ndarray:
+    """Three deviations of 50 to 100 um, bent like those of geometric errors."""
+    x, y, z = inputs.T
+    columns = [60.0 + 40.0 * x - 20.0 * y * z, -30.0 + 50.0 * y**2 + 10.0 * x, 20.0 * z - 40.0 * np.sin(1.5 * x)]
+    return 1e-6 * np.stack(columns, axis=1)
+
+
+@pytest.fixture(scope="module")
+def samples() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(1)
+    inputs = generator.uniform(-1.0, 1.0, (160, 3))
+    return inputs[:60], smooth(inputs[:60]) + NOISE * generator.standard_normal((60, 3)), inputs[60:]
+
+
+def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: ToolPoses) -> None:
+    """A machine whose only errors are its commands has that pseudo-error, to rounding."""
+    poses = tripod_nominal[:20]
+    deviations = np.random.default_rng(0).normal(0.0, 2e-4, (20, 3))
+    reached = forward_poses(poses.mechanism, poses.commands + deviations, poses.q)
+    found = pseudo_errors(Measurements.of_poses(poses.commands, reached.transforms), poses)
+    np.testing.assert_allclose(found.deviations, deviations, atol=1e-12)
+    assert np.abs(found.left).max() < 1e-12
+
+
+def test_positions_show_the_height_and_nothing_else(tripod_nominal: ToolPoses) -> None:
+    """The tool point sits in the universal joint: tilts turn it on the spot, and no deviation is made up for them."""
+    poses = tripod_nominal[:20]
+    moved = np.array(poses.transforms)
+    moved[:, :3, 3] += [2e-4, -1e-4, 3e-4]
+    found = pseudo_errors(Measurements.of_poses(poses.commands, moved, Instrument("position")), poses)
+    np.testing.assert_allclose(found.left, np.tile([2e-4, -1e-4, 0.0], (20, 1)), atol=1e-9)
+    assert np.abs(found.deviations).max() < 1e-3
+
+
+@pytest.mark.parametrize("eta", [0.02, 0.1, 0.5])
+def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: ToolPoses) -> None:
+    """In the tip-weighted sense, against commands a micrometre beside."""
+    poses, generator = tripod_nominal[:10], np.random.default_rng(0)
+    moved = np.array(poses.transforms)
+    moved[:, :3, 3] += generator.normal(0.0, 1e-4, (10, 3))
+    moved[:, :3, :3] = Rotation.from_rotvec(generator.normal(0.0, 1e-3, (10, 3))).as_matrix() @ moved[:, :3, :3]
+    best = poses.commands + pseudo_errors(Measurements.of_poses(poses.commands, moved), poses, eta).deviations
+    np.testing.assert_allclose(nearest_commands(poses, moved, eta).commands, best, atol=1e-9)
+
+    def distance(commands: np.ndarray) -> np.ndarray:
+        reached = forward_poses(poses.mechanism, commands, poses.q).transforms
+        return tip_error(pose_difference(moved, reached), eta)
+
+    least = distance(best)
+    for step in 1e-6 * np.concatenate([np.eye(3), -np.eye(3)]):
+        assert np.all(distance(best + step) > least)
+
+
+def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: ToolPoses) -> None:
+    """Against 2000 noisy measurements of one pose."""
+    pose, generator = tripod_nominal[:1], np.random.default_rng(0)
+    commands = np.repeat(pose.commands, 2000, axis=0)
+    nominal = ToolPoses(pose.mechanism, np.repeat(pose.q, 2000, axis=0))
+    sigmas = Instrument().sigmas
+    noise = generator.standard_normal((2000, 6)) * sigmas
+    seen = np.array(nominal.transforms)
+    seen[:, :3, 3] += noise[:, :3]
+    seen[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ seen[:, :3, :3]
+    found = pseudo_errors(Measurements.of_poses(commands, seen), nominal)
+    spread = np.cov(found.deviations.T)
+    np.testing.assert_allclose(spread, found.covariances[0], atol=0.1 * np.abs(spread).max())
+
+
+def test_inputs_are_scaled_by_the_limits(tripod_nominal: ToolPoses) -> None:
+    """The stroke is 85 mm to either side; temperatures are scaled by what was measured."""
+    measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
+    conditions = {"temperature_a_K": np.array([2.0, 4.0, 6.0]), "load_z_N": np.full(3, 7.0)}
+    scale = InputScale.of(tripod_nominal.mechanism, replace(measurements, conditions=conditions))
+    assert scale.conditions == ("temperature_a_K",)
+    assert scale.middle() == {"temperature_a_K": 4.0}
+    scaled = scale.scaled(np.array([[0.085, 0.0, -0.085]]), {"temperature_a_K": 6.0})
+    np.testing.assert_allclose(scaled, [[1.0, 0.0, -1.0, 1.0]], atol=1e-12)
+    with pytest.raises(InvalidValueError, match="temperature_a_K among them"):
+        scale.scaled(measurements.commands, {})
+
+
+def test_a_gaussian_process_learns_a_smooth_function(samples: tuple[np.ndarray, ...]) -> None:
+    inputs, deviations, others = samples
+    process = GaussianProcess.fit(inputs, deviations, np.full((60, 3), NOISE**2))
+    errors = process.deviations(others) - smooth(others)
+    assert np.sqrt(np.mean(errors**2)) < 0.7 * NOISE
+    score = errors / process.uncertainties(others)
+    assert np.sqrt(np.mean(score**2)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_gaussian_process_is_the_conditional_of_a_normal_law() -> None:
+    """Mean and deviation from the joint covariance of ten measurements and one more, by its definition."""
+    generator = np.random.default_rng(0)
+    x = generator.uniform(-1.0, 1.0, (11, 2))
+    c, s, o, excess, lengths, own = 2e-5, 3e-5, 1e-5, 4e-6, np.array([0.7, 1.3]), 0.3
+    logarithms = np.log([[c, s, o, excess, *lengths, own]])
+    joint = np.empty((11, 11))
+    for i in range(11):
+        for j in range(11):
+            d = x[i] - x[j]
+            joint[i, j] = c**2 * (1.0 + x[i] @ x[j]) + s**2 * np.exp(-0.5 * np.sum((d / lengths) ** 2))
+            joint[i, j] += o**2 * np.exp(-0.5 * (d[0] / own) ** 2)
+    noisy = joint[:10, :10] + (excess**2 + NOISE**2) * np.eye(10)
+    y = multivariate_normal(np.zeros(10), noisy, seed=1).rvs()
+    process = GaussianProcess(x[:10], y[:, None], np.full((10, 1), NOISE**2), logarithms)
+    gain = np.linalg.solve(noisy, joint[:10, 10])
+    np.testing.assert_allclose(process.deviations(x[10:])[0, 0], gain @ y, rtol=1e-6)
+    variance = joint[10, 10] - gain @ joint[:10, 10]
+    np.testing.assert_allclose(process.uncertainties(x[10:])[0, 0], np.sqrt(variance), rtol=1e-6)
+
+
+def test_a_network_learns_a_smooth_function(samples: tuple[np.ndarray, ...]) -> None:
+    pytest.importorskip("sklearn")
+    inputs, deviations, others = samples
+    network = NeuralNetwork.fit(inputs, deviations, seed=0)
+    errors = network.deviations(others) - smooth(others)
+    assert np.sqrt(np.mean(errors**2)) < 1.5 * NOISE
+    assert np.all(network.uncertainties(others) > 0.5 * NOISE)
+
+
+def test_numpy_answers_as_scikit_learn_does(samples: tuple[np.ndarray, ...]) -> None:
+    """One member of the networks, by scikit-learn's own evaluation."""
+    neural_network = pytest.importorskip("sklearn.neural_network")
+    inputs, deviations, others = samples
+    network = NeuralNetwork.fit(inputs, deviations, seed=3)
+    model = neural_network.MLPRegressor(hidden_layer_sizes=(10,), activation="tanh", max_iter=1, solver="sgd")
+    with pytest.warns(UserWarning, match="Maximum iterations"):
+        model.fit(inputs, deviations)
+    total = np.zeros((len(others), 3))
+    for k in range(len(network.hidden_weights)):
+        model.coefs_ = [network.hidden_weights[k], network.output_weights[k]]
+        model.intercepts_ = [network.hidden_biases[k], network.output_biases[k]]
+        total += model.predict(others) / len(network.hidden_weights)
+    np.testing.assert_allclose(network.deviations(others), total * network.scale * network.part, rtol=1e-10)
+
+
+@pytest.mark.parametrize("kind", [GaussianProcess, NeuralNetwork])
+def test_where_there_is_only_noise_nothing_is_learned(kind: type, samples: tuple[np.ndarray, ...]) -> None:
+    if kind is NeuralNetwork:
+        pytest.importorskip("sklearn")
+    inputs, _, others = samples
+    sizes = []
+    for seed in range(5):
+        noise = NOISE * np.random.default_rng(seed).standard_normal((60, 3))
+        model = (
+            NeuralNetwork.fit(inputs, noise, seed)
+            if kind is NeuralNetwork
+            else GaussianProcess.fit(inputs, noise, np.full((60, 3), NOISE**2))
+        )
+        sizes.append(np.sqrt(np.mean(model.deviations(others) ** 2)))
+    assert np.median(sizes) < 0.2 * NOISE
+    assert max(sizes) < 0.6 * NOISE
+
+
+@pytest.mark.parametrize("kind", [GaussianProcess, NeuralNetwork])
+def test_stored_models_answer_the_same(kind: type, samples: tuple[np.ndarray, ...]) -> None:
+    inputs, deviations, others = samples
+    if kind is NeuralNetwork:
+        pytest.importorskip("sklearn")
+        first, second = (NeuralNetwork.fit(inputs, deviations, 7) for _ in range(2))
+    else:
+        first, second = (GaussianProcess.fit(inputs, deviations, np.full((60, 3), NOISE**2)) for _ in range(2))
+    text = json.dumps(first.as_data())
+    assert text == json.dumps(second.as_data())
+    again = kind.from_data(json.loads(text))
+    np.testing.assert_array_equal(again.deviations(others), first.deviations(others))
+    np.testing.assert_array_equal(again.uncertainties(others), first.uncertainties(others))

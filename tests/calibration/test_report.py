@@ -1,0 +1,152 @@
+"""The folder of a calibration: whole or not at all, the same bytes again, loadable elsewhere, and its report."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+
+from pm3dof_pin.calibration.calibrate import Calibration, HeldOut, Options, calibrate, held_out_errors
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.measurements import read_measurements
+from pm3dof_pin.calibration.results import read_compensation, write_calibration
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.calibration.workspace_errors import workspace_errors
+from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.exceptions import DescriptionError, OutputError
+from pm3dof_pin.figures.calibration_report import report_as_html
+from pm3dof_pin.mechanism import Mechanism
+
+
+@pytest.fixture(scope="module")
+def calibration(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> Calibration:
+    world = World.random("everything", tripod_errors, np.random.default_rng(0))
+    measured = world.measure(tripod_nominal.commands[:25], np.random.default_rng(1))
+    return calibrate(measured, tripod_errors, Options("lm+gp"))
+
+
+@pytest.fixture(scope="module")
+def held_out(calibration: Calibration) -> HeldOut:
+    return held_out_errors(calibration)
+
+
+@pytest.fixture(scope="module")
+def report(calibration: Calibration, held_out: HeldOut) -> str:
+    return report_as_html(calibration, "pm3dof", held_out, workspace_errors(calibration, 7))
+
+
+@pytest.fixture(scope="module")
+def folder(calibration: Calibration, held_out: HeldOut, report: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_calibration(
+        calibration, "pm3dof", tmp_path_factory.mktemp("results") / "calibration", held_out, report
+    )
+
+
+def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, tripod_nominal: ToolPoses) -> None:
+    poses, conditions = tripod_nominal[100:110], {"temperature_screws_K": 3.0}
+    again = read_compensation(folder)
+    wanted = calibration.compensation.corrected(poses, conditions)
+    np.testing.assert_array_equal(again.corrected(poses, conditions), wanted)
+    expected = calibration.compensation.predicted_error(poses, conditions)
+    np.testing.assert_array_equal(again.predicted_error(poses, conditions), expected)
+
+
+def test_the_calibrated_urdf_is_the_calibrated_machine(
+    calibration: Calibration, folder: Path, tripod_nominal: ToolPoses
+) -> None:
+    poses = tripod_nominal[100:110]
+    mechanism = Mechanism.load(folder / "calibrated" / "pm3dof.urdf")
+    reached = forward_poses(mechanism, poses.commands, poses.q).transforms
+    expected = calibration.compensation.model_poses(poses).transforms
+    np.testing.assert_allclose(reached, expected, atol=1e-12)
+    assert pin.buildModelFromUrdf(str(folder / "calibrated" / "pm3dof.urdf")).nv == 12
+
+
+def test_the_summary_says_what_was_found(calibration: Calibration, folder: Path) -> None:
+    summary = yaml.safe_load((folder / "calibration.yaml").read_text())
+    found = calibration.identification
+    assert summary["method"] == "lm+gp"
+    assert summary["measurements"]["count"] == 25
+    entry = summary["identification"]["parameters"]["O_e.tx"]
+    place = found.errors.names.index("O_e.tx")
+    assert entry == {
+        "value": found.values[place],
+        "sigma": found.sigmas[place],
+        "tolerance": 1e-4,
+        "unit": "m",
+    }
+    assert summary["identification"]["says_nothing_about"] == ["platform_x_joint.rx"]
+    held_out = summary["held_out"]
+    assert held_out["tip_error_floor_m"]["mean"] <= held_out["tip_error_after_m"]["mean"]
+    assert held_out["tip_error_after_m"]["mean"] < 0.5 * held_out["tip_error_before_m"]["mean"]
+
+
+def test_the_measurements_are_kept(calibration: Calibration, folder: Path, tripod_errors: GeometricErrors) -> None:
+    again = read_measurements(folder / "measurements.csv", tripod_errors)
+    np.testing.assert_allclose(again.commands, calibration.measurements.commands, atol=1e-16)
+    np.testing.assert_array_equal(again.positions, calibration.measurements.positions)
+
+
+def test_the_same_bytes_again(
+    calibration: Calibration, folder: Path, tmp_path: Path, tripod_errors: GeometricErrors
+) -> None:
+    repeated = calibrate(calibration.measurements, tripod_errors, Options("lm+gp"))
+    judged = held_out_errors(repeated)
+    page = report_as_html(repeated, "pm3dof", judged, workspace_errors(repeated, 7))
+    again = write_calibration(repeated, "pm3dof", tmp_path / "again", judged, page)
+    files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
+    for file in files:
+        assert (folder / file).read_bytes() == (again / file).read_bytes(), file
+
+
+def test_the_page_holds_its_pictures_and_numbers(report: str, held_out: HeldOut) -> None:
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', report)
+    assert len(pictures) == 4
+    assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
+    assert not re.search(r"(src|href)=\"http", report)
+    assert f"<td>{1e6 * held_out.after.mean():.1f}</td>" in report
+    assert "platform_x_joint.rx" in report
+
+
+def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
+    maps = workspace_errors(calibration, 7)
+    inside = np.isfinite(maps.before)
+    assert maps.names == ("platform_x_joint", "platform_y_joint")
+    assert 5 < inside.sum() < 49
+    np.testing.assert_array_equal(inside, np.isfinite(maps.after))
+    assert np.all(maps.floor[inside] <= maps.before[inside])
+    assert np.nanmean(maps.after) < 0.6 * np.nanmean(maps.before)
+
+
+def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_path: Path) -> None:
+    target = tmp_path / "calibration"
+    write_calibration(calibration, "pm3dof", target)
+    (target / "stale").write_text("")
+    write_calibration(calibration, "pm3dof", target)
+    assert not (target / "stale").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["calibration"]
+
+    other = tmp_path / "letters"
+    other.mkdir()
+    (other / "letter.txt").write_text("dear")
+    with pytest.raises(OutputError, match="something else is there"):
+        write_calibration(calibration, "pm3dof", other)
+    assert [path.name for path in other.iterdir()] == ["letter.txt"]
+
+
+def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration, tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match="expected the compensation of a calibration"):
+        read_compensation(tmp_path)
+    target = write_calibration(calibration, "pm3dof", tmp_path / "damaged")
+    data = json.loads((target / "compensation.json").read_text())
+    del data["values"]
+    (target / "compensation.json").write_text(json.dumps(data))
+    with pytest.raises(DescriptionError, match="expected those of format 1"):
+        read_compensation(target)

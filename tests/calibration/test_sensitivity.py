@@ -1,0 +1,104 @@
+"""Sensitivities against central differences of the closed-loop kinematics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.calibration.geometry import GeometricErrors, all_parameters
+from pm3dof_pin.calibration.sensitivity import closable, sensitivities
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.mechanism import Mechanism
+
+STEP = 1e-5
+AGREEMENT = 1e-6
+
+
+def _motion(first: ToolPoses, second: ToolPoses) -> np.ndarray:
+    turn = [pin.log3(b @ a.T) for a, b in zip(first.rotations, second.rotations, strict=True)]
+    return np.concatenate([second.positions - first.positions, turn], axis=1) / (2.0 * STEP)
+
+
+def _differences(errors: GeometricErrors, poses: ToolPoses, values: np.ndarray) -> np.ndarray:
+    columns = []
+    for index in range(len(errors)):
+        step = STEP * np.eye(len(errors))[index]
+        first, second = (forward_poses(errors.apply(values + s), poses.commands, poses.q) for s in (-step, step))
+        columns.append(_motion(first, second))
+    return np.stack(columns, axis=2)
+
+
+def test_errors_against_finite_differences(case: ToolPoses) -> None:
+    errors = closable(GeometricErrors(case.mechanism), case)
+    np.testing.assert_allclose(
+        sensitivities(errors, case).errors, _differences(errors, case, errors.zeros), atol=AGREEMENT
+    )
+
+
+def test_errors_against_finite_differences_far_from_nominal(case: ToolPoses) -> None:
+    """At errors of centimetres and tenths of a radian the derivative of the displacement itself counts."""
+    errors = closable(GeometricErrors(case.mechanism), case)
+    values = 20.0 * errors.sample(np.random.default_rng(2))
+    poses = forward_poses(errors.apply(values), case.commands, case.q)
+    analytic = sensitivities(errors, poses, values).errors
+    np.testing.assert_allclose(analytic, _differences(errors, poses, values), atol=AGREEMENT)
+
+
+def test_commands_against_finite_differences(case: ToolPoses) -> None:
+    analytic = sensitivities(GeometricErrors(case.mechanism, []), case).commands
+    for index in range(analytic.shape[2]):
+        step = STEP * np.eye(analytic.shape[2])[index]
+        first, second = (forward_poses(case.mechanism, case.commands + s, case.q) for s in (-step, step))
+        np.testing.assert_allclose(analytic[:, :, index], _motion(first, second), atol=AGREEMENT)
+
+
+def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+    """A displacement along a prismatic joint's axis adds to its coordinate: (8.9) in another guise."""
+    derivatives = sensitivities(tripod_errors, tripod_nominal)
+    axis = np.array([-0.5566703992264195, 0.3213938048432696, 0.766044443118978])
+    offset = [tripod_errors.names.index(f"slider1_joint.t{axis_name}") for axis_name in "xyz"]
+    np.testing.assert_allclose(derivatives.errors[:, :, offset] @ axis, derivatives.commands[:, :, 0], atol=1e-12)
+
+
+def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
+    """A planar four-bar does not close with a tilted or lifted pivot; lengths and offsets in its plane it takes."""
+    mechanism = Mechanism.load(four_bar)
+    errors, poses = GeometricErrors(mechanism), forward_poses(mechanism, [[0.2], [-0.3]])
+    assert set(errors.names) - set(closable(errors, poses).names) == {
+        f"{place}.{motion}"
+        for place, motions in {
+            "crank_joint": ("tz", "rx", "ry"),
+            "coupler_joint": ("tz", "rx", "ry"),
+            "rocker_joint": ("tz", "rx", "ry"),
+            "coupler_tip": ("tz",),
+            "rocker_tip": ("tz",),
+        }.items()
+        for motion in motions
+    }
+    with pytest.raises(InvalidValueError, match=r"rocker_joint\.tz"):
+        sensitivities(errors, poses)
+
+
+def test_a_tool_that_commands_do_not_hold_is_refused(four_bar: Path) -> None:
+    loose = Mechanism(Mechanism.load(four_bar).model, (), actuated_joints=["crank_joint"], tool_frame="pen")
+    poses = forward_poses(loose, [[0.2]])
+    with pytest.raises(SingularConfigurationError, match="held at pose 0"):
+        sensitivities(GeometricErrors(loose, []), poses)
+
+
+def test_frames_inside_frames_move_together() -> None:
+    """Errors on a place in the middle of a chain of fixed joints carry what hangs beyond it."""
+    mechanism = Mechanism.load("pm3dof")
+    parameters = [p for p in all_parameters(mechanism) if p.place.startswith("slider")]
+    middle = [type(p)(**{**p.__dict__, "name": f"m.{p.name[-2:]}", "place": "middle_platform"}) for p in parameters[:6]]
+    errors = GeometricErrors(mechanism, [*parameters, *middle])
+    poses = forward_poses(mechanism, [[0.01, -0.02, 0.03]])
+    values = errors.sample(np.random.default_rng(0)) * 10.0
+    moved = forward_poses(errors.apply(values), poses.commands, poses.q)
+    np.testing.assert_allclose(
+        sensitivities(errors, moved, values).errors, _differences(errors, moved, values), atol=AGREEMENT
+    )

@@ -1,0 +1,90 @@
+"""Tolerance allocation against the closed form at one pose, the conditions of an optimum, and random search."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.error_map import ErrorMap, error_map, monte_carlo
+from pm3dof_pin.calibration.geometry import GeometricErrors, GeometricParameter
+from pm3dof_pin.calibration.tolerances import equal_contributions, least_cost
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.exceptions import InvalidValueError
+
+TARGET = 1e-4
+
+
+@pytest.fixture(scope="module")
+def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> ErrorMap:
+    return error_map(tripod_errors, tripod_nominal)
+
+
+def _squares(errors: ErrorMap) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """What each class does to the squared tip error at each pose, and how many parameters times tolerance it has."""
+    labels = [f"{p.group} [{p.unit}]" for p in errors.errors.parameters]
+    names = list(dict.fromkeys(labels))
+    each = np.sum((errors.sensitivities.errors * np.repeat([1.0, 0.1], 3)[:, None]) ** 2, axis=1)
+    squares = np.array([each[:, [label == name for label in labels]].sum(axis=1) for name in names]).T
+    costs = np.array(
+        [
+            sum(p.tolerance for p, label in zip(errors.errors.parameters, labels, strict=True) if label == n)
+            for n in names
+        ]
+    )
+    return squares, costs, names
+
+
+@pytest.mark.parametrize("allocate", [equal_contributions, least_cost])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_the_target_is_met_and_just_met(tripod_map: ErrorMap, allocate: object, compensated: bool) -> None:
+    allocation = allocate(tripod_map, TARGET, compensated=compensated)  # type: ignore[operator]
+    assert allocation.tip_rms.max() == pytest.approx(TARGET, rel=1e-9)
+    assert allocation.tip_rms[allocation.worst_pose] == allocation.tip_rms.max()
+    assert sum(allocation.shares.values()) == pytest.approx(1.0)
+
+
+def test_at_one_pose_the_least_cost_has_a_closed_form(
+    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+) -> None:
+    """min sum c / t under sum a t^2 = T^2: t = (c / a)^(1/3) times a constant, by Lagrange."""
+    one = error_map(tripod_errors, tripod_nominal[:1])
+    squares, costs, names = _squares(one)
+    shape = np.cbrt(costs / squares[0])
+    expected = shape * TARGET / np.sqrt(squares[0] @ shape**2)
+    allocation = least_cost(one, TARGET)
+    np.testing.assert_allclose([allocation.tolerances[name] for name in names], expected, rtol=1e-5)
+    assert allocation.cost == pytest.approx(np.sum(costs / expected))
+
+
+def test_over_the_workspace_nothing_cheaper_is_found(tripod_map: ErrorMap) -> None:
+    squares, costs, names = _squares(tripod_map)
+    best = least_cost(tripod_map, TARGET)
+    tolerances = np.array([best.tolerances[name] for name in names])
+    assert best.cost <= equal_contributions(tripod_map, TARGET).cost
+    rng = np.random.default_rng(0)
+    for spread in (1e-3, 1e-2, 0.1, 0.5):
+        for _ in range(500):
+            other = tolerances * np.exp(spread * rng.standard_normal(len(names)))
+            other *= TARGET / np.sqrt((squares @ other**2).max())
+            assert np.sum(costs / other) > best.cost * (1.0 - 1e-7)
+
+
+def test_machines_made_to_the_tolerances_are_as_good_as_wanted(tripod_map: ErrorMap) -> None:
+    best = least_cost(tripod_map, TARGET)
+    made = [
+        GeometricParameter(p.name, p.place, p.motion, p.axis, p.group, best.tolerances[f"{p.group} [{p.unit}]"])
+        for p in tripod_map.errors.parameters
+    ]
+    errors = GeometricErrors(tripod_map.errors.mechanism, made)
+    worst = tripod_map.poses[best.worst_pose : best.worst_pose + 1]
+    drawn = monte_carlo(errors, worst, 400, np.random.default_rng(1))
+    assert drawn.tip_rms()[0] == pytest.approx(TARGET, rel=0.1)
+
+
+def test_a_dearer_class_gets_a_wider_tolerance(tripod_map: ErrorMap) -> None:
+    cheap, dear = (least_cost(tripod_map, TARGET, weights={"tool [m]": weight}) for weight in (1.0, 10.0))
+    assert dear.tolerances["tool [m]"] > 1.3 * cheap.tolerances["tool [m]"]
+    with pytest.raises(InvalidValueError, match="tool"):
+        least_cost(tripod_map, TARGET, weights={"nonsense": 1.0})
+    with pytest.raises(InvalidValueError, match="target"):
+        least_cost(tripod_map, 0.0)

@@ -1,0 +1,254 @@
+"""The command `pm3dof` from outside: what it prints, where, and its exit status."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.tripod import Tripod
+
+
+def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+def answer(*arguments: str, status: int = 0) -> dict:
+    result = run(*arguments, "--json")
+    assert result.returncode == status, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_ik_known_pose() -> None:
+    """The travels of three simulators, and negative numbers without tricks."""
+    result = answer("ik", "10", "-15", "0.5")
+    np.testing.assert_allclose(result["u_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)
+    assert result["within_limits"] is True
+    assert result["violated"] == []
+
+
+def test_fk_is_the_way_back() -> None:
+    u = answer("ik", "-7.5", "12.25", "0.48")["u_m"]
+    pose = answer("fk", *(repr(travel) for travel in u))
+    assert pose["theta_x_rad"] == pytest.approx(math.radians(-7.5), abs=1e-11)
+    assert pose["theta_y_rad"] == pytest.approx(math.radians(12.25), abs=1e-11)
+    assert pose["z_e_m"] == pytest.approx(0.48, abs=1e-11)
+    assert pose["residual_m"] < 1e-13
+
+
+def test_fk_all_assembly_modes() -> None:
+    modes = answer("fk", "0.257", "0.26", "0.2245", "--all")["assembly_modes"]
+    assert len(modes) == 8
+    assert all(mode["residual_m"] < 1e-12 for mode in modes)
+
+
+def test_stiffness_of_the_chapter() -> None:
+    """T_z of a level platform by hand: 3 n_z^2 (k_t + k_a / c^2); the rest from E I, G J and L."""
+    result = answer("stiffness", "0", "0", "0.493", "--model", "chapter")
+    u = answer("ik", "0", "0", "0.493")["u_m"][0]
+    h = (0.37425 - u * math.cos(math.radians(50)) - 0.075) / 0.353
+    n_z = math.sqrt(1 - h * h)
+    cosine = h * math.cos(math.radians(50)) + n_z * math.sin(math.radians(50))
+    diagonal = result["diagonal"]
+    assert diagonal["t_z"] == pytest.approx(3 * n_z**2 * (1.5177e10 + 9.5950e7 / cosine**2), rel=1e-12)
+    length = 0.493 - 0.37917779060497586
+    assert diagonal["t_x"] == pytest.approx(899.6698 / length**5, rel=1e-9)
+    assert diagonal["t_x"] == diagonal["t_y"]
+    assert diagonal["theta_z"] == pytest.approx(697.4185 / length**2, rel=1e-9)
+    assert set(diagonal) == {"theta_x", "theta_y", "t_z", "t_x", "t_y", "theta_z"}
+    assert result["global"] == pytest.approx(sum(diagonal.values()) / 6)
+
+
+def test_stiffness_is_elastic_by_default() -> None:
+    result = answer("stiffness", "10", "-15", "0.5")
+    matrix, inverse = np.array(result["K"]), np.array(result["C"])
+    scale = np.sqrt(np.diag(matrix))
+    np.testing.assert_allclose(matrix @ inverse / scale[:, None] * scale, np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(matrix, matrix.T)
+    assert len(result["eigenvalues"]) == 6
+    for parts in result["spring_shares"].values():
+        assert sum(parts.values()) == pytest.approx(1.0)
+
+
+def test_stiffness_of_other_robots() -> None:
+    """The hexapod's published compliance, to its printed digits."""
+    diagonal = np.diag(answer("stiffness", "--robot", "hexapod")["C"])
+    assert [f"{value:.1e}" for value in diagonal] == ["4.7e-08", "4.7e-08", "2.1e-08", "5.2e-06", "5.2e-06", "1.7e-06"]
+
+
+def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(tmp_path: Path) -> None:
+    """Without the passive leg's spring, x, y and the turn about z are held by rigid bodies."""
+    urdf = Path(answer("info")["urdf"])
+    (tmp_path / "stiff.urdf").write_text(urdf.read_text())
+    springs = urdf.with_name("pm3dof.closures.yaml").read_text().splitlines()
+    (tmp_path / "stiff.closures.yaml").write_text("\n".join(line for line in springs if "cantilever" not in line))
+    result = answer("stiffness", "--robot", str(tmp_path / "stiff.urdf"))
+    assert result["K"] is None
+    assert len(result["rigid_directions"]) == 3
+    assert result["felt"]["x"] is None
+    assert result["felt"]["z"] == pytest.approx(answer("stiffness", "--configuration", "home")["felt"]["z"])
+
+
+def test_table_8_3() -> None:
+    rows = answer("table-8-3")["rows"]
+    assert len(rows) == 14
+    for row in rows:
+        expected = (row["computed"] - row["published"]) / row["published"]
+        assert row["relative_difference"] == pytest.approx(expected)
+        assert row["axis"] in {"theta_x", "theta_y", "t_z", "t_x", "theta_z", "global"}
+        assert row["statistic"] in {"minimum", "maximum", "average"}
+    text = run("table-8-3").stdout
+    assert "contradicts its own table" in text
+
+
+def test_info_of_every_robot() -> None:
+    robots = answer("info")["robots"]
+    assert "pm3dof" in robots
+    for robot in robots:
+        result = answer("info", "--robot", robot)
+        assert result["mobility"] >= 1
+        assert result["home_closure_residual"] < 1e-12
+    assert answer("info")["mobility"] == 3
+
+
+def test_main_job_writes_everything_and_says_where(tmp_path: Path) -> None:
+    result = run("stiffness-map", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    written = {path.name: path.stat().st_size for path in (tmp_path / "results").iterdir()}
+    pictures = {"figure_8_3a_theta_x.png", "figure_8_3b_theta_y.png", "figure_8_3c_t_z.png", "figure_8_4_global.png"}
+    assert set(written) == {"stiffness_map.nc", "stiffness_map.csv"} | pictures
+    assert all(f"wrote {Path('results') / name}" in result.stderr for name in written)
+    assert "theta_y average" in result.stdout
+    assert "\x1b" not in result.stderr  # no progress bar in a pipe
+
+
+def test_main_job_with_another_section(tmp_path: Path) -> None:
+    arguments = [
+        "--height",
+        "0.5",
+        "--tilt",
+        "20",
+        "--points",
+        "21",
+        "--no-pictures",
+        "--out",
+        str(tmp_path / "a" / "b"),
+    ]
+    result = answer("stiffness-map", *arguments)
+    assert result["z_e_m"] == 0.5
+    assert result["poses"] == result["poses_within_limits"] == 441
+    assert sorted(Path(file).name for file in result["files"]) == ["stiffness_map.csv", "stiffness_map.nc"]
+
+
+def test_workspace(tmp_path: Path, tripod: Tripod) -> None:
+    arguments = ["--heights", "5", "--directions", "60", "--no-picture", "--out", str(tmp_path)]
+    result = answer("workspace", *arguments)
+    np.testing.assert_allclose(result["z_e_range_m"], [tripod.height_min, tripod.height_max], atol=1e-8)
+    assert len(result["sections"]) == 5
+    assert result["limit_shares"]["stroke"] > 0
+    assert any("printed" in text for text in result["printed_ranges"])
+
+
+def test_atlas(tmp_path: Path) -> None:
+    arguments = ["--points", "15", "15", "9", "-q", "K", "-q", "condition_number", "-q", "slider_travel"]
+    result = answer("atlas", *arguments, "--out", str(tmp_path / "atlas.nc"))
+    assert result["poses"] == 15 * 15 * 9
+    pictures = ["condition_number", *(f"slider_travel_{leg}" for leg in (1, 2, 3))]
+    expected = {"atlas.nc", *(f"atlas_{name}.png" for name in pictures)}
+    assert {path.name for path in tmp_path.iterdir()} == {Path(file).name for file in result["files"]} == expected
+
+
+@pytest.mark.parametrize("command", ["ik", "stiffness"])
+def test_broken_limit_is_answered_named_and_fails(command: str) -> None:
+    result = run(command, "0", "0", "0.59", "--json")
+    assert result.returncode == 1
+    assert re.search(r"joint limit broken: slider1_joint at 0\.33\d\d m, outside 0\.1553 \.\. 0\.3253 m", result.stderr)
+    assert json.loads(result.stdout)
+    if command == "ik":
+        values = json.loads(result.stdout)
+        assert values["within_limits"] is False
+        assert values["violated"] == ["slider1_joint", "slider2_joint", "slider3_joint"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["ik", "0", "0", "0.9"], 1, "out of reach"),
+        (["ik", "nan", "0", "0.5"], 2, "nan is not a finite number"),
+        (["ik", "0", "0"], 2, "Missing argument"),
+        (["ik", "0", "0", "half"], 2, "'Z': Input should be a valid number"),
+        (["ik", "0", "0", "0.5", "--jsn"], 2, "--jsn"),
+        (["fk", "0.24", "0.24"], 2, "3 finite slider travels"),
+        (["fk", "-2", "0.24", "3"], 1, "did not converge: residual"),
+        (["stiffness", "0", "0", "0.5", "--model", "magic"], 2, "magic"),
+        (["stiffness", "0", "0", "0.35"], 1, "clamps the passive leg"),
+        (["info", "--robot", "nobody"], 1, "no robot 'nobody'"),
+        (["atlas", "-q", "colour"], 2, "no quantity 'colour'"),
+        (["atlas", "--out", "atlas.txt"], 2, "ending in .nc or .zarr"),
+        (["stiffness-map", "--points", "1"], 2, "--points"),
+        (["unknown"], 2, "unknown"),
+    ],
+)
+def test_bad_input_gives_one_clear_message(arguments: list[str], status: int, words: str, tmp_path: Path) -> None:
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == status, result.stderr
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_number_missing_from_the_yaml(tmp_path: Path) -> None:
+    config = tmp_path / "machine.yaml"
+    shipped = answer("info")["urdf"]
+    text = (Path(shipped).parents[1] / "config" / "pm3dof.yaml").read_text()
+    config.write_text("\n".join(line for line in text.splitlines() if "link_length:" not in line))
+    for command in (["ik", "0", "0", "0.5"], ["table-8-3"], ["stiffness-map"], ["workspace"], ["atlas"]):
+        result = run(*command, "--config", str(config), cwd=tmp_path)
+        assert result.returncode == 1
+        assert result.stderr.strip().startswith(f"pm3dof: {config}: geometry.link_length: is missing")
+    assert list(tmp_path.iterdir()) == [config]
+
+
+@pytest.mark.parametrize("command", ["stiffness-map", "workspace", "atlas"])
+def test_unwritable_folder(command: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    target = tmp_path / "file" / ("atlas.nc" if command == "atlas" else "results")
+    result = run(command, "--out", str(target))
+    assert result.returncode == 1
+    assert "cannot write" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_help_and_version_need_no_numerics() -> None:
+    """Instant help: none of the heavy packages is imported for it."""
+    heavy = ["numpy", "numba", "scipy", "pinocchio", "xarray", "matplotlib", "zarr", "meshcat"]
+    program = (
+        "import sys\n"
+        "from pm3dof_pin.cli import app\n"
+        "sys.argv = ['pm3dof', '--help']\n"
+        "try:\n    app.main()\n"
+        f"finally:\n    print([name for name in {heavy} if name in sys.modules])\n"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+    assert "stiffness-map" in result.stdout
+    assert run("--version").stdout.startswith("pm3dof ")
+    for command in ("ik", "fk", "stiffness", "stiffness-map", "table-8-3", "workspace", "atlas", "info"):
+        text = run(command, "--help").stdout
+        assert "Usage: " in text
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    command = f"{sys.executable} -c 'from pm3dof_pin.cli.app import main; main()' table-8-3 | head -1"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False, env=os.environ)
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,41 @@
+"""Fixtures that several rooms share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+if TYPE_CHECKING:
+    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.tripod import Tripod
+
+
+@pytest.fixture(scope="session")
+def tripod() -> Tripod:
+    """The chapter's machine in closed form."""
+    from pm3dof_pin.tripod import Tripod
+
+    return Tripod.load()
+
+
+@pytest.fixture(scope="session")
+def mechanism() -> Mechanism:
+    """The chapter's machine from its URDF and closures file."""
+    from pm3dof_pin.mechanism import Mechanism
+
+    return Mechanism.load("pm3dof")
+
+
+@pytest.fixture(scope="session")
+def reachable_poses(tripod: Tripod) -> np.ndarray:
+    """10,000 random poses within every joint limit, shape=(10000, 3) [rad, rad, m]."""
+    from pm3dof_pin.tripod.limits import broken_limits
+
+    generator = np.random.default_rng(20100801)
+    lowest, highest = np.array([-0.8, -0.8, 0.38]), np.array([0.8, 0.8, 0.6])
+    candidates = generator.uniform(lowest, highest, (120_000, 3))
+    reachable = candidates[broken_limits(tripod, candidates) == 0]
+    assert len(reachable) >= 10_000
+    return reachable[:10_000]

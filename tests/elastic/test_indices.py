@@ -1,0 +1,107 @@
+"""Indices of K against their definitions: displacements under loads, and matrices with known spectra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.elastic.indices import (
+    characteristic_length,
+    compliance,
+    condensed_stiffness,
+    condition_number,
+    directional_stiffness,
+    eigenvalues,
+    ellipsoid,
+    stiffness,
+)
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
+
+
+@pytest.fixture(scope="module")
+def matrices(tripod: Tripod, reachable_poses: np.ndarray) -> np.ndarray:
+    return elastic_stiffness(tripod, reachable_poses[:200])
+
+
+def test_compliance_inverts_stiffness(matrices: np.ndarray) -> None:
+    inverse = compliance(matrices)
+    scale = np.sqrt(np.einsum("nii->ni", matrices))
+    product = np.einsum("nij,njk->nik", matrices, inverse) / scale[:, :, None] * scale[:, None, :]
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-9)
+    np.testing.assert_allclose(stiffness(inverse), matrices, rtol=1e-9, atol=1e-9 * matrices.max())
+    np.testing.assert_array_equal(inverse, np.swapaxes(inverse, 1, 2))
+
+
+def test_a_probe_feels_force_over_displacement(matrices: np.ndarray) -> None:
+    """Push with 3 N along d, solve for the displacement, divide by its component along d."""
+    d = np.array([0.6, 0.0, 0.8])
+    for matrix in matrices[:20]:
+        displacement = np.linalg.solve(matrix, np.concatenate([3.0 * d, np.zeros(3)]))
+        felt = directional_stiffness(compliance(matrix), 5.0 * d)
+        assert felt == pytest.approx(3.0 / (displacement[:3] @ d), rel=1e-9)
+        turned = np.linalg.solve(matrix, np.concatenate([np.zeros(3), 3.0 * d]))
+        felt = directional_stiffness(compliance(matrix), d, "rotation")
+        assert felt == pytest.approx(3.0 / (turned[3:] @ d), rel=1e-9)
+
+
+def test_probe_at_the_centre_of_the_section(tripod: Tripod) -> None:
+    """The leg springs in series, by hand: three links of one inclination, k = 1 / (c^2 / k_a + 1 / k_t), 3 k n_z^2."""
+    u = np.linspace(0.155, 0.325, 200_001)
+    h = 0.37425 - u * np.cos(np.radians(50.0)) - 0.075
+    heights = u * np.sin(np.radians(50.0)) + np.sqrt(0.353**2 - h**2) - 0.013
+    h = np.interp(tripod.middle_height, heights, h)
+    n_z = np.sqrt(1.0 - (h / 0.353) ** 2)
+    cosine = h / 0.353 * np.cos(np.radians(50.0)) + n_z * np.sin(np.radians(50.0))
+    expected = 3.0 * n_z**2 / (cosine**2 / 9.5950e7 + 1.0 / 1.5177e10)
+    matrix = elastic_stiffness(tripod, [0.0, 0.0, tripod.middle_height])
+    assert directional_stiffness(compliance(matrix), [0.0, 0.0, 1.0]) == pytest.approx(expected, rel=1e-8)
+    assert expected == pytest.approx(2.5e8, rel=0.02)
+
+
+def test_condensed_blocks(matrices: np.ndarray) -> None:
+    """Free: a pure force's displacement; held: the force that a pure translation needs."""
+    force = np.array([1.0, -2.0, 0.5])
+    for matrix in matrices[:20]:
+        displacement = np.linalg.solve(matrix, np.concatenate([force, np.zeros(3)]))[:3]
+        np.testing.assert_allclose(condensed_stiffness(compliance(matrix)) @ displacement, force, rtol=1e-7)
+        held = condensed_stiffness(compliance(matrix), "rotation", "held")
+        np.testing.assert_allclose(held, matrix[3:, 3:], rtol=1e-8, atol=1e-8 * matrix[3:, 3:].max())
+
+
+def test_ellipsoid_of_a_known_matrix() -> None:
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    result = ellipsoid(turn @ np.diag([5.0, 1.0, 3.0]) @ turn.T)
+    np.testing.assert_allclose(result.values, [1.0, 3.0, 5.0])
+    assert abs(result.axes[:, 0] @ turn[:, 1]) == pytest.approx(1.0)
+    assert np.linalg.det(result.axes) == pytest.approx(1.0)
+
+
+def test_eigenvalues_at_a_characteristic_length() -> None:
+    matrix = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    np.testing.assert_allclose(eigenvalues(matrix, 0.5), [1.0, 2.0, 3.0, 16.0, 20.0, 24.0])
+    assert condition_number(matrix, 0.5) == pytest.approx(24.0)
+    assert characteristic_length(matrix) == pytest.approx(np.sqrt(15.0 / 6.0))
+
+
+def test_a_free_motion_has_no_compliance() -> None:
+    """Rank 5, and rank 5 to rounding with entries of very different units."""
+    vectors = np.random.default_rng(1).normal(size=(5, 6)) * [1e5, 1e5, 1e5, 1e2, 1e2, 1.0]
+    assert np.all(np.isnan(compliance(vectors.T @ vectors)))
+    assert np.all(np.isnan(compliance(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]))))
+
+
+def test_poses_out_of_reach_stay_nan(matrices: np.ndarray) -> None:
+    some = matrices[:3].copy()
+    some[1] = np.nan
+    for values in (compliance(some), eigenvalues(some, 0.1), ellipsoid(some[:, :3, :3]).values):
+        assert np.all(np.isnan(values[1]))
+        assert np.all(np.isfinite(values[[0, 2]]))
+
+
+def test_nonsense_is_refused(matrices: np.ndarray) -> None:
+    with pytest.raises(InvalidValueError, match="direction"):
+        directional_stiffness(matrices, [0.0, 0.0, 0.0])
+    with pytest.raises(InvalidValueError, match="length"):
+        eigenvalues(matrices, 0.0)

@@ -1,0 +1,445 @@
+"""Loaded equilibria and tangent stiffness: finite differences, minimised potentials, pendulums, trusses, columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import least_squares, minimize
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.elastic import (
+    AxialSpring,
+    BeamSpring,
+    CantileverSpring,
+    ElasticModel,
+    JointSpring,
+    Loads,
+    buckling_load,
+    cartesian_compliance,
+    equilibrium_path,
+    load_deflection,
+    loaded_equilibrium,
+)
+from pm3dof_pin.exceptions import (
+    ConvergenceError,
+    DescriptionError,
+    FrameNotFoundError,
+    FreeDirectionError,
+    InvalidValueError,
+    RigidDirectionError,
+    SingularConfigurationError,
+)
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.tripod import Tripod
+
+RigidTree = Callable[..., Mechanism]
+Positions = Callable[[np.ndarray], np.ndarray]
+
+POSE = np.array([0.25, -0.3, 0.48])
+FORCE = np.array([1500.0, -2500.0, -30000.0, 0.0, 0.0, 0.0])
+IDENTITY = pin.SE3.Identity()
+
+
+def at(*position: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array(position, dtype=float))
+
+
+def twist_between(before: Configuration, after: Configuration) -> np.ndarray:
+    a, b = before.tool_placement, after.tool_placement
+    return np.concatenate([b.translation - a.translation, pin.log3(b.rotation @ a.rotation.T)])
+
+
+def differences(model: ElasticModel, q: np.ndarray, loads: Loads, steps: np.ndarray) -> np.ndarray:
+    """Compliance at the tool: equilibria with a little more and a little less of each load, at two step sizes."""
+    wrench = np.asarray(loads.wrenches.get("O_e", np.zeros(6)), dtype=float)
+    start = loaded_equilibrium(model, q, loads).configuration
+
+    def moved(change: np.ndarray) -> np.ndarray:
+        changed = Loads({**loads.wrenches, "O_e": wrench + change}, loads.payloads, loads.own_weight)
+        return twist_between(start, loaded_equilibrium(model, q, changed, guess=start).configuration)
+
+    columns = []
+    for step, axis in zip(steps, np.eye(6), strict=True):
+        near, far = ((moved(h * axis) - moved(-h * axis)) / (2.0 * h) for h in (step, 2.0 * step))
+        columns.append((4.0 * near - far) / 3.0)
+    return np.stack(columns, axis=1)
+
+
+def relative(matrix: np.ndarray, expected: np.ndarray) -> float:
+    scale = np.sqrt(expected.diagonal())
+    return float((np.abs(matrix - expected) / np.outer(scale, scale)).max())
+
+
+# --- the tripod
+
+
+@pytest.mark.parametrize(
+    "loads",
+    [
+        Loads({"O_e": FORCE}),
+        Loads({"O_e": -0.5 * FORCE, "E2": [0.0, 4000.0, 1000.0, 0.0, 0.0, 0.0]}),
+        Loads({"O_e": FORCE + np.array([0, 0, 0, 40.0, -30.0, 60.0]), "link1": [100.0, 0.0, 50.0, 5.0, 0.0, 0.0]}),
+        Loads(own_weight=True, payloads={"O_e": 500.0}),
+        Loads({"O_e": FORCE}, {"E1": 200.0, "F2": pin.Inertia(50.0, np.array([0.1, 0.0, 0.05]), np.eye(3))}, True),
+    ],
+    ids=["force", "two forces", "with moments", "weights", "everything"],
+)
+def test_tangent_compliance_is_the_difference_of_equilibria(
+    elastic: ElasticModel, tripod_positions: Positions, loads: Loads
+) -> None:
+    (q,) = tripod_positions(POSE[None])
+    equilibrium = loaded_equilibrium(elastic, q, loads)
+    tangent = equilibrium.tangent_compliance()
+    steps = np.array([20.0, 20.0, 200.0, 1.0, 1.0, 0.3])
+    assert relative(tangent, differences(elastic, q, loads, steps)) < 1e-7
+    symmetric = "with moments" if any(np.any(np.asarray(w)[3:]) for w in loads.wrenches.values()) else "yes"
+    if symmetric == "yes":
+        np.testing.assert_allclose(tangent, tangent.T, atol=1e-12 * np.abs(tangent).max())
+    np.testing.assert_allclose(equilibrium.tangent_stiffness() @ tangent, np.eye(6), atol=1e-6)
+
+
+def test_a_large_load_changes_the_stiffness_much(elastic: ElasticModel, tripod_positions: Positions) -> None:
+    """Without the geometric term the tangent would be wrong by more than a tenth here."""
+    (q,) = tripod_positions(POSE[None])
+    unloaded = cartesian_compliance(elastic, q).compliance
+    loaded = loaded_equilibrium(elastic, q, Loads({"O_e": FORCE})).tangent_compliance()
+    assert relative(loaded, unloaded) > 0.1
+
+
+def test_without_loads_it_is_the_unloaded_compliance(elastic: ElasticModel, tripod_positions: Positions) -> None:
+    (q,) = tripod_positions(POSE[None])
+    equilibrium = loaded_equilibrium(elastic, q, Loads())
+    assert relative(equilibrium.tangent_compliance(), cartesian_compliance(elastic, q).compliance) < 1e-12
+    assert equilibrium.least_eigenvalue == pytest.approx(1.0, rel=1e-12)
+    np.testing.assert_allclose(equilibrium.displacement(), 0.0, atol=1e-14)
+
+
+def test_displacement_under_a_small_load_is_the_compliance_times_it(
+    elastic: ElasticModel, tripod_positions: Positions
+) -> None:
+    (q,) = tripod_positions(POSE[None])
+    wrench = 0.01 * np.array([1.0, -2.0, 30.0, 0.1, 0.05, -0.02])
+    expected = cartesian_compliance(elastic, q).compliance @ wrench
+    found = loaded_equilibrium(elastic, q, Loads({"O_e": wrench})).displacement()
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+class LoadedTripod:
+    """The potential energy of the nonlinear tripod under a dead force at O_e, over the coordinates of its springs.
+
+    Unknown: travels of the sliders, the cantilever's tip (x, y and angles about x, y, z in this order), the angles of
+    the platform's universal joint, and its height. The links' elongations follow.
+    """
+
+    def __init__(self, tripod: Tripod, pose: np.ndarray, force: np.ndarray) -> None:
+        p = tripod.parameters
+        self.tripod, self.pose, self.force = tripod, pose, force
+        self.joints = np.array(tripod.platform_joints)
+        joints = Rotation.from_euler("XYZ", [pose[0], pose[1], 0.0]).apply(self.joints) + np.array([0.0, 0.0, pose[2]])
+        across = joints - tripod.base_joints
+        along = np.sum(across * tripod.guide_directions, axis=1)
+        self.travel = along - np.sqrt(along**2 - np.sum(across**2, axis=1) + p.link_length**2)
+        self.scale = np.array([1e-4] * 3 + [1e-4] * 2 + [1e-2] * 3 + [1e-2] * 2 + [1e-4])
+
+    def platform(self, unknowns: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        x = self.scale * unknowns
+        bent = Rotation.from_euler("XYZ", x[5:8])
+        turned = Rotation.from_euler("XYZ", [self.pose[0] + x[8], self.pose[1] + x[9], 0.0])
+        return np.array([x[3], x[4], self.pose[2] + x[10]]), bent * turned
+
+    def potential(self, unknowns: np.ndarray) -> float:
+        p, x = self.tripod.parameters, self.scale * unknowns
+        position, rotation = self.platform(unknowns)
+        sliders = self.tripod.base_joints + (self.travel + x[:3])[:, None] * self.tripod.guide_directions
+        stretch = np.linalg.norm(rotation.apply(self.joints) + position - sliders, axis=1) - p.link_length
+        length, ei = position[2] - self.tripod.clamp_height, p.bending_stiffness
+        # cubic beam: 12 w^2 - 12 w L slope + 4 L^2 slope^2, over 2 L^3
+        bend = sum(
+            ei / length**3 * (6.0 * w**2 - 6.0 * w * length * slope + 2.0 * (length * slope) ** 2)
+            for w, slope in ((x[3], x[6]), (x[4], -x[5]))
+        )
+        twist = 0.5 * p.torsional_stiffness / length * x[7] ** 2
+        legs = 0.5 * p.actuator_stiffness * x[:3] @ x[:3] + 0.5 * p.link_stiffness * stretch @ stretch
+        work = self.force @ (position - np.array([0.0, 0.0, self.pose[2]]))
+        return float(legs + bend + twist - work)
+
+    def gradient(self, unknowns: np.ndarray) -> np.ndarray:
+        steps = 1e-3 * np.eye(len(unknowns))
+        return (
+            np.array(
+                [
+                    (8.0 * (self.potential(unknowns + s) - self.potential(unknowns - s)))
+                    - (self.potential(unknowns + 2 * s) - self.potential(unknowns - 2 * s))
+                    for s in steps
+                ]
+            )
+            / 12e-3
+        )
+
+    def displacement(self) -> np.ndarray:
+        found = minimize(self.potential, np.zeros(11), jac=self.gradient, method="BFGS", options={"gtol": 1e-7})
+        polished = least_squares(self.gradient, found.x, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        position, rotation = self.platform(polished.x)
+        rest = Rotation.from_euler("XYZ", [self.pose[0], self.pose[1], 0.0])
+        return np.concatenate([position - np.array([0.0, 0.0, self.pose[2]]), (rotation * rest.inv()).as_rotvec()])
+
+
+def test_equilibrium_is_the_minimum_of_the_potential(
+    tripod: Tripod, elastic: ElasticModel, tripod_positions: Positions
+) -> None:
+    """Independent of the package's Jacobians: the potential written out, minimised by quasi-Newton steps."""
+    (q,) = tripod_positions(POSE[None])
+    expected = LoadedTripod(tripod, POSE, FORCE[:3]).displacement()
+    equilibrium = loaded_equilibrium(elastic, q, Loads({"O_e": FORCE}))
+    size = np.abs(expected[:3]).max(), np.abs(expected[3:]).max()
+    np.testing.assert_allclose(equilibrium.displacement(), expected, atol=1e-6 * min(size))
+    assert equilibrium.stable
+    assert equilibrium.residual < 1e-5
+    assert equilibrium.configuration.closure_residual < 1e-13
+
+
+def test_forces_in_the_closures_balance_the_platform(elastic: ElasticModel, tripod_positions: Positions) -> None:
+    """Links pull along themselves only, with the force of their springs."""
+    (q,) = tripod_positions(POSE[None])
+    equilibrium = loaded_equilibrium(elastic, q, Loads({"O_e": FORCE}))
+    where = equilibrium.configuration
+    coordinates = list(elastic.spring_coordinates)
+    for leg, force in enumerate(equilibrium.closure_forces.reshape(3, 3), start=1):
+        stretch = equilibrium.spring_deflections[coordinates.index(f"link{leg}.z")]
+        # on E, in the axes of the link's tip, whose z goes from D to E: a stretched link pulls E back
+        assert where.mechanism.closures[leg - 1].frame_a == f"link{leg}_tip"
+        np.testing.assert_allclose(force, [0.0, 0.0, -1.5177e10 * stretch], atol=1e-6 * 1e4)
+
+
+# --- closed formulas
+
+
+def test_a_pendulum_is_held_by_gravity(rigid_tree: RigidTree) -> None:
+    """A bob on a massless rod on a passive hinge: sideways stiffness m g / l, and none without its weight."""
+    tree = rigid_tree(
+        [
+            ("trolley", "universe", IDENTITY, pin.JointModelPZ()),
+            ("rod", "trolley", IDENTITY, pin.JointModelRY()),
+            ("bob", "rod", at(0.0, 0.0, -0.7), None),
+        ],
+        actuated_joints=["trolley_joint"],
+        tool_frame="bob",
+    )
+    model = ElasticModel(tree, [JointSpring("rope", "trolley_joint", 1e5, "N/m")])
+    hanging = loaded_equilibrium(model, [0.0, 0.3], Loads(payloads={"bob": 2.0}))
+    np.testing.assert_allclose(hanging.configuration.tool_placement.translation[0], 0.0, atol=1e-12)
+    compliance = hanging.tangent_compliance()
+    assert compliance[0, 0] == pytest.approx(0.7 / (2.0 * 9.81), rel=1e-12)
+    assert compliance[2, 2] == pytest.approx(1e-5, rel=1e-12)
+    assert hanging.stable
+    with pytest.raises(FreeDirectionError, match="rotation about"):
+        loaded_equilibrium(model, [0.0, 0.3], Loads()).tangent_compliance()
+
+
+def test_a_rigid_direction_under_load_is_named(rigid_tree: RigidTree) -> None:
+    tree = rigid_tree([("tip", "universe", IDENTITY, None)], tool_frame="tip")
+    model = ElasticModel(tree, [AxialSpring("bar", "tip", (0, 0, 1), 50.0)])
+    loaded = loaded_equilibrium(model, [], Loads({"tip": [0, 0, 5.0, 0, 0, 0]}))
+    np.testing.assert_allclose(loaded.displacement(), [0, 0, 0.1, 0, 0, 0], atol=1e-14)
+    with pytest.raises(RigidDirectionError, match="rigid"):
+        loaded.tangent_stiffness()
+
+
+def truss(rigid_tree: RigidTree, half: float, height: float, stiffness: float) -> ElasticModel:
+    """Two bars that lean against each other; the apex slides up and down between them (von Mises)."""
+    length, slope = np.hypot(half, height), np.arctan2(height, half)
+    tree = rigid_tree(
+        [
+            ("apex", "universe", at(0.0, 0.0, height), pin.JointModelPZ()),
+            (
+                "bar",
+                "universe",
+                pin.SE3(pin.rpy.rpyToMatrix(0.0, -slope, 0.0), np.array([-half, 0.0, 0.0])),
+                pin.JointModelRY(),
+            ),
+            ("end", "bar", at(length, 0.0, 0.0), None),
+            ("motor", "universe", IDENTITY, pin.JointModelRZ()),
+        ],
+        closures=[LoopClosure("end", "apex", "3d")],
+        actuated_joints=["motor_joint"],
+        tool_frame="apex",
+    )
+    return ElasticModel(tree, [AxialSpring("bar", "end", (1, 0, 0), stiffness)])
+
+
+def test_a_shallow_truss_snaps_through_at_its_limit_load(rigid_tree: RigidTree) -> None:
+    """P = k (l0 - l) h / l for one of the two bars; its greatest value is where l^3 = l0 b^2."""
+    half, height, stiffness = 1.0, 0.2, 1e6
+    model = truss(rigid_tree, half, height, stiffness)
+    rest = np.hypot(half, height)
+    length = np.cbrt(rest * half**2)
+    limit = stiffness * (rest / length - 1.0) * np.sqrt(length**2 - half**2)
+    q = np.zeros(3)
+    down = Loads({"apex": [0, 0, -1.0, 0, 0, 0]})
+    found = buckling_load(model, q, down)
+    assert found is not None
+    assert found.kind == "limit point"
+    assert found.factor == pytest.approx(limit, rel=1e-6)
+    curve = load_deflection(model, q, down, limit * np.array([0.2, 0.5, 0.9, 0.99]))
+    for point in curve:
+        h = height + point.displacement()[2]
+        force = stiffness * (rest / np.hypot(half, h) - 1.0) * h
+        assert force == pytest.approx(point.factor, rel=1e-9)
+    with pytest.raises(ConvergenceError, match="turns round"):
+        load_deflection(model, q, down, [0.5 * limit, 1.2 * limit])
+
+
+def test_the_path_goes_through_the_limit_point_and_out_on_the_other_side(rigid_tree: RigidTree) -> None:
+    half, height, stiffness = 1.0, 0.2, 1e6
+    model = truss(rigid_tree, half, height, stiffness)
+    rest = np.hypot(half, height)
+    path = equilibrium_path(model, np.zeros(3), Loads({"apex": [0, 0, -1.0, 0, 0, 0]}), 1500.0, 60)
+    heights = np.array([height + point.displacement()[2] for point in path])
+    factors = np.array([point.factor for point in path])
+    np.testing.assert_allclose(factors, stiffness * (rest / np.hypot(half, heights) - 1.0) * heights, atol=1e-4)
+    assert (np.diff(heights) < 0.0).all()
+    assert heights.min() < -height
+    assert factors.max() > 0.0 > factors.min()
+    stable = [point.stable for point in path]
+    # the tangent stiffness of the bar alone changes its sign where l^3 = l0 b^2
+    limit = np.sqrt(np.cbrt(rest * half**2) ** 2 - half**2)
+    assert stable == [abs(h) > limit for h in heights]
+
+
+def test_a_double_inverted_pendulum_with_springs_buckles(rigid_tree: RigidTree) -> None:
+    """Two rigid links on two torsion springs under a weight: P l / k = (3 - sqrt 5) / 2."""
+    entries = [
+        ("lower", "universe", IDENTITY, pin.JointModelRY()),
+        ("upper", "lower", at(0.0, 0.0, 0.4), pin.JointModelRY()),
+        ("top", "upper", at(0.0, 0.0, 0.4), None),
+    ]
+    tree = rigid_tree(entries, tool_frame="top")
+    springs = [JointSpring(name, f"{name}_joint", 50.0, "N m/rad") for name in ("lower", "upper")]
+    model = ElasticModel(tree, springs)
+    exact = 0.5 * (3.0 - np.sqrt(5.0)) * 50.0 / 0.4
+    found = buckling_load(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}))
+    assert found is not None
+    assert found.kind == "bifurcation"
+    assert found.factor == pytest.approx(exact, rel=1e-9)
+    assert found.linear_estimate == pytest.approx(exact, rel=1e-12)
+    # both links lean to the same side, the upper one by the golden ratio more against the lower one
+    assert found.mode[0] / found.mode[1] == pytest.approx(2.0 / (np.sqrt(5.0) - 1.0), rel=1e-4)
+    by_payload = buckling_load(model, [0.0, 0.0], Loads(payloads={"top": 1.0}))
+    assert by_payload is not None
+    assert by_payload.factor == pytest.approx(exact / 9.81, rel=1e-9)
+    half = Loads({"top": [0, 0, -0.5 * exact, 0, 0, 0]})
+    with_half = buckling_load(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=half)
+    assert with_half is not None
+    assert with_half.factor == pytest.approx(0.5 * exact, rel=1e-9)
+
+
+def column(rigid_tree: RigidTree, count: int) -> tuple[ElasticModel, float]:
+    length, ei = 2.0 / count, 300.0
+    ends = [(f"end{k}", f"end{k - 1}" if k else "universe", at(0.0, 0.0, length), None) for k in range(count)]
+    tree = rigid_tree(ends, tool_frame=f"end{count - 1}")
+    springs = [CantileverSpring(f"beam{k}", f"end{k}", (0, 0, 1), ei, 1e3, length, 1e7) for k in range(count)]
+    return ElasticModel(tree, springs), np.pi**2 * ei / (4.0 * 2.0**2)
+
+
+def test_a_column_buckles_at_the_load_of_euler(rigid_tree: RigidTree) -> None:
+    """A cantilever column cut into beams: the error falls with the square of their number."""
+    factors = {}
+    for count in (4, 8, 16):
+        model, exact = column(rigid_tree, count)
+        found = buckling_load(model, [], Loads({model.rigid.tool_frame: [0, 0, -1.0, 0, 0, 0]}))
+        assert found is not None
+        factors[count] = found.factor / exact
+    errors = {count: abs(factor - 1.0) for count, factor in factors.items()}
+    assert errors[4] / errors[8] == pytest.approx(4.0, rel=0.1)
+    assert errors[8] / errors[16] == pytest.approx(4.0, rel=0.1)
+    assert (4.0 * factors[16] - factors[8]) / 3.0 == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_column_in_tension_gets_stiffer(rigid_tree: RigidTree) -> None:
+    model, exact = column(rigid_tree, 4)
+    pull = Loads({model.rigid.tool_frame: [0, 0, 1.0, 0, 0, 0]})
+    assert buckling_load(model, [], pull, largest_factor=10.0 * exact) is None
+    (stretched,) = load_deflection(model, [], pull, [exact])
+    slack = cartesian_compliance(model, []).compliance
+    assert stretched.tangent_compliance()[0, 0] < slack[0, 0]
+
+
+def test_loads_that_only_stiffen_have_no_buckling_load(rigid_tree: RigidTree) -> None:
+    tree = rigid_tree(
+        [("rod", "universe", IDENTITY, pin.JointModelRY()), ("top", "rod", at(0, 0, 1), None)], tool_frame="top"
+    )
+    model = ElasticModel(tree, [JointSpring("foot", "rod_joint", 5.0, "N m/rad")])
+    assert buckling_load(model, [0.0], Loads({"top": [0, 0, 1.0, 0, 0, 0]})) is None
+
+
+def test_large_deflections_of_a_cantilever(rigid_tree: RigidTree) -> None:
+    """The elastica under a dead force at its tip, P L^2 / (E I) = 1: 0.30172 L and 0.05643 L (Bisshopp 1945)."""
+    results = []
+    for count in (8, 16):
+        model, _ = column(rigid_tree, count)
+        load = 300.0 / 4.0
+        (end,) = load_deflection(model, [], Loads({model.rigid.tool_frame: [load, 0, 0, 0, 0, 0]}), [1.0])
+        results.append(end.displacement()[[0, 2]] / 2.0)
+    extrapolated = (4.0 * results[1] - results[0]) / 3.0
+    np.testing.assert_allclose(extrapolated, [0.30172, -0.05643], atol=3e-5)
+
+
+# --- errors
+
+
+def test_moments_without_a_potential_have_no_buckling_load(elastic: ElasticModel) -> None:
+    home = elastic.rigid.home
+    with pytest.raises(InvalidValueError, match="potential"):
+        buckling_load(elastic, home, Loads({"O_e": [0, 0, -1e4, 50.0, 30.0, 20.0]}), largest_factor=5.0)
+
+
+def test_a_mechanism_that_cannot_stand_by_itself(rigid_tree: RigidTree) -> None:
+    tree = rigid_tree(
+        [("rod", "universe", IDENTITY, pin.JointModelRY()), ("top", "rod", at(0, 0, 1), None)], tool_frame="top"
+    )
+    model = ElasticModel(tree, [JointSpring("foot", "rod_joint", 5.0, "N m/rad")])
+    heavy, force = Loads(payloads={"top": 1.0}), Loads({"top": [0, 0, -1.0, 0, 0, 0]})
+    with pytest.raises(SingularConfigurationError, match="unstable"):
+        buckling_load(model, [0.0], force, permanent=heavy)
+    assert not loaded_equilibrium(model, [0.0], heavy).stable
+
+
+def test_loads_that_make_no_sense(elastic: ElasticModel) -> None:
+    home = elastic.rigid.home
+    with pytest.raises(FrameNotFoundError, match="nowhere"):
+        loaded_equilibrium(elastic, home, Loads({"nowhere": np.zeros(6)}))
+    with pytest.raises(FrameNotFoundError, match="nowhere"):
+        loaded_equilibrium(elastic, home, Loads(payloads={"nowhere": 1.0}))
+    with pytest.raises(InvalidValueError, match="wrench on O_e"):
+        loaded_equilibrium(elastic, home, Loads({"O_e": np.full(6, np.nan)}))
+    with pytest.raises(InvalidValueError, match="wrench on O_e"):
+        loaded_equilibrium(elastic, home, Loads({"O_e": np.zeros(3)}))
+    with pytest.raises(InvalidValueError, match="payload on O_e"):
+        loaded_equilibrium(elastic, home, Loads(payloads={"O_e": -1.0}))
+    with pytest.raises(InvalidValueError, match="factors"):
+        load_deflection(elastic, home, Loads(), [[1.0]])
+
+
+def test_a_load_that_nothing_bears(rigid_tree: RigidTree) -> None:
+    """A passive slide pushed along: it would run away."""
+    tree = rigid_tree(
+        [("motor", "universe", IDENTITY, pin.JointModelRZ()), ("slide", "motor", IDENTITY, pin.JointModelPX())],
+        actuated_joints=["motor_joint"],
+        tool_frame="slide",
+    )
+    model = ElasticModel(tree, [JointSpring("motor", "motor_joint", 10.0, "N m/rad")])
+    with pytest.raises(ConvergenceError, match="equilibrium"):
+        loaded_equilibrium(model, [0.0, 0.0], Loads({"slide": [1.0, 0, 0, 0, 0, 0]}))
+
+
+def test_joints_whose_derivatives_are_not_to_be_had(rigid_tree: RigidTree) -> None:
+    tree = rigid_tree([("wrist", "universe", IDENTITY, pin.JointModelSphericalZYX())], tool_frame="wrist")
+    model = ElasticModel(
+        Mechanism(tree.model, tool_frame="wrist"), [BeamSpring("post", "wrist_joint", 1e3 * np.eye(6))]
+    )
+    with pytest.raises(DescriptionError, match="SphericalZYX"):
+        loaded_equilibrium(model, np.zeros(3), Loads())

@@ -1,0 +1,159 @@
+"""All formats together: the same text as committed, from any robot, and what is said of bad input."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+import yourdfpy
+
+from pm3dof_pin.cli.export import Format
+from pm3dof_pin.description.robots import find_robot, robots_directory
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, UnknownRobotError
+from pm3dof_pin.export.description import description_files, same_but_rounding
+from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
+from pm3dof_pin.export.robot_document import read_robot
+from pm3dof_pin.mechanism import Mechanism
+
+CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "export", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_an_export_is_the_committed_file(kind: str, robot: str, tmp_path: Path) -> None:
+    for path in export_robot(robot, kind, tmp_path):
+        if kind == "ros":
+            committed = robots_directory() / path.relative_to(tmp_path)
+        elif kind == "urdf":
+            committed = next((robots_directory() / f"{robot}_description").glob(f"*rdf/{path.name}"))
+        else:
+            committed = robots_directory() / f"{robot}_description" / kind / path.name
+        if path.name != "package.xml":  # which says whose it is
+            assert same_but_rounding(path.read_text(), committed.read_text())
+
+
+def test_every_tree_loads_in_yourdfpy(robot: str) -> None:
+    folder = robots_directory() / f"{robot}_description"
+    plain = yourdfpy.URDF.load(str(find_robot(robot).urdf))
+    frames = [frame for pair in Mechanism.load(robot).closures for frame in (pair.frame_a, pair.frame_b)]
+    for path in (folder / "drake" / f"{robot}.urdf", folder / "gepetto" / "robot.urdf"):
+        tree = yourdfpy.URDF.load(str(path))
+        assert set(tree.link_map) - {"world"} == set(plain.link_map)
+        for frame in frames:
+            np.testing.assert_array_equal(tree.get_transform(frame, "base"), plain.get_transform(frame, "base"))
+
+
+def test_gepetto_files_have_the_keys_of_the_convention_and_no_others(robot: str) -> None:
+    folder = robots_directory() / f"{robot}_description" / "gepetto"
+    content = yaml.safe_load((folder / "robot.yaml").read_text())
+    assert list(content) == CONVENTION
+    mechanism = Mechanism.load(robot)
+    from_there = Mechanism.load(folder / "robot.urdf")
+    assert from_there.actuated_joints == mechanism.actuated_joints
+    assert [(loop.frame_a, loop.frame_b, loop.type) for loop in from_there.closures] == [
+        (loop.frame_a, loop.frame_b, loop.type) for loop in mechanism.closures
+    ]
+    assert from_there.home.closure_residual < 1e-12
+
+
+def test_what_the_convention_says_of_joints_is_handed_on(four_bar: Path) -> None:
+    closures = four_bar.with_name("linkage.closures.yaml")
+    closures.write_text(closures.read_text() + "joint_name: [rocker_joint]\njoint_type: [SPHERICAL]\n")
+    content = yaml.safe_load(exported_files(read_robot(four_bar), "gepetto")["robot.yaml"])
+    assert (content["joint_name"], content["joint_type"]) == (["rocker_joint"], ["SPHERICAL"])
+
+
+def test_meshes_are_beside_the_files_that_name_them(four_bar: Path, tmp_path: Path) -> None:
+    for kind in ("drake", "gepetto", "sdf", "urdf"):
+        path, *others = export_robot(four_bar, kind, tmp_path / kind)
+        named = [mesh.get("filename") or mesh.findtext("uri") for mesh in ElementTree.parse(path).iter("mesh")]
+        assert named == ["meshes/arm.obj", "meshes/arm_2.obj", "meshes/arm.dae"]
+        assert all((path.parent / str(name)).read_text().startswith("v ") for name in named)
+        assert {path.parent / str(name) for name in named} <= set(others)
+    assert Mechanism.load(tmp_path / "urdf" / "four_bar.urdf").closures == Mechanism.load(four_bar).closures
+
+
+def test_a_missing_mesh_is_named(four_bar: Path) -> None:
+    (four_bar.parent / "more" / "arm.obj").unlink()
+    with pytest.raises(DescriptionError, match=r"mesh 'more/arm\.obj': expected a file that exists"):
+        read_robot(four_bar)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('type="continuous"', 'type="floating"', "joint 'crank_joint': expected a fixed, revolute"),
+        ("<mesh filename=", "<capsule filename=", "<visual>: expected a box, cylinder, sphere, mesh"),
+    ],
+)
+def test_what_no_format_can_say_is_named(four_bar: Path, old: str, new: str, said: str) -> None:
+    text = four_bar.read_text().replace(old, new)
+    closures = four_bar.with_name("linkage.closures.yaml")
+    closures.write_text(closures.read_text().replace("name_mot: [crank_joint]", "name_mot: [rocker_joint]"))
+    four_bar.write_text(text)
+    with pytest.raises(DescriptionError, match=said):
+        read_robot(four_bar)
+
+
+def test_bad_arguments_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidValueError, match="format = stl: expected one of drake, gepetto"):
+        export_robot("pm3dof", "stl", tmp_path)
+    with pytest.raises(UnknownRobotError):
+        export_robot("nobody", "mjcf", tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write"):
+        export_robot("pm3dof", "mjcf", tmp_path / "file")
+
+
+def test_a_machine_that_a_format_cannot_say_is_generated_without_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = yaml.safe_load((robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml").read_text())
+    config["inertia"]["cross_mass"]["value"] = 0.0
+    (tmp_path / "light.yaml").write_text(yaml.safe_dump(config))
+    files = description_files(config=tmp_path / "light.yaml")
+    assert not [name for name in files if name.startswith(("mjcf", "sdf"))]
+    assert "drake/pm3dof.urdf" in files
+    assert "pm3dof: no mjcf: link 'passive_cross': expected mass and inertia" in caplog.text
+
+
+# The command
+
+
+def test_the_command_knows_all_formats() -> None:
+    assert tuple(Format) == FORMATS
+
+
+def test_the_command_writes_and_says_what(four_bar: Path, tmp_path: Path) -> None:
+    done = run("mjcf", "--robot", str(four_bar), "--out", "a/b", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout == ""
+    written = [line.removeprefix("wrote ") for line in done.stderr.splitlines() if line.startswith("wrote ")]
+    assert written == ["a/b/four_bar.xml", "a/b/meshes/arm.obj", "a/b/meshes/arm_2.obj", "a/b/meshes/arm.dae"]
+    assert all((tmp_path / path).is_file() for path in written)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["stl"], 2, "'stl' is not one of"),
+        ([], 2, "Missing argument"),
+        (["mjcf", "--robot", "nobody"], 1, "no robot 'nobody'"),
+        (["mjcf", "--out", "file"], 1, "cannot write file/pm3dof.xml"),
+    ],
+)
+def test_the_command_refuses_bad_input(arguments: list[str], status: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == status
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr

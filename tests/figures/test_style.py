@@ -1,0 +1,46 @@
+"""Pictures on disk: whole or not at all, the same bytes for the same picture, the user's settings left alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+from pm3dof_pin.exceptions import OutputError
+from pm3dof_pin.figures.style import LIMIT_COLORS, LIMIT_NAMES, house_style, new_figure, save_figure
+from pm3dof_pin.tripod.limits import Limit
+
+
+def _draw(path: Path) -> bytes:
+    with house_style():
+        figure = new_figure(3.0, 2.0)
+        figure.add_subplot().plot([0.0, 1.0], [0.0, 1.0], label="line")
+    return save_figure(figure, path).read_bytes()
+
+
+def test_equal_pictures_give_equal_bytes(tmp_path: Path) -> None:
+    first = _draw(tmp_path / "first.png")
+    with matplotlib.rc_context({"font.size": 22.0, "lines.linewidth": 9.0, "savefig.facecolor": "black"}):
+        second = _draw(tmp_path / "second.png")
+    assert first.startswith(b"\x89PNG")
+    assert first == second
+    assert b"matplotlib" not in first.lower()
+
+
+def test_settings_of_the_user_are_left_alone(tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    _draw(tmp_path / "picture.png")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match=r"picture\.png"):
+        save_figure(new_figure(1.0, 1.0), tmp_path / "file" / "picture.png")
+    assert [path.name for path in tmp_path.rglob("*")] == ["file"]
+
+
+def test_every_limit_has_a_colour_and_a_name() -> None:
+    assert set(LIMIT_COLORS) == set(LIMIT_NAMES) == set(Limit)
+    assert len(set(LIMIT_COLORS.values())) == len(Limit)

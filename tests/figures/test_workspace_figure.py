@@ -1,0 +1,109 @@
+"""The picture of the workspace: axes, colours of the limits, the printed ranges, machines of other shapes."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from pm3dof_pin.figures.style import INK, LIMIT_COLORS, save_figure
+from pm3dof_pin.figures.workspace import workspace_figure
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.limits import Limit
+from pm3dof_pin.workspace import Workspace, workspace
+
+
+@pytest.fixture(scope="module")
+def whole(tripod: Tripod) -> Workspace:
+    return workspace(tripod, 31, 90)
+
+
+@pytest.fixture(scope="module")
+def figure(tripod: Tripod, whole: Workspace) -> Figure:
+    return workspace_figure(tripod, whole)
+
+
+def test_words_and_units(figure: Figure) -> None:
+    solid, outlines, profile = figure.axes
+    tilts = (r"$\theta_x$ [deg]", r"$\theta_y$ [deg]")
+    assert (solid.get_xlabel(), solid.get_ylabel(), solid.get_zlabel()) == (*tilts, "$z_e$ [m]")
+    assert (outlines.get_xlabel(), outlines.get_ylabel()) == tilts
+    assert (profile.get_xlabel(), profile.get_ylabel()) == ("reached tilt [deg]", "$z_e$ [m]")
+    assert figure.get_suptitle().endswith("pm3dof")
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words == ["stroke of a slider", "spherical joint", "printed ranges"]
+
+
+def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspace) -> None:
+    outlines = figure.axes[1]
+    drawn = {tuple(color) for collection in outlines.collections for color in collection.get_colors()}
+    assert drawn == {to_rgba(LIMIT_COLORS[Limit.STROKE]), to_rgba(LIMIT_COLORS[Limit.SPHERICAL])}
+    heights = {f"{section.z_e:.3f}" for section in whole.sections}
+    labels = [text.get_text() for text in outlines.texts]
+    assert len(set(labels) & heights) == 6
+    for collection, label in zip(outlines.collections, labels, strict=False):
+        section = min(whole.sections, key=lambda section: abs(section.z_e - float(label)))
+        np.testing.assert_allclose(
+            [segment[0] for segment in collection.get_segments()], np.degrees(section.tilts), atol=1e-12
+        )
+
+
+def test_printed_ranges_are_drawn(figure: Figure) -> None:
+    _, outlines, profile = figure.axes
+    box, side = outlines.patches[0], profile.patches[0]
+    assert (*box.get_xy(), box.get_width(), box.get_height()) == pytest.approx((-40.0, -40.0, 80.0, 80.0))
+    assert (*side.get_xy(), side.get_width(), side.get_height()) == pytest.approx((-40.0, 0.440, 80.0, 0.168))
+
+
+def test_profile_shows_the_ranges_of_the_sections(figure: Figure, whole: Workspace) -> None:
+    lines = figure.axes[2].get_lines()
+    ranges = np.degrees([section.tilt_ranges for section in whole.sections]).reshape(-1, 4)
+    for line, expected in zip(lines, ranges.T, strict=True):
+        np.testing.assert_allclose(line.get_xdata(), expected)
+        np.testing.assert_allclose(line.get_ydata(), whole.heights)
+
+
+def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
+    image = matplotlib.image.imread(save_figure(figure, tmp_path / "workspace.png"))[..., :3]
+    assert image.shape[:2] == (1320, 1880)
+    solid = image[200:1100, 100:1000]
+    for limit in (Limit.STROKE, Limit.SPHERICAL):
+        hue = np.array(to_rgba(LIMIT_COLORS[limit])[:3])
+        shade = solid @ hue / (np.linalg.norm(solid, axis=-1) * np.linalg.norm(hue) + 1e-9)
+        assert np.mean(shade > 0.999) > 0.05
+    rim = np.concatenate([image[:4].reshape(-1, 3), image[-4:].reshape(-1, 3), image[:, :4].reshape(-1, 3)])
+    assert np.all(rim > 0.999)
+
+
+def test_a_machine_with_holes_in_its_sections(tripod: Tripod) -> None:
+    """Islands and holes are drawn as points, and no surface is drawn across them."""
+    hollow = Tripod(
+        dataclasses.replace(
+            tripod.parameters,
+            link_length=0.416,
+            platform_radius=0.088,
+            platform_joint_height=-0.083,
+            guide_slope=1.1,
+            slider_home=0.23,
+            slider_stroke=0.036,
+            spherical_limit=1.2,
+            spherical_axis_inclination=1.0,
+            universal_limit=1.32,
+        )
+    )
+    whole = workspace(hollow, 15, 90)
+    figure = workspace_figure(hollow, whole)
+    figure.canvas.draw()
+    solid = figure.axes[0]
+    scattered = sum(not section.star_shaped for section in whole.sections)
+    assert 0 < scattered < 14
+    assert len(solid.collections) == 1 + scattered
+    cells = 90 * sum(lower.star_shaped and upper.star_shaped for lower, upper in itertools.pairwise(whole.sections))
+    surface = np.any(solid.collections[0].get_facecolor() != to_rgba(INK), axis=1)
+    assert np.count_nonzero(surface) == cells

@@ -1,0 +1,216 @@
+"""Stiffness sections against the equations written out once more, and what the chapter says of its maps."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.maps.grid import PointGrid, PolarGrid, RectangularGrid
+from pm3dof_pin.maps.section import section_outline, stiffness_section
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.limits import Limit, broken_limits, limit_violations
+from pm3dof_pin.workspace import workspace_section
+
+MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")
+CONSTRAINED = ("stiffness_t_x", "stiffness_t_y", "stiffness_theta_z")
+
+
+@pytest.fixture(scope="module", params=[RectangularGrid(), PolarGrid()], ids=["rectangular", "polar"])
+def section(request: pytest.FixtureRequest, tripod: Tripod) -> xr.Dataset:
+    return stiffness_section(tripod, request.param)
+
+
+def _tilts(section: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    theta_x, theta_y, _ = xr.broadcast(section.theta_x, section.theta_y, section.broken_limits)
+    dims = section.broken_limits.dims
+    return theta_x.transpose(*dims).values, theta_y.transpose(*dims).values
+
+
+def _chapter(theta_x: float, theta_y: float, z_e: float) -> dict[str, float]:
+    """The chapter's stiffness from Table 8.1 and (8.4)-(8.10) as printed, one leg after the other."""
+    l_b, l_e, length, z_0, gamma = 0.37425, 0.075, 0.353, 0.013, np.radians(50.0)
+    c_x, s_x, c_y, s_y, c_g, s_g = (
+        *(f(a) for a in (theta_x, theta_y) for f in (np.cos, np.sin)),
+        np.cos(gamma),
+        np.sin(gamma),
+    )
+    stiffness = np.zeros((3, 3))
+    for angle in np.radians([-30.0, 90.0, -150.0]):
+        c, s = np.cos(angle), np.sin(angle)
+        e = np.array(
+            [
+                l_e * c * c_y + z_0 * s_y,
+                l_e * c * s_x * s_y + l_e * s * c_x - z_0 * s_x * c_y,
+                -l_e * c * c_x * s_y + l_e * s * s_x + z_e + z_0 * c_x * c_y,
+            ]
+        )
+        j_i = np.array(
+            [
+                [0.0, -l_e * c * s_y + z_0 * c_y, 0.0],
+                [
+                    (l_e * c * s_y - z_0 * c_y) * c_x - l_e * s * s_x,
+                    (l_e * c * c_y + z_0 * s_y) * s_x,
+                    0.0,
+                ],
+                [
+                    (l_e * c * s_y - z_0 * c_y) * s_x + l_e * s * c_x,
+                    -(l_e * c * c_y + z_0 * s_y) * c_x,
+                    1.0,
+                ],
+            ]
+        )
+        guide = np.array([-c_g * c, -c_g * s, s_g])
+        # (8.7): the smaller root of |e - b - u guide| = length
+        w = e - l_b * np.array([c, s, 0.0])
+        u = np.roots([1.0, -2.0 * w @ guide, w @ w - length**2]).min()
+        k = w - u * guide
+        k_4 = k[0] * c_g * c + k[1] * c_g * s - k[2] * s_g
+        j_a, j_t = k @ j_i / length, -k @ j_i / k_4
+        stiffness += 1.5177e10 * np.outer(j_a, j_a) + 9.5950e7 * np.outer(j_t, j_t)
+    free = z_e - 0.379178  # theory: z_b, to the digits that are known
+    bending, twisting = 899.6698 / free**3, 697.4185 / free**2
+    values = {
+        "stiffness_theta_x": stiffness[0, 0] + bending,
+        "stiffness_theta_y": stiffness[1, 1] + bending,
+        "stiffness_t_z": stiffness[2, 2],
+        "stiffness_t_x": bending / free**2,
+        "stiffness_t_y": bending / free**2,
+        "stiffness_theta_z": twisting,
+    }
+    return values | {"stiffness_global": sum(values.values()) / 6.0}
+
+
+def test_values_at_random_poses(tripod: Tripod, section: xr.Dataset) -> None:
+    theta_x, theta_y = _tilts(section)
+    inside = np.argwhere(section.broken_limits.values == 0)
+    for i, j in np.random.default_rng(5).permutation(inside)[:60]:
+        expected = _chapter(theta_x[i, j], theta_y[i, j], float(section.z_e))
+        for name, value in expected.items():
+            # z_b is known to 4e-7 m, and T_x falls with the fifth power of the length
+            assert section[name].values[i, j] == pytest.approx(value, rel=3e-5), name
+
+
+def test_mask_and_gaps_against_single_poses(tripod: Tripod, section: xr.Dataset) -> None:
+    theta_x, theta_y = _tilts(section)
+    generator = np.random.default_rng(6)
+    for i, j in zip(*(generator.integers(size, size=150) for size in theta_x.shape), strict=True):
+        named = Limit.NONE
+        for violation in limit_violations(tripod, [theta_x[i, j], theta_y[i, j], float(section.z_e)]):
+            named |= violation.limit
+        assert section.broken_limits.values[i, j] == named
+        for name in (*MOTION, *CONSTRAINED, "stiffness_global"):
+            assert np.isnan(section[name].values[i, j]) == bool(named)
+
+
+def test_motion_axes_are_stiffest_at_or_near_the_centre(tripod: Tripod, section: xr.Dataset) -> None:
+    centre = stiffness_section(tripod, PointGrid(np.zeros((1, 2))))
+    for name in MOTION:
+        assert float(section[name].max()) < 1.06 * centre[name].item()
+    for name in ("stiffness_t_z", "stiffness_global"):
+        assert float(section[name].max()) == pytest.approx(centre[name].item(), rel=1e-12)
+
+
+def test_constrained_axes_are_constant(section: xr.Dataset) -> None:
+    for name in CONSTRAINED:
+        assert float(section[name].max()) == float(section[name].min())
+
+
+def test_t_z_is_stiffest_and_theta_z_weakest(section: xr.Dataset) -> None:
+    inside = section.where(section.broken_limits == 0)
+    for name in (*MOTION, *CONSTRAINED):
+        if name != "stiffness_t_z":
+            assert bool((inside.stiffness_t_z > inside[name]).where(section.broken_limits == 0, True).all())
+        if name != "stiffness_theta_z":
+            assert bool((inside.stiffness_theta_z < inside[name]).where(section.broken_limits == 0, True).all())
+
+
+def test_global_map_has_the_shape_of_a_motion_axis(section: xr.Dataset) -> None:
+    inside = section.broken_limits.values == 0
+    correlation = np.corrcoef(section.stiffness_global.values[inside], section.stiffness_t_z.values[inside])[0, 1]
+    assert correlation > 0.99
+
+
+def test_mirror_symmetry(tripod: Tripod) -> None:
+    section = stiffness_section(tripod)
+    mirrored = section.isel(theta_y=slice(None, None, -1))
+    for name in (*MOTION, *CONSTRAINED, "stiffness_global", "broken_limits"):
+        np.testing.assert_allclose(section[name].values, mirrored[name].values, rtol=1e-12)
+
+
+def test_default_section_is_that_of_the_table(tripod: Tripod) -> None:
+    section = stiffness_section(tripod)
+    assert section.sizes == {"theta_x": 81, "theta_y": 81}
+    assert float(section.z_e) == pytest.approx(0.487333, abs=5e-7)
+
+
+def test_kept_values(tripod: Tripod) -> None:
+    kept, cut = stiffness_section(tripod, excluded="keep"), stiffness_section(tripod)
+    assert np.all(np.isfinite(kept.stiffness_theta_x.values))
+    assert kept.broken_limits.identical(cut.broken_limits)
+    assert kept.where(kept.broken_limits == 0).drop_vars("broken_limits").equals(cut.drop_vars("broken_limits"))
+
+
+def test_several_heights_are_several_sections(tripod: Tripod) -> None:
+    heights = [0.43, 0.487, 0.55]
+    several = stiffness_section(tripod, PolarGrid(), heights)
+    assert several.stiffness_t_z.dims == ("z_e", "radius", "azimuth")
+    for k, z_e in enumerate(heights):
+        assert several.isel(z_e=k).equals(stiffness_section(tripod, PolarGrid(), z_e))
+
+
+def test_the_dataset_explains_itself(section: xr.Dataset) -> None:
+    assert section.attrs["machine"] == "pm3dof"
+    assert section.attrs["model"] == "chapter"
+    assert section.attrs["source"].startswith("pm3dof-pin ")
+    units = {name: section[name].attrs["units"] for name in section.variables if name != "broken_limits"}
+    assert {units[name] for name in ("stiffness_theta_x", "stiffness_theta_y", "stiffness_theta_z")} == {"N m/rad"}
+    assert {units[name] for name in ("stiffness_t_x", "stiffness_t_y", "stiffness_t_z")} == {"N/m"}
+    assert units["stiffness_global"] == "mixed"
+    assert units["theta_x"] == units["theta_y"] == "rad"
+    assert units["z_e"] == "m"
+    assert all(section[name].attrs["long_name"] for name in section.variables)
+    flags = section.broken_limits.attrs
+    assert section.broken_limits.dtype == flags["flag_masks"].dtype == np.uint8
+    words = dict(zip(flags["flag_meanings"].split(), flags["flag_masks"], strict=True))
+    assert words == {"reach": 1, "stroke": 2, "universal": 4, "spherical": 8, "tilt": 16, "height": 32}
+
+
+@pytest.mark.parametrize("z_e", [np.nan, [0.5, np.inf], 0.379, [[0.5]]])
+def test_bad_heights(tripod: Tripod, z_e: object) -> None:
+    with pytest.raises(InvalidValueError, match="z_e"):
+        stiffness_section(tripod, PolarGrid(), z_e)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("grid", [RectangularGrid(), PolarGrid()])
+def test_outline_runs_along_the_limits_or_the_edge_of_the_grid(
+    tripod: Tripod, grid: RectangularGrid | PolarGrid
+) -> None:
+    outline = section_outline(tripod, grid)
+    assert outline is not None
+    assert np.all(outline.broken_limits == 0)
+    assert np.all(np.isfinite(outline.stiffness_theta_x))
+    radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
+    azimuth = 2.0 * np.pi * np.arange(720) / 720
+    beyond = np.stack([(radius + 2e-10) * np.cos(azimuth), (radius + 2e-10) * np.sin(azimuth)], axis=-1)
+    stopped = broken_limits(tripod, np.column_stack([beyond, np.full(720, tripod.middle_height)])) != 0
+    np.testing.assert_array_equal(~stopped, np.isclose(radius, grid.edge_radius(azimuth), atol=1e-12))
+    assert stopped.sum() > 600
+
+
+def test_outline_goes_with_its_height(tripod: Tripod) -> None:
+    outline = section_outline(tripod, PolarGrid(), 0.55, 90)
+    assert outline is not None
+    radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
+    np.testing.assert_allclose(radius, workspace_section(tripod, 0.55, 90).radii, atol=1e-15)
+    assert float(outline.z_e) == 0.55
+
+
+def test_no_outline(tripod: Tripod) -> None:
+    assert section_outline(tripod, RectangularGrid((0.1, 0.2))) is None
+    assert section_outline(tripod, z_e=0.7) is None
+    hollow = Tripod(dataclasses.replace(tripod.parameters, spherical_limit=0.1, spherical_axis_inclination=-1.0))
+    assert section_outline(hollow) is None

@@ -1,0 +1,44 @@
+"""The general engine against the closed form of the tripod, at every reachable pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.mechanism import Mechanism, actuation_jacobian
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.kinematics import actuation_jacobian as closed_form_jacobian
+from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions, motion_twists, placement
+
+
+def test_constraint_jacobian_kinematics_at_10_000_poses(
+    mechanism: Mechanism, tripod: Tripod, reachable_poses: np.ndarray
+) -> None:
+    """Loops closed, tool in place, J_t and the platform's twists equal to 1e-12 of the largest entry."""
+    jacobians = closed_form_jacobian(tripod, reachable_poses)
+    twists = motion_twists(reachable_poses)
+    placements = placement(reachable_poses)
+    columns = mechanism.velocity_indices(mechanism.motion_coordinates)
+    worst = np.zeros(4)
+    for pose, expected, twist, transform in zip(reachable_poses, jacobians, twists, placements, strict=True):
+        q, _ = mechanism.held_positions(mechanism.home.q, joint_positions(tripod, pose))
+        configuration = mechanism.configuration(q)
+        errors = [
+            configuration.closure_error,
+            configuration.tool_placement.homogeneous - transform,
+            (actuation_jacobian(configuration) - expected) / np.abs(expected).max(),
+            configuration.tool_jacobian[:, columns] - twist,
+        ]
+        worst = np.maximum(worst, [np.abs(error).max() for error in errors])
+    assert np.all(worst < 1e-12), worst
+
+
+def test_general_geometry_finds_the_closed_form(
+    mechanism: Mechanism, tripod: Tripod, reachable_poses: np.ndarray
+) -> None:
+    """From home, with nothing but slider travels or a pose."""
+    for pose in reachable_poses[:50]:
+        u = inverse_kinematics(tripod, pose)
+        forward = mechanism.forward_geometry(u - tripod.parameters.slider_home)
+        np.testing.assert_allclose(forward.tool_placement.homogeneous, placement(pose), atol=1e-11)
+        inverse = mechanism.inverse_geometry(placement(pose))
+        np.testing.assert_allclose(inverse.actuated_positions + tripod.parameters.slider_home, u, atol=1e-11)

@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
+from pm3dof_pin.mechanism import Configuration, Mechanism
+
+Vector = NDArray[np.float64]
+STEP = 1e-6
+
+
+def differences(value: Callable[[Configuration], Vector], configuration: Configuration) -> NDArray[np.float64]:
+    """Central differences of a value along every velocity, shape=(len(value), nv)."""
+    mechanism, q = configuration.mechanism, configuration.q
+    columns = []
+    for direction in np.eye(mechanism.model.nv):
+        ahead, behind = (
+            value(mechanism.configuration(pin.integrate(mechanism.model, q, sign * STEP * direction)))
+            for sign in (1.0, -1.0)
+        )
+        columns.append((ahead - behind) / (2.0 * STEP))
+    return np.column_stack(columns)
+
+
+@pytest.fixture(scope="module")
+def zoo() -> Mechanism:
+    """Two branches of many kinds of joints, closed by a point and by a frame: nothing special about any of it."""
+    rng = np.random.default_rng(11)
+    pin.seed(11)
+    model = pin.Model()
+    model.name = "zoo"
+    branches = (
+        (pin.JointModelFreeFlyer(), pin.JointModelRZ(), pin.JointModelPX(), pin.JointModelRUBX()),
+        (
+            pin.JointModelSpherical(),
+            pin.JointModelPrismaticUnaligned(np.array([0.6, 0.0, 0.8])),
+            pin.JointModelPlanar(),
+        ),
+    )
+    for branch, joints in enumerate(branches):
+        parent = 0
+        for depth, joint in enumerate(joints):
+            parent = model.addJoint(parent, joint, pin.SE3.Random(), f"joint{branch}{depth}")
+            frame = pin.Frame(f"frame{branch}{depth}", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME)
+            model.addFrame(frame)
+    model.lowerPositionLimit = rng.uniform(-2.0, -1.0, model.nq)
+    model.upperPositionLimit = rng.uniform(1.0, 2.0, model.nq)
+    closures = [LoopClosure("frame03", "frame12", "3d"), LoopClosure("frame02", "frame11", "6d")]
+    return Mechanism(model, closures, tool_frame="frame10")
+
+
+@pytest.fixture(params=range(5))
+def anywhere(zoo: Mechanism, request: pytest.FixtureRequest) -> Configuration:
+    """A random configuration of the zoo, with its loops wide open."""
+    rng = np.random.default_rng(request.param)
+    neutral = pin.neutral(zoo.model)
+    return zoo.configuration(pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)))
+
+
+def test_constraint_jacobian_is_the_derivative_of_the_closure_error(anywhere: Configuration) -> None:
+    expected = differences(lambda configuration: configuration.closure_error, anywhere)
+    assert anywhere.closure_residual > 0.1
+    np.testing.assert_allclose(anywhere.constraint_jacobian, expected, atol=1e-8, rtol=0.0)
+
+
+def test_closure_error_is_frame_b_in_frame_a(anywhere: Configuration) -> None:
+    point_a, point_b = anywhere.frame_placement("frame03"), anywhere.frame_placement("frame12")
+    frame_a, frame_b = anywhere.frame_placement("frame02"), anywhere.frame_placement("frame11")
+    expected = [*point_a.actInv(point_b.translation), *pin.log6(frame_a.actInv(frame_b)).vector]
+    np.testing.assert_allclose(anywhere.closure_error, expected, atol=1e-14)
+    assert anywhere.closure_residual == np.abs(anywhere.closure_error).max()
+
+
+@pytest.mark.parametrize("frame", ["frame00", "frame03", "frame11", "universe"])
+def test_frame_jacobian_gives_the_frames_twist_in_world_axes(anywhere: Configuration, frame: str) -> None:
+    here = anywhere.frame_placement(frame)
+
+    def displacement(configuration: Configuration) -> Vector:
+        there = configuration.frame_placement(frame)
+        return np.concatenate([there.translation, pin.log3(there.rotation @ here.rotation.T)])
+
+    np.testing.assert_allclose(anywhere.frame_jacobian(frame), differences(displacement, anywhere), atol=1e-8)
+
+
+def test_the_tool_is_one_of_the_frames(anywhere: Configuration) -> None:
+    assert anywhere.tool_placement == anywhere.frame_placement("frame10")
+    np.testing.assert_array_equal(anywhere.tool_jacobian, anywhere.frame_jacobian("frame10"))
+
+
+def test_a_jacobian_of_one_joint_is_a_matrix() -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "joint")
+    model.addFrame(pin.Frame("tip", joint, 0, pin.SE3(np.eye(3), np.array([2.0, 0, 0])), pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("peg", 0, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    configuration = Mechanism(model, [LoopClosure("peg", "tip", "3d")], tool_frame="tip").home
+    np.testing.assert_allclose(configuration.tool_jacobian, [[0], [2], [0], [0], [0], [1]], atol=1e-15)
+    np.testing.assert_allclose(configuration.constraint_jacobian, [[0], [2], [0]], atol=1e-15)
+
+
+def test_configurations_do_not_share_what_they_hand_out(zoo: Mechanism) -> None:
+    rng = np.random.default_rng(3)
+    neutral = pin.neutral(zoo.model)
+    q = [pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)) for _ in range(20)]
+    one_by_one = [Mechanism(zoo.model, zoo.closures, tool_frame=zoo.tool_frame).configuration(x) for x in q]
+    jacobians = [configuration.constraint_jacobian.copy() for configuration in one_by_one]
+    together = [zoo.configuration(x) for x in q]
+    for configuration, jacobian, alone in zip(together, jacobians, one_by_one, strict=True):
+        np.testing.assert_array_equal(configuration.constraint_jacobian, jacobian)
+        np.testing.assert_array_equal(configuration.closure_error, alone.closure_error)
+        np.testing.assert_array_equal(configuration.tool_jacobian, alone.tool_jacobian)
+        assert configuration.tool_placement == alone.tool_placement
+
+
+def test_threads_do_not_disturb_each_other(zoo: Mechanism) -> None:
+    rng = np.random.default_rng(4)
+    neutral = pin.neutral(zoo.model)
+    q = [pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)) for _ in range(500)]
+    expected = [zoo.configuration(x).constraint_jacobian for x in q]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda x: zoo.configuration(x).constraint_jacobian, q))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_everything_is_read_only(anywhere: Configuration) -> None:
+    arrays = (
+        anywhere.q,
+        anywhere.closure_error,
+        anywhere.constraint_jacobian,
+        anywhere.tool_jacobian,
+        anywhere.frame_jacobian("frame00"),
+    )
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+    with pytest.raises(AttributeError):
+        anywhere.q = np.zeros(3)  # type: ignore[misc]
+    kept = anywhere.tool_placement
+    anywhere.tool_placement.translation += 1.0
+    assert anywhere.tool_placement == kept
+
+
+def test_the_callers_array_stays_the_callers(five_bar: Mechanism) -> None:
+    q = np.zeros(five_bar.model.nq)
+    configuration = five_bar.configuration(q)
+    q[0] = 1.0
+    assert configuration.q[0] == 0.0
+
+
+def test_coordinates_of_named_joints(zoo: Mechanism, five_bar: Mechanism, crank_rocker: Mechanism) -> None:
+    names = five_bar.coordinate_names
+    configuration = five_bar.configuration(0.1 * np.arange(len(names)))
+    assert configuration.joint_position("left_elbow") == 0.1 * names.index("left_elbow")
+    expected = [0.1 * names.index("left_joint"), 0.1 * names.index("right_joint")]
+    np.testing.assert_array_equal(configuration.actuated_positions, expected)
+    expected = [0.1 * names.index("x_joint"), 0.1 * names.index("y_joint")]
+    np.testing.assert_array_equal(configuration.motion_coordinates, expected)
+    turned = crank_rocker.assemble(held={"crank_joint": 2.5}, guess=[1.0, 0.0, 0.4, 0.8])
+    assert turned.joint_position("crank_joint") == pytest.approx(2.5, abs=1e-15)
+    with pytest.raises(InvalidValueError, match="one freedom"):
+        zoo.home.joint_position("joint00")
+    with pytest.raises(JointNotFoundError, match="'knee'"):
+        zoo.home.joint_position("knee")
+
+
+def test_violated_limits_name_joint_value_and_bounds(five_bar: Mechanism) -> None:
+    names = five_bar.coordinate_names
+    q = np.zeros(len(names))
+    q[names.index("x_joint")], q[names.index("left_elbow")], q[names.index("right_elbow")] = 2.5, -3.3, 3.2 + 1e-12
+    violations = {violation.name: violation for violation in five_bar.configuration(q).violated_limits()}
+    assert set(violations) == {"x_joint", "left_elbow"}
+    slide = violations["x_joint"]
+    assert (slide.kind, slide.value, slide.lower, slide.upper) == ("joint", 2.5, -2.0, 2.0)
+    assert five_bar.home.violated_limits() == ()
+
+
+def test_limits_of_a_joint_with_several_coordinates(zoo: Mechanism) -> None:
+    q = np.array(pin.neutral(zoo.model))
+    q[1] = zoo.upper_limits[1] + 0.5
+    names = [violation.name for violation in zoo.configuration(q).violated_limits()]
+    assert names == ["joint00[1]"]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 1.5, 3.0])
+def test_swing_is_the_angle_between_the_z_axes(angle: float) -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.addFrame(pin.Frame("fixed", 0, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    twisted = pin.SE3(pin.utils.rotate("z", 0.7), np.zeros(3))
+    model.addFrame(pin.Frame("moving", joint, 0, twisted, pin.FrameType.OP_FRAME))
+    mechanism = Mechanism(model, [LoopClosure("fixed", "moving", "3d", swing_limit=1.0)])
+    configuration = mechanism.configuration([angle])
+    assert configuration.swing(0) == pytest.approx(angle, abs=1e-15)
+    violations = [violation for violation in configuration.violated_limits() if violation.kind == "swing"]
+    if angle > 1.0:
+        (violation,) = violations
+        assert (violation.name, violation.lower, violation.upper) == ("fixed-moving", 0.0, 1.0)
+        assert violation.value == pytest.approx(angle, abs=1e-15)
+    else:
+        assert violations == []
+
+
+@pytest.mark.parametrize("q", [np.zeros(5), np.zeros((6, 1)), [0, 0, 0, np.nan, 0, 0], [np.inf, 0, 0, 0, 0, 0], 1.0])
+def test_what_is_no_configuration_is_refused(five_bar: Mechanism, q: object) -> None:
+    with pytest.raises(InvalidValueError, match="q = "):
+        five_bar.configuration(q)
+
+
+def test_a_pair_that_is_no_angle_is_refused(crank_rocker: Mechanism) -> None:
+    with pytest.raises(InvalidValueError, match="length 1"):
+        crank_rocker.configuration([0.5, 0.5, 0.0, 0.0])
+
+
+def test_unknown_frames_are_named(five_bar: Mechanism) -> None:
+    """Of many frames, those that are most like the name."""
+    with pytest.raises(FrameNotFoundError, match=r"'left_tipp'.* it has left_tip, .* and \d+ more"):
+        five_bar.home.frame_placement("left_tipp")
+    with pytest.raises(FrameNotFoundError, match=r"'left_tipp'.* it has left_tip, .* and \d+ more"):
+        five_bar.home.frame_jacobian("left_tipp")
+
+
+def test_the_tool_must_be_named_where_it_is_needed(five_bar: Mechanism) -> None:
+    toolless = Mechanism(five_bar.model, five_bar.closures, source="little.yaml").home
+    for attribute in ("tool_placement", "tool_jacobian"):
+        with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
+            getattr(toolless, attribute)

@@ -1,0 +1,152 @@
+"""What README.md and the documentation show is run, and compared with the output they print below it.
+
+On every page, in order:
+
+- ```` ```console ```` blocks: lines that start with `$ ` are commands of the installed package, the lines below them
+  their output (standard output and standard error, as on a terminal 100 columns wide);
+- ```` ```python ```` blocks are one program a page; a ```` ```output ```` block after one is what it prints.
+
+In expected output `...` stands for anything, and runs of blanks are all alike. ```` ```bash ```` blocks are not run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pm3dof_pin.cli.stiffness_map import PICTURES
+
+ROOT = Path(__file__).parents[2]
+DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
+PAGES = [ROOT / "README.md", *DOCS]
+BLOCK = re.compile(r"^```(console|python|output)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMPUTED_PICTURES = {"figure_8_2_workspace.png", *PICTURES}
+LIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@dataclass
+class Block:
+    kind: str
+    text: str
+    line: int
+
+
+def _blocks(page: Path) -> list[Block]:
+    text = page.read_text(encoding="utf-8")
+    return [Block(m[1], m[2], text.count("\n", 0, m.start()) + 1) for m in BLOCK.finditer(text)]
+
+
+def _compare(page: Path, line: int, expected: str, got: str) -> None:
+    if not doctest.OutputChecker().check_output(expected, got, LIKE):
+        pytest.fail(f"{page.relative_to(ROOT)}:{line}: expected\n{expected}\ngot\n{got}", pytrace=False)
+
+
+def _with(kind: str) -> list[Any]:
+    return [
+        pytest.param(page, id=str(page.relative_to(ROOT)))
+        for page in PAGES
+        if any(block.kind == kind for block in _blocks(page))
+    ]
+
+
+@pytest.mark.parametrize("page", _with("python"))
+def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for tool in re.findall(r"^(?:import|from) (mujoco|pybullet|pydrake)", page.read_text(), flags=re.MULTILINE):
+        pytest.importorskip(tool)  # not every Python has a wheel of each
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, Any] = {"__name__": "__example__"}
+    printed = ""
+    for block in _blocks(page):
+        if block.kind == "python":
+            output = io.StringIO()
+            # blank lines in front, so that a traceback names the line of the page
+            code = compile("\n" * block.line + block.text, str(page), "exec")
+            with contextlib.redirect_stdout(output):
+                exec(code, namespace)
+            printed = output.getvalue()
+        elif block.kind == "output":
+            _compare(page, block.line, block.text, printed)
+
+
+@pytest.mark.parametrize("page", _with("console"))
+def test_console_examples(page: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+    for block in _blocks(page):
+        if block.kind != "console":
+            continue
+        for session in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+            command, _, expected = session.partition("\n")
+            done = subprocess.run(
+                _installed(command),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                text=True,
+                cwd=tmp_path,
+                env=environment,
+                check=False,
+            )
+            _compare(page, block.line, expected, done.stdout)
+
+
+def _installed(command: str) -> list[str]:
+    words = shlex.split(command)
+    assert words[0] in ("pm3dof", "python"), f"only commands of the package are run here, not {words[0]}"
+    program = [sys.executable] if words[0] == "python" else [str(Path(sys.executable).with_name("pm3dof"))]
+    return program + words[1:]
+
+
+def test_every_command_is_documented() -> None:
+    from pm3dof_pin.cli.app import app
+
+    page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for command in app.registered_commands:
+        assert f"$ pm3dof {command.name}" in page, f"docs/command_line.md shows no `pm3dof {command.name}`"
+
+
+def test_every_room_is_in_the_api() -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS if page.parent.name == "api")
+    listed = " ".join(re.findall(r"^```\{modules\} (.+)$", pages, re.MULTILINE)).split()
+    rooms = {path.stem for path in (ROOT / "pm3dof_pin").iterdir() if path.suffix == ".py" or path.is_dir()}
+    for room in rooms - {"cli", "robots"}:
+        assert room.startswith("_") or f"pm3dof_pin.{room}" in listed, f"docs/api has no page with pm3dof_pin.{room}"
+
+
+def test_every_page_is_reached() -> None:
+    listed = {
+        (page.parent / re.sub(r".*<(.+)>", r"\1", entry)).resolve()
+        for page in DOCS
+        for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        for entry in tree.split("\n")
+        if entry and not entry.startswith(":")
+    }
+    assert {page.with_suffix("") for page in DOCS} - {ROOT / "docs" / "index"} == listed
+
+
+def test_the_readme_has_one_command_for_the_job_and_one_for_the_tests() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = [block for block in re.findall(r"^```bash\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)]
+    assert all(command.count("\n") == 1 for command in commands)
+    assert [("stiffness-map" in command, "pytest" in command) for command in commands] == [(True, False), (False, True)]
+
+
+def test_pictures_exist() -> None:
+    picture = re.compile(r"!\[[^\]]*\]\(([^)]+)\)|```\{(?:image|figure)\} (\S+)|<img src=\"([^\"]+)\"")
+    for page in [*PAGES, *sorted((ROOT / "robots").rglob("*.md"))]:
+        for match in picture.finditer(page.read_text(encoding="utf-8")):
+            path = page.parent / match[match.lastindex or 0]
+            if path.parent.name == "computed":  # drawn when the documentation is built
+                assert path.name in COMPUTED_PICTURES
+                continue
+            assert path.is_file(), f"{page.relative_to(ROOT)} shows {path}, which does not exist"

@@ -1,0 +1,87 @@
+"""Imports point down the floors of the house, and never in a circle."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+# From the ground up. The rooms of one floor may use each other, in one direction.
+FLOORS = (
+    ("exceptions", "files"),
+    ("description",),
+    ("mechanism",),
+    ("workspace", "tripod", "elastic", "dynamics", "calibration"),
+    ("maps",),
+    ("figures", "viewer", "export"),
+    ("cli",),
+)
+FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def _modules() -> dict[str, ast.Module]:
+    """Every module of the package but its __init__, which holds the version and the lazy list of public names."""
+    modules = {}
+    for file in (ROOT / "pm3dof_pin").rglob("*.py"):
+        name = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        modules[name] = ast.parse(file.read_text(encoding="utf-8"), filename=str(file))
+    del modules["pm3dof_pin"]
+    return modules
+
+
+MODULES = _modules()
+
+
+def _imports(nodes: Iterable[ast.AST]) -> set[str]:
+    names: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "a relative import hides which room it goes to"
+            members = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= (members & set(MODULES)) or {str(node.module)}
+    return names
+
+
+def _anywhere(module: str) -> set[str]:
+    """Modules of the package that a module imports: at its top, inside functions, or for typing only."""
+    return _imports(ast.walk(MODULES[module])) & set(MODULES) - {module}
+
+
+def _when_loaded(module: str) -> set[str]:
+    """Modules of the package that are imported as soon as this one is."""
+    return _imports(MODULES[module].body) & set(MODULES) - {module}
+
+
+def _room(module: str) -> str:
+    return module.split(".")[1]
+
+
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_imports_point_down(module: str) -> None:
+    assert _room(module) in FLOOR_OF, f"{module} stands on no floor: add its room to FLOORS and to CONTRIBUTING.md"
+    upwards = [name for name in _anywhere(module) if FLOOR_OF[_room(name)] > FLOOR_OF[_room(module)]]
+    assert not upwards, f"{module} imports from a floor above its own: {', '.join(upwards)}"
+
+
+def test_rooms_do_not_import_each_other_in_a_circle() -> None:
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        graph.setdefault(_room(module), set()).update({_room(name) for name in _anywhere(module)} - {_room(module)})
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+def test_modules_do_not_import_each_other_in_a_circle_when_they_are_loaded() -> None:
+    TopologicalSorter({module: _when_loaded(module) for module in MODULES}).prepare()
+
+
+@pytest.mark.parametrize("module", sorted(MODULES))
+def test_the_package_imports_neither_scripts_nor_tests(module: str) -> None:
+    first_names = {name.split(".")[0] for name in _imports(ast.walk(MODULES[module]))}
+    assert not first_names & {"scripts", "tests", "benchmarks", "docs", "pytest"}

@@ -1,0 +1,64 @@
+"""The READMEs of the hexapod and the 3-RPS machine: their numbers are computed again, their examples run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.mechanism import Mechanism, actuation_jacobian, independent_motions
+
+ROBOTS = ("hexapod", "three_rps")
+
+
+def _readme(robot: str) -> str:
+    return (robots_directory() / f"{robot}_description" / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_examples_run(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
+    examples = re.findall(r"```python\n(.*?)```", _readme(robot), flags=re.DOTALL)
+    assert examples
+    for example in examples:
+        exec(compile(example, f"README.md of {robot}", "exec"), {})
+    assert "e-0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_picture_and_the_neighbours_are_there(robot: str) -> None:
+    folder = Path(__file__).parents[2] / "robots" / f"{robot}_description"
+    links = re.findall(r"\]\(([^)#]+)", _readme(robot))
+    assert any(link.endswith(".png") for link in links)
+    for link in links:
+        assert (folder / link).resolve().is_file(), link
+
+
+def test_the_hexapods_table_of_compliance() -> None:
+    elastic = ElasticModel.load("hexapod")
+    compliance = cartesian_compliance(elastic, elastic.rigid.home).compliance
+    column = re.findall(r"^\| [^|]+ \| [^|]+ \| ([-\d.e]+).* \|$", _readme("hexapod"), flags=re.MULTILINE)
+    assert [f"{compliance[i]:.5e}".replace("e-0", "e-") for i in ((0, 0), (2, 2), (3, 3), (5, 5), (0, 4))] == column
+
+
+def test_the_beam_machines_compliance() -> None:
+    elastic = ElasticModel.load("three_rps")
+    diagonal = cartesian_compliance(elastic, elastic.rigid.home).compliance.diagonal()
+    x, z = (f"{diagonal[i]:.5e}".replace("e-0", "e-") for i in (0, 2))
+    assert f"gives {diagonal[0] / diagonal[2]:.0f} times more sideways than along z, {x} against {z} m/N" in _readme(
+        "three_rps"
+    )
+
+
+@pytest.mark.parametrize(("robot", "digits"), [("hexapod", 7), ("three_rps", 5)])
+def test_holding_forces_at_home(robot: str, digits: int) -> None:
+    """Virtual power: the actuators' forces f hold the weight, A^T f = V^T g; every leg carries the same."""
+    mechanism = Mechanism.load(robot)
+    weight = pin.computeGeneralizedGravity(mechanism.model, mechanism.model.createData(), mechanism.home.q)
+    forces = np.linalg.solve(actuation_jacobian(mechanism.home).T, independent_motions(mechanism.home).T @ weight)
+    np.testing.assert_allclose(forces, forces[0], rtol=1e-9)
+    assert f"{forces[0]:.{digits}f} N" in _readme(robot)

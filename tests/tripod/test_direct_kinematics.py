@@ -1,0 +1,89 @@
+"""Direct kinematics: the way back, quadratic convergence, every assembly mode."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.tripod import Tripod, kernels
+from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics, newton
+from pm3dof_pin.tripod.kinematics import inverse_kinematics
+
+
+def test_way_back_over_the_whole_workspace(tripod: Tripod, reachable_poses: np.ndarray) -> None:
+    poses = direct_kinematics(tripod, inverse_kinematics(tripod, reachable_poses))
+    np.testing.assert_allclose(poses, reachable_poses, rtol=0, atol=1e-11)
+
+
+def test_convergence_is_quadratic(tripod: Tripod) -> None:
+    """Stopped after one step more each time, the error falls with its square: e_(k+1) <= C e_k^2 with one C."""
+    pose = np.array([0.6, -0.5, 0.47])
+    u = inverse_kinematics(tripod, pose)
+    errors = []
+    for steps in range(1, 7):
+        stopped, _, _ = kernels.newton(u, tripod.home, tripod.legs, 0.0, steps)
+        errors.append(np.abs(stopped - pose).max())
+    useful = [(a, b) for a, b in itertools.pairwise(errors) if 1e-7 < a < 0.05]
+    assert len(useful) >= 2
+    assert all(b < 2.0 * a**2 for a, b in useful)
+
+
+def test_all_modes_close_the_loops_and_contain_the_pose(tripod: Tripod, reachable_poses: np.ndarray) -> None:
+    for pose in reachable_poses[:100]:
+        u = inverse_kinematics(tripod, pose)
+        modes = all_assembly_modes(tripod, u)
+        assert len(modes) % 2 == 0
+        assert np.abs(modes - pose).max(axis=1).min() < 1e-9
+        assert np.all(newton(tripod, u, modes).residual < 1e-13)
+
+
+def multistart(tripod: Tripod, u: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Every solution that Newton's method finds from 20,000 random starts, sorted by height."""
+    spread = np.array([np.pi, np.pi, 0.8])
+    result = newton(tripod, u, generator.uniform(-1.0, 1.0, (20_000, 3)) * spread)
+    poses = result.poses[result.converged]
+    turned = np.concatenate([np.cos(poses[:, :2]), np.sin(poses[:, :2]), poses[:, 2:]], axis=1)
+    found: list[np.ndarray] = []
+    for candidate in turned:
+        if all(np.abs(candidate - other).max() > 1e-6 for other in found):
+            found.append(candidate)
+    return np.array(sorted(found, key=lambda entry: -entry[4]))
+
+
+@pytest.mark.parametrize("case", range(12))
+def test_all_modes_are_those_of_many_random_starts(tripod: Tripod, case: int) -> None:
+    generator = np.random.default_rng(case)
+    home = tripod.parameters.slider_home
+    u = np.full(3, home) if case == 0 else home + generator.uniform(-0.085, 0.085, 3)
+    if case == 1:
+        u[2] = u[0]  # mirror-symmetric
+    modes = all_assembly_modes(tripod, u)
+    expected = multistart(tripod, u, generator)
+    turned = np.concatenate([np.cos(modes[:, :2]), np.sin(modes[:, :2]), modes[:, 2:]], axis=1)
+    assert len(turned) == len(expected)
+    for mode in turned:
+        assert np.abs(expected - mode).max(axis=1).min() < 1e-6
+
+
+def test_travels_that_cannot_be_assembled(tripod: Tripod) -> None:
+    apart = [-2.0, 0.24, 3.0]
+    assert len(all_assembly_modes(tripod, apart)) == 0
+    with pytest.raises(ConvergenceError, match=r"direct kinematics at u = \(-2, 0.24, 3\) m.*residual"):
+        direct_kinematics(tripod, apart)
+
+
+def test_newton_tells_which_of_many_failed(tripod: Tripod) -> None:
+    result = newton(tripod, [[0.24, 0.24, 0.24], [-2.0, 0.24, 3.0]])
+    np.testing.assert_array_equal(result.converged, [True, False])
+    assert result.residual[1] > 1e-3
+
+
+@pytest.mark.parametrize("u", [[0.24, 0.24], [np.nan, 0.24, 0.24], 0.24])
+def test_nonsense_travels_are_refused(tripod: Tripod, u: object) -> None:
+    with pytest.raises(InvalidValueError, match="u = "):
+        direct_kinematics(tripod, u)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="u = "):
+        all_assembly_modes(tripod, u)  # type: ignore[arg-type]

@@ -1,0 +1,60 @@
+"""Joint limits: flags and named violations agree with the angles, one limit at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
+from pm3dof_pin.tripod.limits import Limit, broken_limits, limit_violations
+
+
+def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:
+    generator = np.random.default_rng(3)
+    poses = generator.uniform([-1.2, -1.2, 0.3], [1.2, 1.2, 0.95], (20_000, 3))
+    u = inverse_kinematics(tripod, poses, unreachable="nan")
+    angles = passive_joint_angles(tripod, poses)
+    lost = np.isnan(u)
+    expected = Limit.REACH * np.any(lost, axis=1)
+    expected |= Limit.STROKE * np.any(np.abs(u - 0.240272) > 0.085, axis=1)
+    expected |= Limit.UNIVERSAL * np.any(np.abs(angles[..., :2]) > np.radians(50.0), axis=(1, 2))
+    expected |= Limit.SPHERICAL * np.any(angles[..., 2] > np.radians(45.0), axis=1)
+    expected |= Limit.TILT * np.any(np.abs(poses[:, :2]) > np.radians(50.0), axis=1)
+    expected |= Limit.HEIGHT * ((poses[:, 2] < tripod.bounds[4]) | (poses[:, 2] > tripod.bounds[5]))
+    flags = broken_limits(tripod, poses)
+    np.testing.assert_array_equal(flags, expected)
+    for limit in (Limit.REACH, Limit.STROKE, Limit.SPHERICAL, Limit.TILT, Limit.HEIGHT):
+        assert np.any(flags & limit)
+
+
+def test_violations_name_what_the_flags_say(tripod: Tripod) -> None:
+    generator = np.random.default_rng(4)
+    for pose in generator.uniform([-1.0, -1.0, 0.36], [1.0, 1.0, 0.6], (300, 3)):
+        flags = Limit(int(broken_limits(tripod, pose)))
+        if flags & Limit.REACH:
+            continue
+        violations = limit_violations(tripod, pose)
+        named = Limit.NONE
+        for violation in violations:
+            named |= violation.limit
+            assert not violation.lower <= violation.value <= violation.upper
+        assert named == flags
+
+
+def test_home_keeps_every_limit(tripod: Tripod) -> None:
+    assert broken_limits(tripod, tripod.home) == 0
+    assert limit_violations(tripod, tripod.home) == []
+
+
+def test_message_has_joint_value_and_range_in_degrees(tripod: Tripod) -> None:
+    violations = limit_violations(tripod, [np.radians(52.0), 0.0, 0.5])
+    assert "platform_x_joint at 52.00 deg, outside -50.00 .. 50.00 deg" in [str(entry) for entry in violations]
+
+
+def test_out_of_reach(tripod: Tripod) -> None:
+    assert broken_limits(tripod, [0.0, 0.0, 0.9]) & Limit.REACH
+    assert broken_limits(tripod, [np.nan, 0.0, 0.5]) != 0
+    with pytest.raises(UnreachablePoseError):
+        limit_violations(tripod, [0.0, 0.0, 0.9])

@@ -1,0 +1,124 @@
+"""A browser for the tests, and what they read from its page."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import BrowserError
+from pm3dof_pin.viewer.browser import Browser, find_browser
+
+Array = NDArray[np.float64]
+
+
+class Page:
+    """The page of a viewer in the browser."""
+
+    def __init__(self, browser: Browser) -> None:
+        self.browser = browser
+
+    def open(self, url: str) -> None:
+        self.browser.errors.clear()
+        self.browser.requests.clear()
+        self.browser.open(url)
+
+    def open_again(self, url: str) -> None:
+        """Open a page, or set it back to what it was at first if it is open already, which is quicker."""
+        if self.ask("location.href") != url:
+            self.open(url)
+        else:
+            self.ask("pm3dof.receive(JSON.parse(document.getElementById('scene').textContent))")
+            self.browser.settle()
+
+    def ask(self, expression: str) -> Any:
+        return self.browser.evaluate(expression)
+
+    def call(self, function: str, *arguments: object) -> Any:
+        return self.ask(f"({function})({', '.join(json.dumps(argument) for argument in arguments)})")
+
+    def matrix(self, path: str) -> Array:
+        """Where a node of the scene graph stands in the world of the machine, out of three.js itself."""
+        elements = self.call(
+            """path => {
+                const object = pm3dof.node(path).object;
+                object.updateWorldMatrix(true, false);
+                return pm3dof.viewer.scene.matrixWorld.clone().invert().multiply(object.matrixWorld).elements;
+            }""",
+            path,
+        )
+        return np.array(elements).reshape(4, 4).T
+
+    def is_visible(self, path: str) -> bool:
+        return bool(self.call("path => pm3dof.node(path).object.visible", path))
+
+    def colour(self, path: str) -> Array:
+        """The colour of the material of an object."""
+        return np.array(self.call("path => pm3dof.node(path + '/<object>').object.material.color.toArray()", path))
+
+    def note(self) -> str:
+        return str(self.ask("document.getElementById('note').innerText"))
+
+    def warnings(self) -> list[str]:
+        return list(self.ask("[...document.querySelectorAll('#note .warning')].map(line => line.textContent)"))
+
+    def values(self, key: str) -> str:
+        return str(self.call("key => document.querySelector(`[data-key=${key}] .values`).textContent", key))
+
+    def tick(self, key: str) -> None:
+        """Click on the box of an entry of the legend."""
+        self.call("key => document.querySelector(`[data-key=${key}] input`).click()", key)
+        self.browser.settle()
+
+    def drag_slider(self, name: str, place: float) -> float:
+        """Pull a slider to a place between 0 and 1 with the mouse, and return the number it then shows."""
+        left, top, width, height = self.call(
+            """name => {
+                const box = pm3dof.viewer.gui_controllers[name].__li.querySelector(".slider").getBoundingClientRect();
+                return [box.left, box.top, box.width, box.height];
+            }""",
+            name,
+        )
+        middle = top + 0.5 * height
+        self.browser.drag((left + 0.5 * width, middle), (left + place * width, middle))
+        return float(self.call("name => pm3dof.viewer.gui_controllers[name].getValue()", name))
+
+    def picture(self) -> Array:
+        """What is seen, shape=(height, width, 3), in 0 .. 1."""
+        from matplotlib.image import imread
+
+        return np.asarray(imread(io.BytesIO(self.browser.picture()), format="png"))[..., :3].astype(float)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    try:
+        find_browser()
+    except BrowserError as error:
+        pytest.skip(str(error))
+    with Browser(800, 600) as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Browser) -> Page:
+    return Page(browser)
+
+
+@pytest.fixture
+def write_robot(tmp_path: Path) -> Any:
+    """Writes a URDF with its closures file and returns the URDF's path."""
+
+    def write(urdf: str, closures: str = "name_mot: []\n") -> Path:
+        path = tmp_path / "robot.urdf"
+        path.write_text(urdf, encoding="utf-8")
+        path.with_name("robot.closures.yaml").write_text(closures, encoding="utf-8")
+        return path
+
+    return write

@@ -1,0 +1,147 @@
+"""Other mechanisms in a real browser: hexapod, 3-RPS, a serial arm with meshes, stick figures, paths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.springs import JointSpring
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.viewer import Viewer
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.mark.parametrize("robot", ["hexapod", "three_rps"])
+def test_other_robots(page: Any, tmp_path: Path, robot: str) -> None:
+    mechanism = Mechanism.load(robot)
+    viewer = Viewer(mechanism)
+    model = ElasticModel(mechanism)
+    where = mechanism.home
+    drawn = viewer.stiffness_ellipsoid(cartesian_compliance(model, where).stiffness, kind="translation")
+    viewer.actuator_forces(holding_forces(where).actuator_forces)
+    viewer.colour_legs(model)
+    viewer.frames()
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    np.testing.assert_allclose(page.matrix("/ellipsoids/translation"), drawn.transform, atol=1e-9)
+    for closure in mechanism.closures:
+        ends = [
+            path
+            for path in viewer.scene.paths()
+            if path.endswith((f"/{closure.frame_a}/x_shaft", f"/{closure.frame_b}/x_shaft"))
+        ]
+        assert len(ends) == 2
+        first, second = (page.matrix(path.removesuffix("/x_shaft"))[:3, 3] for path in ends)
+        np.testing.assert_allclose(first, second, atol=1e-9)
+    assert page.picture().std() > 0.05
+    assert page.ask("Object.keys(pm3dof.viewer.gui_controllers)") == []
+    assert page.browser.errors == []
+
+
+def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
+    example_robot_data = pytest.importorskip("example_robot_data")
+    arm = example_robot_data.load("ur5")
+    mechanism = Mechanism(arm.model, tool_frame="ee_link")
+    viewer = Viewer(mechanism, visuals=arm.visual_model)
+    where = mechanism.configuration([0.3, -1.2, 1.4, -1.0, -1.5, 0.2])
+    viewer.display(where)
+    model = ElasticModel(mechanism, [JointSpring(name, name, 1e4, "N m/rad") for name in mechanism.actuated_joints])
+    jacobian = where.tool_jacobian
+    compliance = jacobian @ jacobian.T / 1e4
+    drawn = viewer.stiffness_ellipsoid(compliance=compliance, kind="translation", of="compliance")
+    viewer.colour_legs(model)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    for link in ("base_link", "forearm_link", "wrist_3_link"):
+        expected = where.frame_placement(link).homogeneous
+        np.testing.assert_allclose(page.matrix(f"/robot/{link}"), expected, atol=1e-9)
+    lengths = np.linalg.norm(page.matrix("/ellipsoids/translation")[:3, :3], axis=0)
+    np.testing.assert_allclose(np.sort(lengths) / drawn.scale, np.linalg.eigvalsh(compliance[:3, :3]), rtol=1e-9)
+    assert page.picture().std() > 0.05
+    assert page.browser.errors == []
+
+
+def test_stick_figure(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+    viewer = Viewer(mechanism, visuals=pin.GeometryModel())
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    for leg in (1, 2, 3):
+        ends = [f"/robot/universal{leg}_second_joint/visual/link{leg}_tip", f"/robot/platform_y_joint/visual/E{leg}"]
+        first, second = (page.matrix(path)[:3, 3] for path in ends)
+        np.testing.assert_allclose(first, second, atol=1e-9)
+    assert page.browser.errors == []
+
+
+def test_a_path_is_played(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+    """At the time of a frame the bodies, ellipsoids and arrows are where that frame has them."""
+    model = ElasticModel(mechanism)
+    angles = np.linspace(0.0, 2.0 * np.pi, 9)
+    poses = np.column_stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), np.full(9, -0.01)])
+    frames = [mechanism.at_motion_coordinates(pose) for pose in poses]
+    stiffness = [cartesian_compliance(model, frame).stiffness for frame in frames]
+    forces = [holding_forces(frame).actuator_forces for frame in frames]
+    viewer = Viewer(mechanism, tripod=tripod)
+    viewer.play(frames, stiffness=stiffness, forces=forces, duration=4.0)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    page.ask("pm3dof.viewer.animator.pause()")
+    for index in (0, 3, 8):
+        page.call("time => (pm3dof.viewer.animator.time = time, pm3dof.viewer.animator.seek(time))", 0.5 * index)
+        page.browser.settle()
+        expected = frames[index].frame_placement("platform").homogeneous
+        np.testing.assert_allclose(page.matrix("/robot/platform"), expected, atol=1e-6)  # tracks are single precision
+        block = stiffness[index][:3, :3]
+        linear = page.matrix("/ellipsoids/translation")[:3, :3]
+        lengths = np.linalg.norm(linear, axis=0)
+        scale = lengths.max() / np.linalg.eigvalsh(block)[-1]
+        np.testing.assert_allclose(linear @ linear.T / scale**2, block @ block, atol=1e-5 * np.abs(block @ block).max())
+        arrows = [np.linalg.norm(page.matrix(f"/forces/slider{leg}_joint")[:3, 2]) for leg in (1, 2, 3)]
+        np.testing.assert_allclose(arrows / arrows[0], forces[index] / forces[index][0], rtol=1e-5)
+        degrees = page.ask("pm3dof.viewer.gui_controllers['theta_x [deg]'].getValue()")
+        assert degrees == pytest.approx(np.degrees(poses[index, 0]), abs=0.051)
+    page.ask("pm3dof.viewer.animator.play()")
+    page.drag_slider("theta_x [deg]", 0.4)
+    assert page.ask("pm3dof.viewer.animator.playing") is False
+    assert page.browser.errors == []
+
+
+def test_a_notebooks_copy(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+    """The page inside a page, as a notebook shows it."""
+    cell = Viewer(mechanism).jupyter_cell(height=500, static=True)
+    file = tmp_path / "notebook.html"
+    file.write_text(f"<!DOCTYPE html><html><body>{cell._repr_html_()}</body></html>", encoding="utf-8")
+    page.open(file.as_uri())
+    frame = "document.querySelector('iframe').contentWindow"
+    assert page.ask(f"{frame}.eval('pm3dof.node(\"/robot/platform\").object.type')") == "Group"
+    assert page.browser.errors == []
+
+
+def test_more_drawn_with_meshcat(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+    """Objects of meshcat's own package: a primitive, points with packed arrays, a transform, a property."""
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import meshcat
+
+    viewer = Viewer(mechanism)
+    scene = meshcat.Visualizer(window=viewer.scene)
+    scene["ball"].set_object(meshcat.geometry.Sphere(0.05))
+    move = np.eye(4)
+    move[:3, 3] = [0.2, 0.1, 0.5]
+    scene["ball"].set_transform(move)
+    points = np.random.default_rng(0).uniform(size=(3, 20)).astype(np.float32)
+    scene["cloud"].set_object(meshcat.geometry.PointCloud(points, np.ones_like(points)))
+    scene["gone"].set_object(meshcat.geometry.Box([0.1, 0.1, 0.1]))
+    scene["gone"].delete()
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    np.testing.assert_allclose(page.matrix("/meshcat/ball"), move, atol=1e-15)
+    positions = page.ask("[...pm3dof.node('/meshcat/cloud/<object>').object.geometry.attributes.position.array]")
+    np.testing.assert_allclose(np.reshape(positions, (20, 3)).T, points)
+    assert "gone" not in page.ask("Object.keys(pm3dof.node('/meshcat').children)")
+    assert page.browser.errors == []

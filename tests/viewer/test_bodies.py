@@ -1,0 +1,129 @@
+"""What is drawn of a mechanism: shapes, meshes, colours, stick figures, boxes around them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.viewer.bodies import bodies_of, body_placements, bounding_box
+
+URDF = """<robot name="robot">
+  <link name="base">
+    <visual><origin xyz="0 0 1"/><geometry><box size="0.2 0.4 0.6"/></geometry>
+      <material name="red"><color rgba="0.8 0.1 0.2 0.5"/></material></visual>
+    <visual><geometry><sphere radius="0.1"/></geometry></visual>
+  </link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 2"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="arm"><visual><origin xyz="0.5 0 0" rpy="0 1.5707963267948966 0"/>
+    <geometry><cylinder radius="0.05" length="1"/></geometry></visual>{mesh}</link>
+</robot>
+"""
+MESH = '<visual><origin xyz="1 0 0"/><geometry><mesh filename="{file}" scale="2 2 2"/></geometry></visual>'
+Write = Callable[..., Path]
+
+
+def test_shapes(write_robot: Write) -> None:
+    mechanism = Mechanism.load(write_robot(URDF.format(mesh="")))
+    base, arm = bodies_of(mechanism)
+    box, ball = base.parts
+    (rod,) = arm.parts
+    shape = box.lowered["geometries"][0]
+    assert [shape[key] for key in ("type", "width", "height", "depth")] == ["BoxGeometry", 0.2, 0.4, 0.6]
+    np.testing.assert_allclose(box.placement[:3, 3], [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(box.colour, [0.8, 0.1, 0.2, 0.5], atol=1e-6)
+    assert box.lowered["materials"][0]["transparent"] is True
+    assert ball.lowered["geometries"][0]["radius"] == 0.1
+    shape = rod.lowered["geometries"][0]
+    assert (shape["type"], shape["radiusBottom"], shape["height"]) == ("CylinderGeometry", 0.05, 1.0)
+    # three.js stands its cylinders along y; the URDF's z axis is turned to x here
+    np.testing.assert_allclose(rod.placement[:3, :3] @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_placements_are_those_of_the_links(mechanism: Mechanism) -> None:
+    where = mechanism.at_motion_coordinates([0.2, -0.1, 0.01])
+    placements = body_placements(bodies_of(mechanism), where)
+    assert len(placements) == 14
+    for path, placement in placements.items():
+        expected = where.frame_placement(path.removeprefix("/robot/")).homogeneous
+        np.testing.assert_allclose(placement, expected, atol=1e-14)
+
+
+def test_the_box_around_a_mechanism(write_robot: Write) -> None:
+    """Upright, the arm of length 1 reaches from z = 2 down to 1, or up to 3."""
+    mechanism = Mechanism.load(write_robot(URDF.format(mesh="")))
+    bodies = bodies_of(mechanism)
+    np.testing.assert_allclose(
+        bounding_box(bodies, mechanism.configuration([0.0])), [[-0.1, -0.2, -0.1], [1.0, 0.2, 2.05]], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        bounding_box(bodies, mechanism.configuration([-np.pi / 2])), [[-0.1, -0.2, -0.1], [0.1, 0.2, 3.0]], atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "dae"])
+def test_meshes_have_their_scale(write_robot: Write, tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"part.{suffix}"
+    trimesh.creation.box([0.1, 0.2, 0.3]).export(file)
+    mechanism = Mechanism.load(write_robot(URDF.format(mesh=MESH.format(file=file))))
+    arm = bodies_of(mechanism)[1]
+    corners = arm.parts[-1].corners
+    np.testing.assert_allclose(corners.min(axis=0), [0.9, -0.2, -0.3], atol=1e-6)
+    np.testing.assert_allclose(corners.max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
+    """package://name/... is looked for below every folder above the URDF, as in a ROS workspace."""
+    (tmp_path / "parts" / "meshes").mkdir(parents=True)
+    trimesh.creation.icosphere(radius=0.1).export(tmp_path / "parts" / "meshes" / "ball.stl")
+    mesh = MESH.format(file="package://parts/meshes/ball.stl")
+    mechanism = Mechanism.load(write_robot(URDF.format(mesh=mesh)))
+    assert len(bodies_of(mechanism)[1].parts) == 2
+
+
+def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path) -> None:
+    urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
+    with pytest.raises(DescriptionError, match=r"robot\.urdf: visual: .*gone\.stl"):
+        bodies_of(Mechanism.load(urdf))
+
+
+def test_the_urdf_is_found_beside_either_closures_file(write_robot: Write) -> None:
+    urdf = write_robot(URDF.format(mesh=""))
+    assert [body.name for body in bodies_of(Mechanism.load(urdf))] == ["base", "arm"]
+    urdf.with_name("robot.closures.yaml").rename(urdf.with_name("robot.yaml"))
+    assert [body.name for body in bodies_of(Mechanism.load(urdf))] == ["base", "arm"]
+
+
+def test_visuals_from_elsewhere(write_robot: Write) -> None:
+    urdf = write_robot(URDF.format(mesh=""))
+    bare = Mechanism(pin.buildModelFromUrdf(str(urdf)))
+    assert [body.name for body in bodies_of(bare)] == ["universe", "turn"]  # a stick figure
+    assert [body.name for body in bodies_of(bare, urdf)] == ["base", "arm"]
+    geometry = pin.buildGeomFromUrdf(bare.model, str(urdf), pin.GeometryType.VISUAL)
+    assert [body.name for body in bodies_of(bare, geometry)] == ["base", "arm"]
+
+
+@pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
+def test_stick_figures_join_at_the_closures(robot: str) -> None:
+    mechanism = Mechanism.load(robot)
+    bodies = bodies_of(mechanism, pin.GeometryModel())
+    placements = body_placements(bodies, mechanism.home)
+    balls = {part.name: placements[body.path] @ part.placement for body in bodies for part in body.parts}
+    for loop in mechanism.closures:
+        np.testing.assert_allclose(balls[loop.frame_a][:3, 3], balls[loop.frame_b][:3, 3], atol=1e-9)
+
+
+def test_free_joints_and_several_freedoms() -> None:
+    """A body that floats and one on a ball joint: joints with several freedoms."""
+    model = pin.Model()
+    float_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
+    model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")
+    bodies = bodies_of(Mechanism(model))
+    assert [body.name for body in bodies] == ["float", "ball"]

@@ -1,0 +1,119 @@
+"""Ellipsoids: which block they show, their axes and lengths, and round scales."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.ellipsoids import block, ellipsoid, round_length, round_scale
+from pm3dof_pin.viewer.panel import numbers, scale_text, scientific
+
+
+def random_stiffness(seed: int) -> np.ndarray:
+    root = np.random.default_rng(seed).normal(size=(6, 6))
+    return root @ root.T + 0.1 * np.eye(6)
+
+
+@pytest.mark.parametrize("kind", ["translation", "rotation"])
+def test_blocks(kind: str) -> None:
+    """By the meaning of the words: displacements under unit forces with the other three free, or clamped."""
+    k = random_stiffness(3)
+    c = np.linalg.inv(k)
+    own, other = (slice(0, 3), slice(3, 6)) if kind == "translation" else (slice(3, 6), slice(0, 3))
+    # others free: no load in them, so x = C_ff f; others held: x_o = 0, so f = K_ff x
+    free = k[own, own] - k[own, other] @ np.linalg.inv(k[other, other]) @ k[other, own]
+    held = k[own, own]
+    for given in ({"stiffness": k, "compliance": None}, {"stiffness": None, "compliance": c}):
+        for of, others, expected in (
+            ("stiffness", "free", free),
+            ("stiffness", "held", held),
+            ("compliance", "free", np.linalg.inv(free)),
+            ("compliance", "held", np.linalg.inv(held)),
+        ):
+            found = block(given["stiffness"], given["compliance"], kind, of, others)
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_exactly_one_matrix() -> None:
+    for both in ((None, None), (np.eye(6), np.eye(6))):
+        with pytest.raises(InvalidValueError, match="expected one of them"):
+            block(*both, "translation", "stiffness", "held")
+
+
+def test_rigid_directions_have_a_compliance_only() -> None:
+    c = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(block(None, c, "translation", "compliance", "free"), np.diag([1.0, 1.0, 0.0]))
+    with pytest.raises(SingularConfigurationError, match="no stiffness ellipsoid of translation"):
+        block(None, c, "translation", "stiffness", "free")
+
+
+def test_the_transform_is_the_eigen_decomposition() -> None:
+    """A unit vector along a principal axis goes to the end of that semi-axis; all others onto the quadric."""
+    b = random_stiffness(4)[:3, :3]
+    position = np.array([0.1, 0.2, 0.3])
+    drawn = ellipsoid(b, position, scale=0.01, unit="N/m")
+    np.testing.assert_allclose(b @ drawn.axes, drawn.axes * drawn.values, atol=1e-12)
+    linear = drawn.transform[:3, :3]
+    np.testing.assert_allclose(linear, 0.01 * drawn.axes * drawn.values)
+    np.testing.assert_array_equal(drawn.transform[:3, 3], position)
+    assert np.linalg.det(linear) > 0.0
+    for direction in np.random.default_rng(1).normal(size=(10, 3)):
+        point = linear @ (direction / np.linalg.norm(direction)) / 0.01
+        assert np.linalg.norm(np.linalg.solve(b, point)) == pytest.approx(1.0)
+
+
+def test_flat_ellipsoids_keep_their_axes() -> None:
+    """A zero semi-axis is drawn as thin as paper, so that the page still finds the axes."""
+    drawn = ellipsoid(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
+    lengths = np.linalg.norm(drawn.transform[:3, :3], axis=0)
+    np.testing.assert_allclose(lengths, [2e-6, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_bad_scale(scale: float, mechanism: Mechanism) -> None:
+    with pytest.raises(InvalidValueError, match="scale"):
+        Viewer(mechanism).stiffness_ellipsoid(np.eye(6), scale=scale)
+
+
+def test_round_scales() -> None:
+    for greatest, step in ((2.6e8, 5e8), (2e8, 2e8), (1.0, 1.0), (9.9e-9, 1e-8), (5.1, 10.0)):
+        assert round_scale(greatest, 0.2) == pytest.approx(0.2 / step)
+    assert round_scale(0.0, 0.2) == 0.2
+    for size, length in ((0.26, 0.2), (0.5, 0.5), (0.99, 0.5), (1.0, 1.0), (0.0019, 0.001)):
+        assert round_length(size) == pytest.approx(length)
+
+
+def test_numbers_in_words() -> None:
+    assert [scientific(number) for number in (1.5292e6, 0.0412345, 88.66, -2.0, 0.0, 6.54e-7)] == [
+        "1.53e6",
+        "0.0412",
+        "88.7",
+        "-2",
+        "0",
+        "6.54e-7",
+    ]
+    assert numbers([1e9, 2.0], "N/m") == "1.00e9 · 2 N/m"
+    assert scale_text(0.2 / 5e8, 0.2, "N/m", "semi-axis") == "semi-axis of 200 mm = 5e8 N/m"
+    assert scale_text(0.2 / 1.5, 0.2, "N", "arrow") == "arrow of 200 mm = 1.5 N"
+
+
+def test_ellipsoids_elsewhere_than_at_the_tool(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    frame = viewer.stiffness_ellipsoid(np.eye(6), at="E1")
+    np.testing.assert_allclose(frame.position, mechanism.home.frame_placement("E1").translation)
+    point = viewer.stiffness_ellipsoid(np.eye(6), at=[1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(point.position, [1.0, 2.0, 3.0])
+    assert {"/ellipsoids/translation_at_E1/surface", "/ellipsoids/translation_at_point/surface"} <= set(
+        viewer.scene.paths()
+    )
+
+
+def test_scales_stay_for_comparison(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    first = viewer.stiffness_ellipsoid(3e6 * np.eye(6))
+    viewer.display(mechanism.home)
+    assert viewer.stiffness_ellipsoid(30e6 * np.eye(6)).scale == first.scale
+    assert viewer.stiffness_ellipsoid(3e6 * np.eye(6), of="compliance").scale != first.scale

@@ -1,0 +1,162 @@
+"""The server: who can reach it, what it says when it cannot listen, and that nothing is left of it."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import logging
+import socket
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pm3dof_pin.exceptions import ServerError
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.server import is_loopback
+
+
+@pytest.fixture
+def viewer(mechanism: Mechanism) -> Iterator[Viewer]:
+    with Viewer(mechanism) as started:
+        yield started
+
+
+def port_of(url: str) -> int:
+    return int(url.rstrip("/").rpartition(":")[2])
+
+
+def own_listening_addresses() -> set[str]:
+    """Local addresses, as the kernel writes them, of the sockets on which this process listens."""
+    inodes = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            target = str(link.readlink())
+        except OSError:
+            continue
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    addresses = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        if not Path(table).exists():
+            continue
+        for line in Path(table).read_text().splitlines()[1:]:
+            words = line.split()
+            if words[3] == "0A" and words[9] in inodes:
+                addresses.add(words[1])
+    return addresses
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads the kernel's tables, as Linux has them")
+def test_it_listens_on_loopback_only(viewer: Viewer) -> None:
+    before = own_listening_addresses()
+    port = port_of(viewer.start())
+    assert own_listening_addresses() - before == {f"0100007F:{port:04X}"}  # 127.0.0.1, lowest byte first
+
+
+def test_other_addresses_of_this_machine_are_refused(viewer: Viewer) -> None:
+    """127.0.0.2 is loopback too, but not the address that is listened on."""
+    port = port_of(viewer.start())
+    with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.2", port), timeout=2.0):
+        pass
+
+
+def test_everywhere_only_with_a_warning(mechanism: Mechanism, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING), Viewer(mechanism, host="0.0.0.0") as viewer:
+        url = viewer.start()
+        assert url.startswith("http://localhost:")
+        with urllib.request.urlopen(url) as answer:
+            assert answer.status == 200
+    assert "everybody who reaches this machine" in caplog.text
+
+
+def test_no_warning_otherwise(viewer: Viewer, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        viewer.start()
+    assert caplog.text == ""
+
+
+def test_what_is_loopback() -> None:
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("localhost")
+    assert is_loopback("::1")
+    assert not is_loopback("0.0.0.0")
+    assert not is_loopback("192.0.2.1")
+    assert not is_loopback("no such host.invalid")
+
+
+def test_a_taken_port(viewer: Viewer, mechanism: Mechanism) -> None:
+    port = port_of(viewer.start())
+    with (
+        Viewer(mechanism, port=port) as other,
+        pytest.raises(ServerError, match=rf"port {port}: Address already in use"),
+    ):
+        other.start()
+    with Viewer(mechanism) as third:
+        assert port_of(third.start()) != port  # without a wish, the next free one
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no such host.invalid"])
+def test_a_host_that_is_not_here(mechanism: Mechanism, host: str) -> None:
+    with Viewer(mechanism, host=host, port=7321) as viewer, pytest.raises(ServerError, match="cannot listen on"):
+        viewer.start()
+
+
+def test_the_page_and_nothing_else(viewer: Viewer) -> None:
+    url = viewer.start()
+    assert viewer.start() == url
+    with urllib.request.urlopen(url) as answer:
+        assert answer.headers["Cache-Control"] == "no-store"
+        assert 'data-socket="yes"' in answer.read().decode()
+    with pytest.raises(urllib.error.HTTPError, match="404") as error, urllib.request.urlopen(f"{url}etc/passwd"):
+        pass
+    error.value.close()
+
+
+@pytest.mark.parametrize(("origin", "status"), [("http://elsewhere.example", 403), (None, 101)])
+def test_other_sites_cannot_listen_in(viewer: Viewer, origin: str | None, status: int) -> None:
+    """A page of another origin in the same browser may ask for the socket, and is refused."""
+    url = viewer.start()
+    headers = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Origin": origin or url.rstrip("/"),
+    }
+    connection = http.client.HTTPConnection("127.0.0.1", port_of(url), timeout=5.0)
+    with contextlib.closing(connection):
+        connection.request("GET", "/socket", headers=headers)
+        with connection.getresponse() as answer:
+            assert answer.status == status
+
+
+def test_closing_leaves_nothing(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    port = port_of(viewer.start())
+    assert "scene server" in [thread.name for thread in threading.enumerate()]
+    viewer.close()
+    viewer.close()
+    assert "scene server" not in [thread.name for thread in threading.enumerate()]
+    with Viewer(mechanism, port=port) as again:
+        assert port_of(again.start()) == port
+    viewer.display(mechanism.home)  # still usable
+    assert viewer.start()
+    viewer.close()
+
+
+def test_a_notebook_gets_the_address(viewer: Viewer) -> None:
+    assert f'src="{viewer.start()}"' in viewer.jupyter_cell(height=432)._repr_html_()
+    assert "height: 432px" in viewer.jupyter_cell(height=432)._repr_html_()
+
+
+def test_no_browser_without_a_screen(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("webbrowser.open", lambda *_, **__: pytest.fail("must not be called"))
+    assert viewer.open() is False

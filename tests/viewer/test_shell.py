@@ -1,0 +1,108 @@
+"""The shell around the workspace: a closed surface, its points on the boundary, its values those of the maps."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.tripod.kinematics import placement
+from pm3dof_pin.tripod.limits import broken_limits
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.shell import Shell, scalar_quantities, scalar_quantity, tool_tips, workspace_shell
+
+LENGTH = 0.2
+
+
+@pytest.fixture(scope="module")
+def shell(tripod: Tripod) -> Shell:
+    return workspace_shell(tripod, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
+
+
+def poses_of(tips: np.ndarray) -> np.ndarray:
+    """Tilts and height from the tip alone: x = h sin ty, y = -h sin tx cos ty."""
+    theta_y = np.arcsin(tips[:, 0] / LENGTH)
+    theta_x = np.arcsin(-tips[:, 1] / (LENGTH * np.cos(theta_y)))
+    return np.column_stack([theta_x, theta_y, tips[:, 2] - LENGTH * np.cos(theta_x) * np.cos(theta_y)])
+
+
+def test_tips_are_on_the_platforms_normal() -> None:
+    poses = np.random.default_rng(0).uniform([-0.7, -0.7, 0.4], [0.7, 0.7, 0.6], (50, 3))
+    expected = placement(poses) @ np.array([0.0, 0.0, LENGTH, 1.0])
+    np.testing.assert_allclose(tool_tips(poses, LENGTH), expected[:, :3], atol=1e-15)
+    np.testing.assert_allclose(poses_of(tool_tips(poses, LENGTH)), poses, atol=1e-12)
+
+
+def test_the_surface_is_closed_and_faces_outwards(shell: Shell) -> None:
+    edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in shell.faces for k in range(3))
+    assert set(edges.values()) == {1}
+    assert all((end, start) in edges for start, end in edges)
+    assert len(shell.vertices) - len(edges) // 2 + len(shell.faces) == 2  # Euler: like a sphere
+    a, b, c = (shell.vertices[shell.faces[:, k]] for k in range(3))
+    assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0 > 0.0  # volume by the divergence theorem
+
+
+def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
+    """A step inwards stays within all limits, one outwards breaks one."""
+    poses = poses_of(shell.vertices[:-2])
+    inside, outside = poses.copy(), poses.copy()
+    inside[:, :2] *= 0.999
+    outside[:, :2] *= 1.001
+    assert np.all(broken_limits(tripod, inside) == 0)
+    assert np.all(broken_limits(tripod, outside) != 0)
+
+
+def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> None:
+    stiffness = elastic_stiffness(tripod, poses_of(shell.vertices))
+    felt = 1.0 / np.linalg.inv(stiffness)[:, 2, 2]
+    np.testing.assert_allclose(shell.values, felt, rtol=1e-6)
+    assert shell.unit == "N/m"
+    assert shell.places.min() == 0.0
+    assert shell.places.max() == 1.0
+    assert np.all(np.diff(shell.places[np.argsort(shell.values)]) >= 0.0)
+
+
+def test_wide_ranges_are_logarithmic() -> None:
+    nothing = np.zeros((0, 3))
+    shell = Shell(nothing, nothing.astype(int), nothing, np.array([1.0, 10.0, 100.0]), "", "")
+    assert shell.logarithmic
+    np.testing.assert_allclose(shell.places, [0.0, 0.5, 1.0])
+    near = Shell(nothing, nothing.astype(int), nothing, np.array([1.0, 2.0, 3.0]), "", "")
+    assert not near.logarithmic
+    np.testing.assert_allclose(near.places, [0.0, 0.5, 1.0])
+
+
+def test_every_listed_quantity_is_one_number(tripod: Tripod) -> None:
+    names = scalar_quantities(tripod)
+    assert {"condition_number", "felt_stiffness:z", "translational_stiffness:least", "chapter_diagonal:t_z"} <= set(
+        names
+    )
+    for name in names:
+        assert scalar_quantity(tripod, name).values(tripod, np.array([[0.1, 0.1, 0.49]])).shape == (1,)
+    assert scalar_quantity(tripod, "felt_stiffness:rx").unit == "N m/rad"
+    assert scalar_quantity(tripod, "chapter_diagonal:t_z").unit == "N/m"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("colour", "expected some of"),
+        ("felt_stiffness", "and one of x, y, z, rx"),
+        ("felt_stiffness:w", "and one of x, y, z, rx"),
+        ("condition_number:z", "alone, which is one number"),
+        ("K", "a number or a list"),
+    ],
+)
+def test_bad_quantities(tripod: Tripod, name: str, words: str) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        scalar_quantity(tripod, name)
+
+
+def test_another_machines_workspace_is_refused(tripod: Tripod) -> None:
+    with pytest.raises(InvalidValueError, match="joints differ"):
+        Viewer(Mechanism.load("hexapod")).workspace(tripod)

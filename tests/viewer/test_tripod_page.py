@@ -1,0 +1,363 @@
+"""The page with the tripod in a real browser: what stands in its scene graph, before and after a slider is moved."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.tripod.limits import limit_violations
+from pm3dof_pin.viewer import Viewer
+
+pytestmark = pytest.mark.browser
+
+KINDS = ("translation", "rotation")
+BODIES = ["base", "middle_platform", "passive_leg", "passive_cross", "platform"]
+BODIES += [f"{name}{leg}" for name in ("slider", "cross", "link") for leg in (1, 2, 3)]
+
+
+def at_pose(mechanism: Mechanism, tripod: Tripod, theta_x: float, theta_y: float, z_e: float) -> Configuration:
+    """The general engine's configuration, found by Newton's method from the URDF: degrees and metres."""
+    return mechanism.at_motion_coordinates([np.radians(theta_x), np.radians(theta_y), z_e - tripod.height_home])
+
+
+def drawn_everything(mechanism: Mechanism, tripod: Tripod, where: Configuration, **options: Any) -> Viewer:
+    """A viewer with all that the page can continue, drawn from the general engine."""
+    viewer = Viewer(mechanism, tripod=tripod)
+    model = ElasticModel(mechanism)
+    viewer.display(where)
+    stiffness = cartesian_compliance(model, where).stiffness
+    for kind in KINDS:
+        viewer.stiffness_ellipsoid(stiffness, kind=kind, **options)
+    viewer.actuator_forces(holding_forces(where).actuator_forces)
+    viewer.colour_legs(model)
+    viewer.frames()
+    return viewer
+
+
+@pytest.fixture(scope="module")
+def model(mechanism: Mechanism) -> ElasticModel:
+    return ElasticModel(mechanism)
+
+
+@pytest.fixture(scope="module")
+def saved(mechanism: Mechanism, tripod: Tripod, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    viewer = drawn_everything(mechanism, tripod, at_pose(mechanism, tripod, 10.0, -15.0, 0.5))
+    return viewer.save_html(tmp_path_factory.mktemp("page") / "tripod.html")
+
+
+@pytest.fixture
+def shown(page: Any, saved: Path) -> Iterator[Any]:
+    """The page of the tripod at (10 deg, -15 deg, 0.5 m); nothing may go wrong in it, and nothing leave the machine."""
+    page.open_again(saved.as_uri())
+    yield page
+    assert page.browser.errors == []
+    assert set(page.browser.requests) == {saved.as_uri()}
+
+
+def assert_ellipsoid(matrix: np.ndarray, block: np.ndarray, scale: float, centre: np.ndarray) -> None:
+    """The drawn ellipsoid is that of the block: M M^T / scale^2 = B^2, as R diag(s v) (R diag(s v))^T = s^2 B B."""
+    linear = matrix[:3, :3] / scale
+    np.testing.assert_allclose(linear @ linear.T, block @ block, rtol=0, atol=1e-9 * np.abs(block @ block).max())
+    values = np.linalg.eigvalsh(block)
+    lengths = np.linalg.norm(linear, axis=0)
+    np.testing.assert_allclose(np.sort(lengths), values, rtol=1e-8)
+    for length, axis in zip(lengths, (linear / lengths).T, strict=True):
+        np.testing.assert_allclose(block @ axis, length * axis, rtol=0, atol=1e-8 * values[-1])
+    np.testing.assert_allclose(matrix[:3, 3], centre, rtol=0, atol=1e-12)
+
+
+def assert_machine(page: Any, where: Configuration) -> None:
+    """Every body stands where Pinocchio puts it."""
+    for body in BODIES:
+        expected = where.frame_placement(body).homogeneous
+        np.testing.assert_allclose(page.matrix(f"/robot/{body}"), expected, rtol=0, atol=1e-9, err_msg=body)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.493), (10.0, -15.0, 0.5), (-25.0, 20.0, 0.46)])
+def test_pictures_are_not_empty(
+    page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path, pose: tuple[float, float, float]
+) -> None:
+    """Hiding the machine, and an ellipsoid, changes what is seen; the machine fills the picture."""
+    viewer = drawn_everything(mechanism, tripod, at_pose(mechanism, tripod, *pose))
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    whole = page.picture()
+    assert whole.std() > 0.05
+    page.tick("rotation")
+    without_ellipsoid = page.picture()
+    page.ask("pm3dof.node('/robot').object.visible = false, pm3dof.viewer.set_dirty()")
+    without_machine = page.picture()
+    ellipsoid = np.abs(whole - without_ellipsoid).max(axis=-1) > 0.05
+    machine = np.abs(without_ellipsoid - without_machine).max(axis=-1) > 0.05
+    assert ellipsoid.mean() > 0.001
+    assert machine.mean() > 0.02
+    rows, columns = np.argwhere(machine).T
+    height, width = machine.shape
+    assert rows.min() > 0.02 * height  # all of it is in the picture
+    assert rows.max() < 0.98 * height
+    assert columns.min() > 0.02 * width
+    assert columns.max() < 0.98 * width
+    assert np.ptp(rows) > 0.5 * height
+    assert page.browser.errors == []
+
+
+def test_the_tree_has_the_parts(shown: Any, mechanism: Mechanism) -> None:
+    tree = shown.ask("""(() => {
+        const paths = [];
+        const walk = (node, path) => Object.entries(node.children).forEach(([name, child]) => {
+            paths.push(`${path}/${name}`);
+            walk(child, `${path}/${name}`);
+        });
+        walk(pm3dof.viewer.scene_tree, "");
+        return paths;
+    })()""")
+    expected = [f"/robot/{body}/visual" for body in BODIES]
+    expected += [f"/ellipsoids/{kind}/surface" for kind in KINDS]
+    expected += [f"/forces/{joint}/shaft" for joint in mechanism.actuated_joints]
+    expected += ["/robot/platform/frames/O_e", "/robot/link1/frames/link1_tip", "/robot/platform/frames/E1"]
+    assert set(expected) <= set(tree)
+    assert set(shown.ask("Object.keys(pm3dof.viewer.gui_controllers)")) >= {"theta_x [deg]", "theta_y [deg]", "z_e [m]"}
+    assert shown.ask("document.title") == "pm3dof"
+
+
+def test_what_python_displays(shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel) -> None:
+    where = at_pose(mechanism, tripod, 10.0, -15.0, 0.5)
+    assert_machine(shown, where)
+    stiffness = cartesian_compliance(model, where).stiffness
+    scales = {
+        entry["key"]: entry["live"]["scale"]
+        for entry in shown.ask("pm3dof.panel().legend")
+        if entry["live"] and "scale" in entry["live"]
+    }
+    for kind, rows in (("translation", slice(0, 3)), ("rotation", slice(3, 6))):
+        block = stiffness[rows, rows]
+        assert_ellipsoid(shown.matrix(f"/ellipsoids/{kind}"), block, scales[kind], where.tool_placement.translation)
+    arrows = [shown.matrix(f"/forces/{joint}") for joint in mechanism.actuated_joints]
+    lengths = [np.linalg.norm(arrow[:3, 2]) / scales["forces"] for arrow in arrows]
+    # holding forces of five programs
+    np.testing.assert_allclose(lengths, [5.868999588679, 5.836388512736, 6.334937172705], rtol=1e-9)
+    for leg, arrow in enumerate(arrows):
+        np.testing.assert_allclose(arrow[:3, 3], where.frame_placement(f"D{leg + 1}").translation, atol=1e-12)
+        np.testing.assert_allclose(np.cross(arrow[:3, 2], tripod.guide_directions[leg]), 0.0, atol=1e-12)
+
+
+def test_a_slider_moves_the_machine(shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel) -> None:
+    """Dragged with the mouse; the machine, its ellipsoids, forces and colours then are those of the general engine."""
+    theta_x = shown.drag_slider("theta_x [deg]", 0.33)
+    z_e = shown.drag_slider("z_e [m]", 0.4)
+    assert -30.0 < theta_x < -15.0
+    assert z_e < 0.5
+    where = at_pose(mechanism, tripod, theta_x, -15.0, z_e)
+    assert_machine(shown, where)
+    behaviour = cartesian_compliance(model, where)
+    scales = {entry["key"]: entry["live"].get("scale") for entry in shown.ask("pm3dof.panel().legend") if entry["live"]}
+    for kind, rows in (("translation", slice(0, 3)), ("rotation", slice(3, 6))):
+        block = behaviour.stiffness[rows, rows]
+        assert_ellipsoid(shown.matrix(f"/ellipsoids/{kind}"), block, scales[kind], where.tool_placement.translation)
+    forces = holding_forces(where).actuator_forces
+    lengths = [np.linalg.norm(shown.matrix(f"/forces/slider{leg}_joint")[:3, 2]) for leg in (1, 2, 3)]
+    np.testing.assert_allclose(lengths, scales["forces"] * forces, rtol=1e-9)
+    np.testing.assert_allclose(
+        [float(text) for text in shown.values("forces").removesuffix(" N").split(", ")], forces, atol=0.0051
+    )
+    up = behaviour.contributions[:, 2, 2] / behaviour.compliance[2, 2]
+    by_name = dict(zip(behaviour.spring_names, up, strict=True))
+    expected = [by_name[f"actuator{leg}"] + by_name[f"link{leg}"] for leg in (1, 2, 3)] + [by_name["passive_leg"]]
+    written = [float(text) for text in re.findall(r": ([\d.]+) %", shown.values("legs"))]
+    np.testing.assert_allclose(written, 100.0 * np.array(expected), atol=0.051)
+    assert "closed form" in shown.note()
+
+
+def test_leg_colours(shown: Any) -> None:
+    """The box of the legend takes the colours away; the legs' own come back."""
+    slider, link = "/robot/slider1/visual/slider1_0", "/robot/link1/visual/link1_0"
+    coloured = shown.colour(slider)
+    np.testing.assert_allclose(shown.colour(link), coloured, atol=1e-6)
+    shown.tick("legs")
+    np.testing.assert_allclose(shown.colour(slider), [0.835, 0.369, 0.0], atol=0.005)
+    np.testing.assert_allclose(shown.colour(link), [0.0, 0.447, 0.698], atol=0.005)
+    shown.drag_slider("theta_x [deg]", 0.3)
+    np.testing.assert_allclose(shown.colour(link), [0.0, 0.447, 0.698], atol=0.005)
+    shown.tick("legs")
+    np.testing.assert_allclose(shown.colour(link), shown.colour(slider), atol=1e-6)
+    assert not np.allclose(shown.colour(slider), coloured, atol=1e-3)
+
+
+def test_home_button(shown: Any, mechanism: Mechanism) -> None:
+    shown.drag_slider("theta_y [deg]", 0.8)
+    shown.ask("pm3dof.viewer.gui_controllers.home.__li.querySelector('.property-name').click()")
+    shown.browser.settle()
+    assert_machine(shown, mechanism.home)
+    numbers = shown.ask(
+        "['theta_x [deg]', 'theta_y [deg]'].map(name => pm3dof.viewer.gui_controllers[name].getValue())"
+    )
+    assert numbers == [0, 0]
+
+
+def test_a_broken_limit_is_named(shown: Any, tripod: Tripod) -> None:
+    theta_y = shown.drag_slider("theta_y [deg]", 0.9)
+    pose = [np.radians(10.0), np.radians(theta_y), 0.5]
+    violations = [f"Limit broken: {violation}" for violation in limit_violations(tripod, pose)]
+    assert any("spherical" in violation for violation in violations)
+    assert shown.warnings() == violations
+
+
+def test_out_of_reach_is_said_and_nothing_moves(shown: Any) -> None:
+    """Where a link does not meet its guideway: the sliders' corner, moved far up."""
+    shown.drag_slider("theta_x [deg]", 0.999)
+    shown.drag_slider("theta_y [deg]", 0.999)
+    before = shown.matrix("/robot/platform")
+    shown.ask("pm3dof.slide(2, 0.9)")
+    (warning,) = shown.warnings()
+    assert re.fullmatch(r"Out of reach: the link of leg \d does not meet its guideway.", warning)
+    np.testing.assert_array_equal(shown.matrix("/robot/platform"), before)
+    shown.ask("pm3dof.slide(2, 0.5)")
+    assert not any("reach" in warning for warning in shown.warnings())
+
+
+def test_below_the_clamp_there_is_no_stiffness(shown: Any, tripod: Tripod) -> None:
+    shown.ask(f"(pm3dof.home(), pm3dof.slide(2, {tripod.clamp_height - 0.001}))")
+    assert not shown.is_visible("/ellipsoids/translation")
+    assert "no stiffness" in shown.values("translation")
+    shown.ask("pm3dof.home()")
+    assert shown.is_visible("/ellipsoids/translation")
+
+
+def test_closed_form_of_the_page(
+    shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel, reachable_poses: np.ndarray
+) -> None:
+    """Travels, joints, closures, limits and stiffness at 200 poses, beside Python's closed form and general engine."""
+    from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
+    from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions
+
+    generator = np.random.default_rng(4)
+    outside = generator.uniform([-1.0, -1.0, 0.39], [1.0, 1.0, 0.65], (100, 3))
+    poses = np.concatenate([reachable_poses[:100], outside])
+    answers = shown.call(
+        """poses => {
+            const tripod = new ClosedForm.Tripod(pm3dof.panel().machine);
+            return poses.map(pose => {
+                const reached = tripod.legOutOfReach(pose) === 0;
+                return {
+                    travels: tripod.legs(pose).map(leg => leg.travel),
+                    joints: reached ? tripod.jointCoordinates(pose) : null,
+                    closure: reached ? tripod.closureError(tripod.jointPlacements(pose)) : 0,
+                    broken: reached ? tripod.brokenLimits(pose) : null,
+                    stiffness: reached ? tripod.stiffness(pose) : null,
+                };
+            });
+        }""",
+        poses.tolist(),
+    )
+    travels = inverse_kinematics(tripod, poses, unreachable="nan")
+    found = np.array([[np.nan if travel is None else travel for travel in answer["travels"]] for answer in answers])
+    np.testing.assert_allclose(found, travels, rtol=0, atol=1e-15)
+    stiffness = elastic_stiffness(tripod, poses, unreachable="nan")
+    for pose, answer, expected in zip(poses, answers, stiffness, strict=True):
+        if answer["joints"] is None:
+            continue
+        for name, value in joint_positions(tripod, pose).items():
+            assert answer["joints"][name] == pytest.approx(value, abs=1e-13)
+        assert answer["closure"] < 1e-14
+        assert answer["broken"] == [str(violation) for violation in limit_violations(tripod, pose)]
+        size = np.sqrt(np.diag(expected))
+        np.testing.assert_allclose(
+            answer["stiffness"] / np.outer(size, size), expected / np.outer(size, size), atol=1e-13
+        )
+    for pose, answer in zip(poses[:5], answers[:5], strict=True):
+        where = at_pose(mechanism, tripod, *np.degrees(pose[:2]), pose[2])
+        expected = cartesian_compliance(model, where).stiffness
+        size = np.sqrt(np.diag(expected))
+        np.testing.assert_allclose(
+            answer["stiffness"] / np.outer(size, size), expected / np.outer(size, size), atol=1e-8
+        )
+
+
+def test_principal_axes_of_the_page(shown: Any) -> None:
+    """Jacobi's rotations on matrices of all kinds, equal values and large ratios among them, beside LAPACK."""
+    generator = np.random.default_rng(5)
+    blocks = []
+    for values in (
+        [1.0, 2.0, 3.0],
+        [1.0, 1.0, 1.0],
+        [1e-9, 1e-9, 1.0],
+        [2.0, 5.0, 5.0],
+        [1e-6, 1.0, 1e6],
+        [-1.0, 0.0, 2.0],
+    ):
+        rotation = np.linalg.qr(generator.normal(size=(3, 3)))[0]
+        blocks += [rotation @ np.diag(values) @ rotation.T, np.diag(values[::-1])]
+    for block, answer in zip(
+        blocks, shown.call("blocks => blocks.map(ClosedForm.principal)", [b.tolist() for b in blocks]), strict=True
+    ):
+        values, axes = np.array(answer["values"]), np.array(answer["axes"])
+        scale = np.abs(block).max()
+        np.testing.assert_allclose(values, np.linalg.eigvalsh(block), atol=1e-14 * scale)
+        np.testing.assert_allclose(axes @ np.diag(values) @ axes.T, 0.5 * (block + block.T), atol=1e-14 * scale)
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
+        assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("of", ["stiffness", "compliance"])
+@pytest.mark.parametrize("others", ["free", "held"])
+def test_every_kind_of_ellipsoid_goes_on(
+    page: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel, tmp_path: Path, of: str, others: str
+) -> None:
+    viewer = drawn_everything(mechanism, tripod, mechanism.home, of=of, others=others)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    page.ask(f"(pm3dof.slide(0, {np.radians(-12.0)}), pm3dof.slide(1, {np.radians(17.0)}), pm3dof.slide(2, 0.47))")
+    stiffness = cartesian_compliance(model, at_pose(mechanism, tripod, -12.0, 17.0, 0.47)).stiffness
+    scales = {entry["key"]: entry["live"].get("scale") for entry in page.ask("pm3dof.panel().legend") if entry["live"]}
+    for kind, rows in (("translation", slice(0, 3)), ("rotation", slice(3, 6))):
+        if others == "held":
+            block = stiffness[rows, rows]
+            block = block if of == "stiffness" else np.linalg.inv(block)
+        else:
+            block = np.linalg.inv(stiffness)[rows, rows]
+            block = block if of == "compliance" else np.linalg.inv(block)
+        drawn = page.matrix(f"/ellipsoids/{kind}")
+        values, axes = np.linalg.eigh(block)
+        lengths = np.linalg.norm(drawn[:3, :3], axis=0)
+        np.testing.assert_allclose(np.sort(lengths) / scales[kind], values, rtol=1e-6)
+        np.testing.assert_allclose(np.abs((drawn[:3, :3] / lengths).T @ axes).max(axis=1), 1.0, atol=1e-6)
+    assert page.browser.errors == []
+
+
+def test_what_is_not_the_machines_own_is_left_behind(
+    page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path
+) -> None:
+    """An ellipsoid of other springs, and forces of another load, are of their pose only: hidden when a slider moves."""
+    viewer = Viewer(mechanism, tripod=tripod)
+    viewer.stiffness_ellipsoid(np.diag([1e6, 2e6, 3e6, 1e4, 2e4, 3e4]))
+    viewer.actuator_forces([10.0, 10.0, 10.0])
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    assert page.is_visible("/ellipsoids/translation")
+    page.ask("pm3dof.slide(0, 0.1)")
+    assert not page.is_visible("/ellipsoids/translation")
+    assert not page.is_visible("/forces/slider1_joint")
+    assert page.values("translation") == "drawn for another pose: hidden"
+
+
+def test_workspace_in_the_page(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+    """The tip of the drawn tool is where the formula puts it, at a slider's pose too, and the box hides the shell."""
+    from pm3dof_pin.viewer.shell import tool_tips
+
+    viewer = Viewer(mechanism, tripod=tripod)
+    viewer.workspace(tripod, "condition_number", tool_length=0.2, heights=11, directions=24)
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    pose = [0.2, -0.3, 0.48]
+    page.ask("".join(f"pm3dof.slide({index}, {value});" for index, value in enumerate(pose)) + "0")
+    np.testing.assert_allclose(page.matrix("/robot/platform/tool/tip")[:3, 3], tool_tips(pose, 0.2), atol=1e-12)
+    assert page.is_visible("/workspace")
+    page.tick("workspace")
+    assert not page.is_visible("/workspace")
+    assert page.browser.errors == []

@@ -1,0 +1,213 @@
+"""`pm3dof view` from outside: what it writes and says, how it ends."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.tripod import Tripod
+
+COMMAND = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "view"]
+
+
+def run(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+        env=os.environ | environment,
+        timeout=120,
+    )
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command while it serves, and its address."""
+    process = subprocess.Popen([*COMMAND, *arguments, "--no-open"], stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    try:
+        said = ""
+        while not (address := re.search(r"at (http://\S+) until Ctrl-C", said)):
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        yield process, address[1]
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_serves_until_it_is_told_to_end(number: int) -> None:
+    with served("10", "-15", "0.5") as (process, address):
+        assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address) as answer:
+            assert b"meshcat-pane" in answer.read()
+        process.send_signal(number)
+        assert process.wait(timeout=20) == 0
+        assert process.stderr is not None
+        assert process.stderr.read() == "closed\n"
+        port = int(address.rstrip("/").rpartition(":")[2])
+        with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), timeout=2.0):
+            pass
+
+
+def test_a_taken_port() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = run("0", "0", "0.5", "--no-open", "--port", str(port))
+    assert result.returncode == 1
+    assert result.stderr == f"pm3dof: cannot listen on 127.0.0.1, port {port}: Address already in use\n"
+
+
+def test_another_interface_comes_with_a_warning() -> None:
+    with served("--host", "0.0.0.0") as (process, _):
+        assert process.stderr is not None
+        assert "everybody who reaches this machine can see the page" in process.stderr.readline()
+
+
+def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
+    process = subprocess.Popen([*COMMAND, "0", "0", "0.59", "--no-open"], stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    with process.stderr as errors:
+        lines = [errors.readline() for _ in range(4)]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+    assert all("joint limit broken: slider" in line for line in lines[:3])
+    assert "until Ctrl-C" in lines[3]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["0", "0", "0.9"], 1, "out of reach"),
+        (["--robot", "nobody"], 1, "no robot 'nobody'"),
+        (["0", "0", "0.5", "--html", "missing/page.html"], 1, "there is no folder missing"),
+        (["0", "0", "0.5", "--picture", "missing/picture.png"], 1, "there is no folder missing"),
+        (["0", "0"], 2, "expected all of TX TY Z"),
+        (["0", "0", "high"], 2, "valid number"),
+        (["0", "0", "nan"], 2, "nan is not a finite number"),
+        (["0", "0", "0.5", "--of", "beauty"], 2, "beauty"),
+        (["0", "0", "0.5", "--shares", "w"], 2, "'w'"),
+        (["0", "0", "0.5", "--port", "0"], 2, "--port"),
+        (["0", "0", "0.5", "--hmtl", "page.html"], 2, "--hmtl"),
+        (["0", "0", "0.5", "--workspace", "colour", "--html", "page.html"], 1, "expected some of"),
+        (["--robot", "hexapod", "--workspace", "condition_number"], 2, "only the tripod has one"),
+        (["--robot", "hexapod", "--path", "path.txt"], 2, "only the tripod has one"),
+        (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable text file"),
+        (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
+    ],
+)
+def test_bad_input_gives_one_clear_message(arguments: list[str], status: int, words: str, tmp_path: Path) -> None:
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == status, result.stderr
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("0 0 0.49\n0 0\n", "line 2: expected three numbers"),
+        ("0 0 0.49\n\n# nothing\n1 2 three\n", "line 4: expected three numbers"),
+        ("0 0 0.49\n0 0 inf\n", "line 2: expected finite numbers"),
+        ("0 0 0.49\n", "two poses at least"),
+        ("0 0 0.49\n0 0 0.9\n", "out of reach"),
+    ],
+)
+def test_bad_path_files(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "path.txt"
+    file.write_text(text, encoding="utf-8")
+    result = run("--path", str(file), "--html", str(tmp_path / "page.html"))
+    assert result.returncode == 1
+    assert words in result.stderr
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_no_browser_for_a_picture(tmp_path: Path) -> None:
+    result = run("0", "0", "0.5", "--picture", "picture.png", cwd=tmp_path, PM3DOF_BROWSER=str(tmp_path / "gone"))
+    assert result.returncode == 1
+    assert "expected the path of Chromium or Chrome" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_screen_is_no_error() -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    process = subprocess.Popen([*COMMAND, "0", "0", "0.5"], stderr=subprocess.PIPE, text=True, env=environment)
+    assert process.stderr is not None
+    with process.stderr as errors:
+        said = errors.readline() + errors.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+    assert "no browser could be opened here: open the address yourself" in said
+
+
+def test_a_page_of_a_pose_beyond_a_limit(tmp_path: Path) -> None:
+    result = run("0", "0", "0.59", "--html", "page.html", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "wrote page.html" in result.stderr
+    assert "joint limit broken: slider1_joint" in result.stderr
+    assert (tmp_path / "page.html").is_file()
+
+
+@pytest.mark.browser
+def test_the_page_it_writes(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+    options = ["--shares", "z", "--frames", "--workspace", "felt_stiffness:z", "--of", "compliance", "--html"]
+    result = run("10", "-15", "0.5", *options, "page.html", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    page.open((tmp_path / "page.html").as_uri())
+    where = mechanism.at_motion_coordinates([np.radians(10.0), np.radians(-15.0), 0.5 - tripod.height_home])
+    expected = where.frame_placement("platform").homogeneous
+    np.testing.assert_allclose(page.matrix("/robot/platform"), expected, atol=1e-9)
+    keys = page.ask("pm3dof.panel().legend.map(entry => [entry.key, Boolean(entry.live)])")
+    assert dict(keys) == {
+        "translation": True,
+        "rotation": True,
+        "forces": True,
+        "legs": True,
+        "frames": False,
+        "workspace": False,
+    }
+    assert page.browser.errors == []
+
+
+@pytest.mark.browser
+def test_the_path_it_plays(page: Any, tmp_path: Path) -> None:
+    (tmp_path / "path.txt").write_text("# TX TY Z\n0 0 0.49\n20, -10, 0.5  # there\n0 0 0.49\n", encoding="utf-8")
+    result = run("--path", "path.txt", "--duration", "2", "--html", "page.html", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    page.open((tmp_path / "page.html").as_uri())
+    page.ask("(pm3dof.viewer.animator.pause(), pm3dof.viewer.animator.time = 1, pm3dof.viewer.animator.seek(1))")
+    page.browser.settle()
+    normal = page.matrix("/robot/platform")[:3, 2]
+    theta_x, theta_y = np.radians([20.0, -10.0])
+    expected = [np.sin(theta_y), -np.sin(theta_x) * np.cos(theta_y), np.cos(theta_x) * np.cos(theta_y)]
+    np.testing.assert_allclose(normal, expected, atol=1e-6)
+    assert page.browser.errors == []
+
+
+@pytest.mark.browser
+def test_the_picture_it_takes(browser: Any, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    result = run("--robot", "hexapod", "--picture", "picture.png", "--size", "320", "240", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert imread(tmp_path / "picture.png").shape[:2] == (240, 320)

@@ -1,0 +1,182 @@
+"""The viewer's own rules: what belongs to a configuration, what can be continued, files, and bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.description.parameters import TripodParameters
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.exceptions import BrowserError, FrameNotFoundError, InvalidValueError, OutputError
+from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.browser import VARIABLE, Browser, find_browser
+
+
+def legend(viewer: Viewer) -> dict[str, dict[str, Any]]:
+    return {entry["key"]: entry for entry in viewer.scene.panel["legend"]}
+
+
+def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    viewer.stiffness_ellipsoid(np.eye(6))
+    viewer.actuator_forces([1.0, 2.0, 3.0])
+    viewer.frames()
+    assert set(legend(viewer)) == {"translation", "forces", "frames"}
+    viewer.display(mechanism.at_motion_coordinates([0.1, 0.1, 0.0]))
+    assert set(legend(viewer)) == {"frames"}
+    hidden = {
+        command["path"]
+        for command in viewer.scene.snapshot()["commands"]
+        if command["type"] == "set_property" and command["property"] == "visible" and command["value"] is False
+    }
+    assert {"/ellipsoids/translation", "/forces/slider1_joint"} <= hidden
+
+
+def test_only_the_machines_own_goes_on(mechanism: Mechanism, tripod: Tripod) -> None:
+    """The page continues the elastic stiffness, holding forces and shares of the tripod itself, and nothing else."""
+    from pm3dof_pin.dynamics import holding_forces
+
+    viewer = Viewer(mechanism, tripod=tripod)
+    model = ElasticModel(mechanism)
+    stiffness = cartesian_compliance(model, mechanism.home).stiffness
+    own = holding_forces(mechanism.home).actuator_forces
+    for factor, goes_on in ((1.0, True), (1.001, False)):
+        viewer.stiffness_ellipsoid(factor * stiffness, kind="translation")
+        viewer.stiffness_ellipsoid(factor * stiffness, kind="rotation", others="free")
+        viewer.actuator_forces(factor * own)
+        entries = legend(viewer)
+        assert [bool(entries[key]["live"]) for key in ("translation", "rotation", "forces")] == [goes_on] * 3
+    viewer.colour_legs(model)
+    assert legend(viewer)["legs"]["live"]
+    viewer.stiffness_ellipsoid(stiffness, at="E1")
+    assert not legend(viewer)["translation_at_E1"]["live"]
+
+
+def test_nothing_goes_on_without_sliders(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    viewer.stiffness_ellipsoid(cartesian_compliance(ElasticModel(mechanism), mechanism.home).stiffness)
+    assert legend(viewer)["translation"]["live"] is None
+    assert "machine" not in viewer.scene.panel
+
+
+def test_shares(mechanism: Mechanism) -> None:
+    model = ElasticModel(mechanism)
+    shares = Viewer(mechanism).colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["passive_leg"] > 0.999  # at home nothing else gives sideways
+    with pytest.raises(InvalidValueError, match="an elastic model of"):
+        Viewer(Mechanism.load("hexapod")).colour_legs(model)
+
+
+def test_the_tripod_has_to_be_this_mechanism(mechanism: Mechanism, tripod: Tripod) -> None:
+    with pytest.raises(InvalidValueError, match="joints differ"):
+        Viewer(Mechanism.load("hexapod"), tripod=tripod)
+    from dataclasses import replace
+
+    longer = Tripod(replace(TripodParameters.load(), link_length=0.36))
+    with pytest.raises(InvalidValueError, match="loops stay open"):
+        Viewer(mechanism, tripod=longer)
+
+
+def test_bad_input(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    with pytest.raises(InvalidValueError, match="configuration"):
+        viewer.display(Mechanism.load("hexapod").home)
+    with pytest.raises(InvalidValueError, match="forces"):
+        viewer.actuator_forces([1.0, 2.0])
+    with pytest.raises(InvalidValueError, match="scale"):
+        viewer.actuator_forces([1.0, 2.0, 3.0], scale=-1.0)
+    with pytest.raises(FrameNotFoundError, match="nowhere"):
+        viewer.frames(["nowhere"])
+    with pytest.raises(FrameNotFoundError, match="nowhere"):
+        viewer.stiffness_ellipsoid(np.eye(6), at="nowhere")
+
+
+def test_files_go_into_folders_that_exist(mechanism: Mechanism, tmp_path: Path) -> None:
+    viewer = Viewer(mechanism)
+    for save in (viewer.save_html, viewer.save_picture):
+        with pytest.raises(OutputError, match="there is no folder"):
+            save(tmp_path / "missing" / "file")
+    assert list(tmp_path.iterdir()) == []
+    assert viewer.save_html(tmp_path / "page.html").read_text(encoding="utf-8") == viewer.html()
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_no_browser_to_take_pictures(mechanism: Mechanism, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "gone"))
+    with pytest.raises(BrowserError, match=rf"{VARIABLE}=.*gone: expected the path of Chromium or Chrome"):
+        Viewer(mechanism).save_picture(tmp_path / "picture.png")
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BrowserError, match="no browser found"):
+        find_browser()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_that_is_no_browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "/bin/true")
+    with pytest.raises(BrowserError, match="has ended"):
+        Browser()
+
+
+@pytest.mark.browser
+def test_a_picture_is_written(browser: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    picture = imread(Viewer(mechanism).save_picture(tmp_path / "picture.png", width=400, height=300))
+    assert picture.shape[:2] == (300, 400)
+    assert picture[..., :3].std() > 0.05
+
+
+@pytest.mark.browser
+def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
+    """The tests' own eyes: a page that complains and asks for something is caught at it."""
+    (tmp_path / "bad.html").write_text(
+        "<script>console.error('one', 2); fetch('http://192.0.2.1/three').catch(() => 0); nothing.at.all</script>"
+    )
+    browser.errors.clear()
+    browser.requests.clear()
+    browser.open((tmp_path / "bad.html").as_uri())
+    assert "console.error: one 2" in browser.errors
+    assert any("nothing is not defined" in error for error in browser.errors)
+    assert "http://192.0.2.1/three" in browser.requests
+    with pytest.raises(BrowserError, match="boom"):
+        browser.evaluate("(() => { throw new Error('boom') })()")
+    with pytest.raises(BrowserError, match="ERR_FILE_NOT_FOUND"):
+        browser.open((tmp_path / "missing.html").as_uri())
+
+
+def test_loops_that_are_open_are_shown_as_they_are(mechanism: Mechanism, tripod: Tripod) -> None:
+    """Joints put together by hand: nothing is continued, and the page says how far the loops are open."""
+    q = np.array(mechanism.home.q)
+    q[mechanism.coordinate_names.index("slider1_joint")] += 0.03
+    viewer = Viewer(mechanism, tripod=tripod)
+    viewer.display(q)
+    assert viewer.scene.panel["note"][-1] == "loops open by 3e-02 m"
+    viewer.actuator_forces([1.0, 2.0, 3.0])
+    assert legend(viewer)["forces"]["live"] is None
+    q[mechanism.coordinate_names.index("passive_slider_joint")] = 0.5
+    viewer.display(q)
+    assert "out of reach" in viewer.scene.panel["warnings"][0]
+    viewer.stiffness_ellipsoid(np.eye(6))
+    assert legend(viewer)["translation"]["live"] is None
+
+
+def test_a_path_ends_when_something_else_is_displayed(mechanism: Mechanism) -> None:
+    viewer = Viewer(mechanism)
+    viewer.play([mechanism.home, mechanism.at_motion_coordinates([0.1, 0.0, 0.0])])
+
+    def has_animation() -> bool:
+        return any(command["type"] == "set_animation" for command in viewer.scene.snapshot()["commands"])
+
+    assert has_animation()
+    assert viewer.scene.panel["path"]["duration"] == 5.0
+    viewer.display(mechanism.home)
+    assert not has_animation()
+    assert viewer.scene.panel["path"] is None
