@@ -1,0 +1,32 @@
+"""Figs. 8.2, 8.3 and 8.4, drawn when the documentation is built, so that they show what the package computes today."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.util.typing import ExtensionMetadata
+
+from pm3dof_pin.cli.stiffness_map import PICTURES
+from pm3dof_pin.figures.section_map import section_map
+from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.workspace import workspace_figure
+from pm3dof_pin.maps.grid import RectangularGrid
+from pm3dof_pin.maps.section import section_outline, stiffness_section
+from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.workspace import workspace
+
+
+def _draw(app: Sphinx) -> None:
+    folder = Path(app.srcdir) / "pictures" / "computed"
+    tripod, grid = Tripod.load(), RectangularGrid()
+    save_figure(workspace_figure(tripod, workspace(tripod)), folder / "figure_8_2_workspace.png")
+    section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
+    for name, quantity in PICTURES.items():
+        save_figure(section_map(section, quantity, outline), folder / name)
+
+
+def setup(app: Sphinx) -> ExtensionMetadata:
+    """Draw before the pages are read."""
+    app.connect("builder-inited", _draw)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,37 @@
+"""The directive `modules`: autodoc of every public module of a package, so that a new one is on its page by itself."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+from sphinx.util.typing import ExtensionMetadata
+
+
+class Modules(SphinxDirective):
+    """Headings and autodoc for each public module of the packages or modules that are named."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """Return one section for each module."""
+        names = [name for argument in self.arguments[0].split() for name in _public_modules(argument)]
+        sections = [f"## `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n" for name in names]
+        return self.parse_text_to_nodes("\n".join(sections), allow_section_headings=True)
+
+
+def _public_modules(name: str) -> list[str]:
+    module = importlib.import_module(name)
+    if not hasattr(module, "__path__"):
+        return [name]
+    return [f"{name}.{entry.name}" for entry in pkgutil.iter_modules(module.__path__) if entry.name[0] != "_"]
+
+
+def setup(app: Sphinx) -> ExtensionMetadata:
+    """Register the directive."""
+    app.add_directive("modules", Modules)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
