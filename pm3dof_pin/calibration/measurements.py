@@ -139,9 +139,7 @@ def command_columns(mechanism: Mechanism) -> tuple[str, ...]:
 
 def command_units(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the unit of each actuated joint, "m" or "rad"."""
-    model = mechanism.model
-    kinds = [model.joints[model.getJointId(name)].shortname() for name in mechanism.actuated_joints]
-    return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
+    return tuple(mechanism.single_joint(name).unit for name in mechanism.actuated_joints)
 
 
 def measurements_as_text(measurements: Measurements, errors: GeometricErrors) -> str:

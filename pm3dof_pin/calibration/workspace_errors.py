@@ -23,6 +23,7 @@ class WorkspaceErrors:
 
     Attributes:
         names: the two motion coordinates.
+        units: their units, "rad" or "m".
         coordinates: their values, shape=(points,) each [m, rad].
         before: tip error with the commands of the description, shape=(points, points) [m].
         after: tip error expected with corrected commands [m].
@@ -30,13 +31,14 @@ class WorkspaceErrors:
     """
 
     names: tuple[str, str]
+    units: tuple[str, str]
     coordinates: tuple[Array, Array]
     before: Array
     after: Array
     floor: Array
 
 
-def workspace_errors(calibration: Calibration, points: int = 25) -> WorkspaceErrors:
+def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors:
     """Compute errors over the first two motion coordinates, under the mean conditions of the measurements.
 
     Args:
@@ -73,4 +75,5 @@ def workspace_errors(calibration: Calibration, points: int = 25) -> WorkspaceErr
         field = np.full((points, points), np.nan)
         field[places[0].astype(int), places[1].astype(int)] = values
         fields[name] = field
-    return WorkspaceErrors((joints[0], joints[1]), (axes[0], axes[1]), **fields)
+    units = (mechanism.single_joint(joints[0]).unit, mechanism.single_joint(joints[1]).unit)
+    return WorkspaceErrors((joints[0], joints[1]), units, (axes[0], axes[1]), **fields)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from typing import Annotated
 
@@ -32,7 +33,7 @@ WORK_FAILED = 1
 
 app = typer.Typer(
     name="pm3dof",
-    help="Kinematics, workspace and stiffness of closed-chain robots. Angles in DEGREES, lengths in metres.",
+    help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres.",
     epilog="Exit status: 0 done, 1 the work failed or a joint limit is broken, 2 wrong usage.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -79,6 +80,7 @@ def _options(
 
 def main() -> None:
     """Run the command; errors of the package become one line on standard error and exit status 1."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # which fonts it looks for is no news for a user
     try:
         app()
     except PM3DofError as error:

@@ -52,10 +52,7 @@ def statics(
 
 
 def _result(mechanism: Mechanism, forces: ActuatorForces) -> dict[str, Any]:
-    slides = [
-        mechanism.model.joints[mechanism.model.getJointId(name)].shortname().startswith("JointModelP")
-        for name in mechanism.actuated_joints
-    ]
+    slides = [mechanism.single_joint(name).translates for name in mechanism.actuated_joints]
     numbers = list(zip(forces.actuator_forces, slides, strict=True))
     wrenches = [forces.closure_forces[rows] for rows in mechanism.loop_kinematics.rows]
     result: dict[str, Any] = {

@@ -286,12 +286,9 @@ class ElasticModel:
         model = self.rigid.model
         if not model.existJointName(name):
             raise JointNotFoundError(name, f"{self.rigid.source}: spring '{spring}'", list(model.names)[1:])
-        joint = model.joints[model.getJointId(name)]
-        if joint.nv != 1:
+        if model.joints[model.getJointId(name)].nv != 1:
             raise self._error(spring, f"joint '{name}' has several freedoms, expected one")
-        data = model.createData()
-        jacobian = pin.computeJointJacobians(model, data, pin.neutral(model)).reshape(6, model.nv)
-        return not jacobian[3:, joint.idx_v].any()
+        return self.rigid.single_joint(name).translates
 
     def _error(self, spring: str, expected: str) -> DescriptionError:
         return DescriptionError(self.rigid.source, f"spring '{spring}'", expected)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.calibrate import HeldOut
@@ -20,6 +20,7 @@ BEFORE, AFTER, FLOOR, NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okab
 
 _MICROMETRES = 1e6
 _LEVELS = 14
+_PANEL = 3.3  # width of a map with its bar of colours [inch]
 
 
 def held_out_picture(held_out: HeldOut) -> Figure:
@@ -35,7 +36,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
         ("measurement noise", held_out.noise, NOISE, ":"),
     )
     with house_style():
-        figure = new_figure(6.0, 3.4)
+        figure = new_figure(6.4, 3.4)
         figure.set_layout_engine("constrained")
         axes = figure.subplots()
         for label, values, color, line in curves:
@@ -49,7 +50,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
         axes.set_xlabel("tip error [µm]")
         axes.set_ylabel("held-out poses below [%]")
         axes.set_ylim(0.0, 102.0)
-        axes.legend(loc="upper left")
+        figure.legend(loc="outside upper center", ncols=4)
     return figure
 
 
@@ -104,27 +105,51 @@ def residuals_picture(found: Identification) -> Figure:
 
 
 def workspace_picture(errors: WorkspaceErrors) -> Figure:
-    """Draw the maps of the tip error before and after, and of the floor, with one scale of colours each.
+    """Draw the maps of the tip error before and after, and of the floor; the last two have one scale of colours.
 
     Args:
         errors: errors over two motion coordinates.
     """
     panels = (("as described", errors.before), ("corrected, expected", errors.after), ("floor", errors.floor))
     with house_style():
-        figure = new_figure(9.6, 3.2)
-        figure.set_layout_engine("constrained")
-        row: Any = figure.subplots(1, 3)
-        for axes, (title, field) in zip(row, panels, strict=True):
-            _draw_map(figure, axes, errors, field * _MICROMETRES, title)
+        figure = new_figure(len(panels) * _PANEL, 3.0)
+        figure.set_layout_engine("constrained", wspace=0.06)
+        row: Any = figure.subplots(1, len(panels), sharex=True, sharey=True)
+        after = _levels(errors.after, errors.floor)
+        for axes, (title, field), levels in zip(row, panels, (_levels(errors.before), after, after), strict=True):
+            _draw_map(axes, errors, field, title, levels)
+            figure.colorbar(axes.collections[0], ax=axes, label="tip error [µm]")
+        row[0].set_ylabel(_axis_label(errors, 1))
     return figure
 
 
-def _draw_map(figure: Figure, axes: Any, errors: WorkspaceErrors, field: Array, title: str) -> None:
-    x, y = errors.coordinates
-    least, greatest = float(np.nanmin(field)), float(np.nanmax(field))
-    levels = np.linspace(least, greatest if greatest > least else least + 1.0, _LEVELS)
-    filled = axes.contourf(x, y, field.T, levels=levels, cmap=COLORMAP)
-    figure.colorbar(filled, ax=axes, label="tip error [µm]", format="%.0f")
+def _levels(*fields: Array) -> Array:
+    """Round values between which the colours of all these maps step [µm]."""
+    values = np.concatenate([field[np.isfinite(field)] for field in fields]) * _MICROMETRES
+    least, greatest = float(values.min()), float(values.max())
+    return np.array(MaxNLocator(_LEVELS, steps=[1, 2, 2.5, 5, 10]).tick_values(least, max(greatest, least + 1.0)))
+
+
+def _draw_map(axes: Any, errors: WorkspaceErrors, field: Array, title: str, levels: Array) -> None:
+    (x, y), values = _drawn_coordinates(errors), field * _MICROMETRES
+    axes.contourf(x, y, values.T, levels=levels, cmap=COLORMAP)
+    axes.contour(x, y, values.T, levels=levels, colors="white", linewidths=0.3, alpha=0.7)
+    for limits, coordinate, along in ((axes.set_xlim, x, 1), (axes.set_ylim, y, 0)):
+        shown = coordinate[np.isfinite(field).any(axis=along)]
+        margin = 0.05 * np.ptp(shown)
+        limits(shown.min() - margin, shown.max() + margin)
     axes.set_title(title)
-    axes.set_xlabel(errors.names[0])
-    axes.set_ylabel(errors.names[1])
+    axes.set_xlabel(_axis_label(errors, 0))
+
+
+def _drawn_coordinates(errors: WorkspaceErrors) -> tuple[Array, Array]:
+    """Angles in degrees, lengths in metres."""
+    x, y = (
+        np.degrees(values) if unit == "rad" else values
+        for values, unit in zip(errors.coordinates, errors.units, strict=True)
+    )
+    return x, y
+
+
+def _axis_label(errors: WorkspaceErrors, which: int) -> str:
+    return f"{errors.names[which]} [{'deg' if errors.units[which] == 'rad' else 'm'}]"

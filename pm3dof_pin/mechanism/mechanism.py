@@ -42,12 +42,19 @@ class SingleJoint:
         q_index: first index in q.
         v_index: index in v.
         is_continuous: q holds the cosine and the sine of its angle.
+        translates: it slides; else it turns.
     """
 
     name: str
     q_index: int
     v_index: int
     is_continuous: bool
+    translates: bool
+
+    @property
+    def unit(self) -> str:
+        """Unit of its coordinate, "m" or "rad"."""
+        return "m" if self.translates else "rad"
 
     def coordinate(self, q: Vector) -> float:
         """Read the joint's coordinate out of q [m, rad]."""
@@ -458,8 +465,11 @@ def _frame_ids(model: pin.Model) -> dict[str, int]:
 
 
 def _single_joints(model: pin.Model) -> dict[str, SingleJoint]:
+    translates = _is_translation(model)
     return {
-        model.names[index]: SingleJoint(model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2)
+        model.names[index]: SingleJoint(
+            model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2, bool(translates[joint.idx_v])
+        )
         for index, joint in enumerate(model.joints)
         if index > 0 and joint.nv == 1
     }

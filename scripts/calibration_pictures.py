@@ -1,0 +1,34 @@
+"""Draw the pictures of the documentation's page on calibration, from its own file of measurements.
+
+They are written under results/, or with --out docs/pictures where the documentation shows them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.measurements import read_measurements
+from pm3dof_pin.calibration.workspace_errors import workspace_errors
+from pm3dof_pin.figures.calibration import held_out_picture, workspace_picture
+from pm3dof_pin.figures.style import save_figure
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
+MEASUREMENTS = ROOT / "docs" / "examples" / "measurements.csv"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write into")
+    folder = parser.parse_args().out
+    errors = GeometricErrors.load("pm3dof")
+    calibration = calibrate(read_measurements(MEASUREMENTS, errors), errors, Options("lm+gp"))
+    print(save_figure(held_out_picture(held_out_errors(calibration)), folder / "calibration_held_out.png"))
+    print(save_figure(workspace_picture(workspace_errors(calibration)), folder / "calibration_maps.png"))
+
+
+if __name__ == "__main__":
+    main()
