@@ -66,12 +66,14 @@ def main() -> None:
         compliance_over(model, rigid[:1])
         bare = best_time(bare_calls(model.mechanism, elastic)) / POSES
         sweep = best_time(lambda model=model, rigid=rigid: compliance_over(model, rigid)) / POSES
+        alone = best_time(lambda model=model, rigid=rigid: compliance_over(model, rigid, workers=1)) / POSES
         single = best_time(lambda model=model, some=some: [cartesian_compliance(model, q) for q in some]) / len(some)
         rows = len(model.rigid.home.closure_error)
         print(
             f"{robot}: {model.mechanism.model.nv} velocities, {rows} closure equations, {len(model.springs)} springs\n"
             f"  bare Pinocchio calls   {1e6 * bare:6.1f} us a pose\n"
             f"  compliance_over        {1e6 * sweep:6.1f} us a pose, {sweep / bare:.1f} times the bare calls\n"
+            f"    with one worker      {1e6 * alone:6.1f} us a pose, {alone / bare:.1f} times\n"
             f"  cartesian_compliance   {1e6 * single:6.1f} us a pose, {single / bare:.0f} times the bare calls"
         )
 

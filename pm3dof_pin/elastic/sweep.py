@@ -1,8 +1,12 @@
-"""The compliance at many configurations: Pinocchio's Jacobians in one loop, then one compiled pass."""
+"""The compliance at many configurations: Pinocchio's Jacobians in one loop, condensed on all processors meanwhile."""
 
 from __future__ import annotations
 
 import logging
+import os
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -18,7 +22,7 @@ from pm3dof_pin.mechanism.freedoms import ASSEMBLED_TOLERANCE
 
 _logger = logging.getLogger(__name__)
 
-_CHUNK = 2048
+_CHUNK = 512  # configurations; few of these wait at any time, whatever the number of all
 
 
 def compliance_over(
@@ -27,6 +31,7 @@ def compliance_over(
     *,
     frame: str | None = None,
     nonexistent: Literal["raise", "nan"] = "raise",
+    workers: int | None = None,
 ) -> Matrix:
     """Compute the Cartesian compliance of a frame at many configurations.
 
@@ -40,6 +45,7 @@ def compliance_over(
         frame: the frame; the tool by default.
         nonexistent: "raise", or "nan" to mark configurations that are not assembled or not finite, those where a length
             that a joint changes is not positive, and those at which the frame is free. Their number is logged.
+        workers: threads that condense, the number of processors by default. The result does not depend on it.
 
     Returns:
         C, twist = C wrench at the frame's origin, world axes, shape=(n, 6, 6) [m/N, 1/N, rad/(N m)].
@@ -59,9 +65,17 @@ def compliance_over(
     compliances = np.full((len(rigid), 6, 6), np.nan)
     done = np.zeros(len(rigid), dtype=bool)
     sweep = _Sweep(model, frame_id)
-    for start in range(0, len(rigid), _CHUNK):
-        chunk = slice(start, start + _CHUNK)
-        done[chunk] = sweep.run(rigid[chunk], compliances[chunk])
+    count = workers or os.cpu_count() or 1
+    with ThreadPoolExecutor(count) as pool:
+        waiting = deque[tuple[slice, Future[NDArray[np.bool_]]]]()
+        for start in range(0, len(rigid), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            waiting.append((chunk, pool.submit(sweep.condensation(rigid[chunk], compliances[chunk]))))
+            if len(waiting) > count:
+                earlier, finished = waiting.popleft()
+                done[earlier] = finished.result()
+        for earlier, finished in waiting:
+            done[earlier] = finished.result()
     failures = 0
     for index in np.flatnonzero(~done):
         try:
@@ -92,29 +106,34 @@ class _Sweep:
         softness = np.linalg.norm(self._root / self._scale[springs, None], axis=0)
         self._place = np.argsort(np.argsort(-softness, kind="stable"), kind="stable")
 
-    def run(self, rigid: Matrix, compliances: Matrix) -> NDArray[np.bool_]:
-        """Fill in compliances, shape=(n, 6, 6); return which are done, shape=(n,)."""
+    def condensation(self, rigid: Matrix, compliances: Matrix) -> Callable[[], NDArray[np.bool_]]:
+        """Compute the Jacobians; return what fills in compliances, shape=(n, 6, 6), and tells which are done."""
         mechanism = self._model.mechanism
         positions = self._model.embed(rigid)
         errors, closures, frames = mechanism.loop_kinematics.jacobians_over(
             positions, self._frame_id, pin.LOCAL_WORLD_ALIGNED
         )
-        done: NDArray[np.bool_] = sweep_kernels.condense_all(
-            closures,
-            frames,
-            self._indices,
-            len(self._model.passive_indices),
-            self._scale[self._indices],
-            self._units,
-            self._root,
-            self._first_of_block,
-            self._factors(positions),
-            self._place,
-            compliances,
-        )
+        factors = self._factors(positions)
         assembled = np.abs(errors).max(axis=1, initial=0.0) <= ASSEMBLED_TOLERANCE * mechanism.characteristic_length
-        finished: NDArray[np.bool_] = done & assembled & np.isfinite(compliances).all(axis=(1, 2))
-        return finished
+
+        def condense() -> NDArray[np.bool_]:
+            done: NDArray[np.bool_] = sweep_kernels.condense_all(
+                closures,
+                frames,
+                self._indices,
+                len(self._model.passive_indices),
+                self._scale[self._indices],
+                self._units,
+                self._root,
+                self._first_of_block,
+                factors,
+                self._place,
+                compliances,
+            )
+            finished: NDArray[np.bool_] = done & assembled & np.isfinite(compliances).all(axis=(1, 2))
+            return finished
+
+        return condense
 
     def _factors(self, positions: Matrix) -> Vector:
         """Return what the rows of the compliance's root are multiplied by; NaN where a length is not positive."""
