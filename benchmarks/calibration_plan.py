@@ -36,7 +36,7 @@ def main() -> None:
     problem = PlanningProblem(errors, candidates)
     for strategy in ("d-optimal", "tip-optimal"):
         taken = seconds(lambda s=strategy: problem.plan(CHOSEN, s, np.random.default_rng(0)))  # type: ignore[misc]
-        print(f"{strategy} choice of {CHOSEN} out of {CANDIDATES}, three starts: {taken:.2f} s")
+        print(f"{strategy} choice of {CHOSEN} out of {CANDIDATES}, ten starts: {taken:.2f} s")
 
 
 if __name__ == "__main__":

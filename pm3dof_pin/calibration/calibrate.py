@@ -24,7 +24,7 @@ from pm3dof_pin.calibration.pseudo_error import (
     pseudo_errors,
 )
 from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 
 logger = logging.getLogger(__name__)
 
@@ -117,7 +117,7 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         options: how.
 
     Raises:
-        InvalidValueError: too few measurements.
+        InvalidValueError: too few measurements, or those of another frame or machine.
         ConvergenceError: the parameters did not settle.
         SingularConfigurationError: at a command the tool can move with all commands held.
         MissingPackageError: a network is wanted and scikit-learn is not installed.
@@ -126,11 +126,11 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     identification = identify(measurements, errors, prior=how.prior, loss=how.loss)
     _warn(identification)
     nominal = forward_poses(errors.mechanism, measurements.commands)
-    _warn_of_unseen(pseudo_errors(measurements, nominal, how.eta))
     compensation = Compensation(errors, eta=how.eta)
     if "lm" in how.method:
         compensation = replace(compensation, values=identification.values, covariance=identification.covariance)
     trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
+    _check_seen(measurements[trusted], nominal[trusted], how.eta)
     if how.method != "lm":
         compensation = _learned(compensation, measurements[trusted], nominal[trusted], how)
     unexplained = _unexplained(compensation, measurements[trusted], nominal[trusted])
@@ -217,7 +217,13 @@ def _unexplained(compensation: Compensation, measurements: Measurements, nominal
     return float(np.sqrt(max(0.0, (np.sum(found.left**2) - expected) / n)))
 
 
-def _warn_of_unseen(found: PseudoErrors) -> None:
+def _check_seen(measurements: Measurements, nominal: ToolPoses, eta: float) -> None:
+    try:
+        found = pseudo_errors(measurements, nominal, eta)
+    except ConvergenceError as error:
+        raise InvalidValueError(
+            "measurements", f"seen where no commands bring the machine ({error})", "poses near those of the commands"
+        ) from error
     seen = int(np.linalg.matrix_rank(control_inverse(found.control)).max())
     drives = found.control.shape[2]
     if seen < drives:

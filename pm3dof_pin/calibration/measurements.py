@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.instrument import Instrument, Measured
-from pm3dof_pin.calibration.pose_error import quaternion
-from pm3dof_pin.calibration.tool_poses import forward_poses
+from pm3dof_pin.calibration.pose_error import quaternion, rotation_vector
+from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, MeasurementError, lines_in_words
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -35,6 +35,7 @@ _UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
 _SAME = 1e-9
 _BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the way from the base to the tool: no tolerance explains that
+_TURNED = 0.1  # [rad], likewise
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 
 
@@ -233,7 +234,10 @@ class _Reader:
         rotations = self._rotations()
         points = self._columns(POINT_COLUMNS) if POINT_COLUMNS[0] in table else np.zeros((len(commands), 3))
         positions = self._columns(POSITION_COLUMNS)
-        self._check_positions(commands, positions, points)
+        nominal = self._nominal_poses(commands)
+        self._check_positions(nominal, positions, points)
+        if rotations is not None:
+            self._check_rotations(nominal, rotations)
         conditions = {name: values for name, values in table.items() if name.startswith(_CONDITIONS)}
         return Measurements(
             commands,
@@ -346,12 +350,13 @@ class _Reader:
                 problem += f": these look like {other}"
             raise MeasurementError(self._path, problem, lines)
 
-    def _check_positions(self, commands: Array, positions: Array, points: Array) -> None:
-        mechanism = self._errors.mechanism
+    def _nominal_poses(self, commands: Array) -> ToolPoses:
         try:
-            nominal = forward_poses(mechanism, commands)
+            return forward_poses(self._errors.mechanism, commands)
         except ConvergenceError as error:
             raise MeasurementError(self._path, f"commands that the machine cannot take: {error}") from error
+
+    def _check_positions(self, nominal: ToolPoses, positions: Array, points: Array) -> None:
         expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
         size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)
         distances = np.linalg.norm(positions - expected, axis=1)
@@ -369,6 +374,35 @@ class _Reader:
         elif far.any():
             lines = self._lines_where(far)
             self._warn(f"positions are more than {_FAR_OFF * size:.2g} m from where the machine can be", lines)
+
+    def _check_rotations(self, nominal: ToolPoses, rotations: Array) -> None:
+        """Look for the usual mistakes: another order of a quaternion's numbers, the inverse rotation, other axes."""
+
+        def angles(seen: Array) -> Array:
+            return np.asarray(np.linalg.norm(rotation_vector(np.swapaxes(nominal.rotations, 1, 2) @ seen), axis=1))
+
+        turned = angles(rotations)
+        if np.median(turned) <= _TURNED:
+            if (turned > _TURNED).any():
+                lines = self._lines_where(turned > _TURNED)
+                self._warn(f"orientations are more than {_TURNED:g} rad from where the machine can be", lines)
+            return
+        columns = ",".join(QUATERNION_COLUMNS)
+        scalar_last = rotations_of(np.roll(self._columns(QUATERNION_COLUMNS), 1, axis=1))
+        inverse = np.swapaxes(rotations, 1, 2)
+        for seen, problem in (
+            (scalar_last, "hold the numbers in the order x, y, z, w"),
+            (
+                inverse,
+                "are the inverse rotations, of the base in the tool's axes: expected those of the tool in the base",
+            ),
+        ):
+            if np.median(angles(seen)) < min(_TURNED, 0.1 * np.median(turned)):
+                raise MeasurementError(self._path, f"{columns} {problem}")
+        self._warn(
+            f"orientations are {np.median(turned):.3g} rad (median) from where the machine is by its description: "
+            "other axes of the base or of the tool?"
+        )
 
     def _rotations(self) -> Array | None:
         if QUATERNION_COLUMNS[0] not in self._table:

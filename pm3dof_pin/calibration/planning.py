@@ -166,7 +166,7 @@ class PlanningProblem:
         """The error map over the candidates."""
         return self._map
 
-    def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 3) -> Plan:
+    def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 10) -> Plan:
         """Choose poses.
 
         Args:

@@ -154,6 +154,22 @@ def test_gross_outliers_change_little(
     assert np.sqrt(np.mean((changed - clean) ** 2)) < 5e-6
 
 
+def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
+    measured: Measurements, tripod_errors: GeometricErrors
+) -> None:
+    """No commands bring the machine there, so it must not be asked for them."""
+    positions = np.array(measured.positions)
+    positions[7, 2] *= 1000.0  # millimetres
+    found = calibrate(replace(measured, positions=positions), tripod_errors, Options("lm+gp"))
+    assert found.identification.outliers == (7,)
+    assert 7 not in held_out_errors(found).rows
+
+
+def test_measurements_in_another_frame_are_refused(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    with pytest.raises(InvalidValueError, match="seen where no commands bring the machine"):
+        calibrate(replace(measured, positions=measured.positions - 0.3), tripod_errors)
+
+
 def test_cross_validation_tells_before_after_and_floor(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     held_out = held_out_errors(calibrate(measured, tripod_errors, Options("lm+gp")))
     assert len(held_out.rows) == 60

@@ -174,6 +174,42 @@ def test_another_frame_is_suspected(lines: list[list[str]], tripod_errors: Geome
     assert "other axes, another zero" in read(lines, tripod_errors, tmp_path).warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("order", "signs", "problem"),
+    [
+        ((1, 2, 3, 0), (1, 1, 1, 1), "qw,qx,qy,qz hold the numbers in the order x, y, z, w"),
+        ((0, 1, 2, 3), (1, -1, -1, -1), "are the inverse rotations"),
+    ],
+)
+def test_other_ways_to_write_a_rotation_are_recognised(
+    order: tuple[int, ...],
+    signs: tuple[int, ...],
+    problem: str,
+    lines: list[list[str]],
+    tripod_errors: GeometricErrors,
+    tmp_path: Path,
+) -> None:
+    for line in lines[1:]:
+        quaternion = [float(cell) for cell in line[6:]]
+        line[6:] = [repr(sign * quaternion[k]) for sign, k in zip(signs, order, strict=True)]
+    with pytest.raises(MeasurementError, match=problem):
+        read(lines, tripod_errors, tmp_path)
+
+
+def test_turned_axes_and_turned_rows_are_named(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    """A quarter turn about the tool's z: q times (1, 0, 0, 1) over the root of two."""
+    turned = [[*line] for line in lines]
+    for line in turned[1:]:
+        w, x, y, z = (float(cell) for cell in line[6:])
+        line[6:] = [repr(value / 2**0.5) for value in (w - z, x + y, y - x, z + w)]
+    warnings = read([*lines[:5], turned[5], *lines[6:]], tripod_errors, tmp_path).warnings
+    assert warnings[0].startswith("line 6: orientations are more than 0.1 rad")
+    (warning,) = read(turned, tripod_errors, tmp_path).warnings
+    assert warning.startswith("orientations are 1.57 rad (median) from where the machine is")
+
+
 def test_large_sigmas_are_suspected(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     names = ["sigma_x_m", "sigma_y_m", "sigma_z_m"]
     table = [[*lines[0][:6], *names], *([*row[:6], "0.015", "0.015", "0.015"] for row in lines[1:])]
