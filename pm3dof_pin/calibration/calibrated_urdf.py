@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,6 +16,10 @@ from pm3dof_pin.calibration.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.mechanism.assembly import assemble
+from pm3dof_pin.mechanism.mechanism import Mechanism
+
+logger = logging.getLogger(__name__)
 
 _BANNER = '<?xml version="1.0"?>\n<!-- {name} with {count} calibrated geometric parameters. -->\n'
 
@@ -54,6 +59,8 @@ def write_calibrated_robot(
 ) -> Path:
     """Write a calibrated robot that loads like any other: URDF, closures, and SRDF and error file if there are such.
 
+    The SRDF's named configurations keep the commands they had, and their loops are closed again.
+
     Args:
         errors: the parameters.
         values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
@@ -71,10 +78,30 @@ def write_calibrated_robot(
     files, folder = find_robot(robot), Path(directory)
     target = folder / files.urdf.name
     text = calibrated_urdf(errors, values, files.urdf)
-    beside = [files.srdf, files.urdf.with_suffix(".errors.yaml")]
-    for source in [files.closures, *(path for path in beside if path is not None and path.is_file())]:
+    error_file = files.urdf.with_suffix(".errors.yaml")
+    for source in [files.closures, *([error_file] if error_file.is_file() else [])]:
         write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
+    if files.srdf is not None:
+        write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, errors.apply(values)))
     return write_text_atomically(target, text)
+
+
+def _closed_again(srdf: Path, calibrated: Mechanism) -> str:
+    """Return an SRDF whose named configurations are those of the calibrated machine at the same commands."""
+    tree = ElementTree.parse(srdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
+    for state in tree.getroot().findall("group_state"):
+        name = state.get("name", "")
+        described = calibrated.configuration(calibrated.named_configurations[name])
+        commands = dict(zip(calibrated.actuated_joints, described.actuated_positions, strict=True))
+        result = assemble(calibrated, described, held=commands)
+        if not result.converged:
+            logger.warning("named configuration '%s' is left out: its loops do not close any more", name)
+            tree.getroot().remove(state)
+            continue
+        for joint in state.findall("joint"):
+            index = calibrated.model.joints[calibrated.model.getJointId(joint.get("name", ""))]
+            joint.set("value", _text(result.configuration.q[index.idx_q : index.idx_q + index.nq]))
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(tree.getroot(), encoding="unicode") + "\n"
 
 
 def _displace(path: Path, robot: ElementTree.Element, place: str, displacement: pin.SE3) -> None:

@@ -24,7 +24,7 @@ from pm3dof_pin.exceptions import (
     UnreachablePoseError,
 )
 from pm3dof_pin.mechanism.arrays import Vector, finite_array, frozen
-from pm3dof_pin.mechanism.assembly import Assembly, assemble
+from pm3dof_pin.mechanism.assembly import CLOSURE_TOLERANCE, Assembly, assemble
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
 from pm3dof_pin.mechanism.model_files import read_model
@@ -220,8 +220,20 @@ class Mechanism:
 
     @cached_property
     def home(self) -> Configuration:
-        """The named configuration "home", or else Pinocchio's neutral one, which need not be assembled."""
-        return self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
+        """The named configuration "home", or else Pinocchio's neutral one, its loops closed if that is possible nearby.
+
+        The actuated joints stay where they are, if the loops close so. Where no closed configuration is found, it is
+        the one described: ask its :attr:`Configuration.closure_residual`.
+        """
+        described = self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
+        if described.closure_residual <= CLOSURE_TOLERANCE:
+            return described
+        drives = dict(zip(self.actuated_joints, described.actuated_positions, strict=True))
+        for held in (drives, {}):
+            result = assemble(self, described, held=held)
+            if result.converged:
+                return result.configuration
+        return described
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Make the read-only configuration at q.

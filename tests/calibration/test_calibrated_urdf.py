@@ -29,6 +29,21 @@ def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
     assert GeometricErrors.load(tmp_path / f"{robot}.urdf").names == GeometricErrors.load(robot).names
 
 
+def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Path) -> None:
+    errors = GeometricErrors.load("pm3dof")
+    written = Mechanism.load(
+        write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), "pm3dof", tmp_path)
+    )
+    assert written.home.closure_residual < 1e-12
+    assert set(written.named_configurations) == set(errors.mechanism.named_configurations)
+    for name, q in written.named_configurations.items():
+        configuration = written.configuration(q)
+        described = errors.mechanism.configuration(errors.mechanism.named_configurations[name])
+        assert configuration.closure_residual < 1e-12
+        np.testing.assert_array_equal(configuration.actuated_positions, described.actuated_positions)
+        assert 1e-6 < np.abs(q - described.q).max() < 1e-2
+
+
 def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
     """At a pitch of 90 deg roll and yaw are one; small turns there must come back to the last digits."""
     source = find_robot("pm3dof").urdf
