@@ -11,6 +11,9 @@ from pm3dof_pin.export.robot_document import RobotDocument
 from pm3dof_pin.export.urdf_document import WORLD
 from pm3dof_pin.export.xml_text import document_text, numbers_text
 
+MESH_KINDS = (".obj", ".gltf", ".vtk")
+"""Suffixes of the mesh files that Drake takes as collision shapes; another one stops it."""
+
 _NAMESPACE = "http://drake.mit.edu"
 ElementTree.register_namespace("drake", _NAMESPACE)
 
@@ -29,7 +32,7 @@ def drake_text(robot: RobotDocument) -> str:
     Args:
         robot: the robot.
     """
-    root = urdf_element(robot)
+    root = urdf_element(robot.with_meshes_of(MESH_KINDS))
     _fix_to_world(root, robot.urdf.root.name)
     for name in robot.mechanism.actuated_joints:
         if not any(joint.get("name") == name for joint in root.findall("transmission/joint")):

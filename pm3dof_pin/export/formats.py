@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.export import drake, mjcf
 from pm3dof_pin.export.drake import drake_text
 from pm3dof_pin.export.gepetto import gepetto_files
 from pm3dof_pin.export.mjcf import mjcf_text
@@ -13,7 +14,7 @@ from pm3dof_pin.export.plain_urdf import description_texts
 from pm3dof_pin.export.robot_document import RobotDocument, read_robot
 from pm3dof_pin.export.ros import ros_files, ros_package_name
 from pm3dof_pin.export.sdf import sdf_text
-from pm3dof_pin.files import write_atomically, write_text_atomically
+from pm3dof_pin.files import write_text_atomically
 
 _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
     "drake": lambda robot: {f"{robot.file_name}.urdf": drake_text(robot)},
@@ -23,6 +24,8 @@ _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
     "sdf": lambda robot: {f"{robot.file_name}.sdf": sdf_text(robot)},
     "urdf": description_texts,
 }
+
+_MESH_KINDS = {"drake": drake.MESH_KINDS, "mjcf": mjcf.MESH_KINDS}
 
 FORMATS = tuple(_WRITERS)
 """Names of the formats."""
@@ -73,9 +76,5 @@ def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> lis
     document = read_robot(robot)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
-    written = [write_text_atomically(target / name, text) for name, text in files.items()]
-    for name, source in document.meshes.copies.items():
-        with write_atomically(target / name) as temporary:
-            temporary.write_bytes(source.read_bytes())
-        written.append(target / name)
-    return written
+    meshes = document.meshes.for_kinds(_MESH_KINDS[format_name]) if format_name in _MESH_KINDS else document.meshes
+    return [*(write_text_atomically(target / name, text) for name, text in files.items()), *meshes.write(target)]

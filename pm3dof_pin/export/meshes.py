@@ -1,51 +1,107 @@
-"""Mesh files of a robot: found where its URDF says, and given names of their own in the folder of an export."""
+"""Mesh files of a robot: found where its URDF says, and given names of their own in the folder of an export.
+
+Not every tool reads every kind of file. What it does not read is rewritten as OBJ, its triangles unchanged.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path, PurePath
 
+from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import write_atomically
 
 FOLDER = "meshes"
+
+_REWRITTEN = ".obj"  # every tool reads it
 
 
 class Meshes:
     """The meshes that a URDF names.
 
     Args:
-        urdf: the URDF; relative names count from its folder, `package://x/` from the folder `x` that it is in.
-        names: file names as written in it.
+        sources: path of each file, by its name as written in the URDF.
+        kinds: suffixes of files that the tool reads, such as `.stl`; all by default.
 
     Attributes:
         copies: path of each file, by its path in the folder of an export.
-
-    Raises:
-        DescriptionError: a file is not there.
     """
 
-    def __init__(self, urdf: Path, names: Iterable[str]) -> None:
+    def __init__(self, sources: Mapping[str, Path], kinds: Collection[str] | None = None) -> None:
+        self._sources = dict(sources)
+        self._kinds = kinds
         self.copies: dict[str, Path] = {}
         self._exported: dict[str, str] = {}
-        for name in dict.fromkeys(names):
-            self._add(name, _found(urdf, name))
+        for name, path in self._sources.items():
+            self._add(name, path)
+
+    @classmethod
+    def of_urdf(cls, urdf: Path, names: Iterable[str]) -> Meshes:
+        """Find the meshes of a URDF.
+
+        Args:
+            urdf: the URDF; relative names count from its folder, `package://x/` from the folder `x` that it is in.
+            names: file names as written in it.
+
+        Raises:
+            DescriptionError: a file is not there.
+        """
+        return cls({name: _found(urdf, name) for name in dict.fromkeys(names)})
 
     def __len__(self) -> int:
         return len(self.copies)
+
+    def for_kinds(self, kinds: Collection[str]) -> Meshes:
+        """Return the meshes for a tool that reads files of some kinds only; the others become OBJ files.
+
+        Args:
+            kinds: suffixes of the files that it reads, in small letters, such as `.stl`.
+        """
+        return Meshes(self._sources, kinds)
 
     def exported(self, name: str) -> str:
         """Return the path of a mesh in the folder of an export, such as `meshes/arm.stl`."""
         return self._exported[name]
 
+    def write(self, folder: Path) -> list[Path]:
+        """Write the files into the folder of an export, and return their paths.
+
+        Raises:
+            DescriptionError: a file that has to be rewritten cannot be read.
+            OutputError: a file cannot be written.
+        """
+        written = []
+        for target, source in self.copies.items():
+            same = PurePath(target).suffix == source.suffix
+            content = source.read_bytes() if same else _as_obj(source)
+            with write_atomically(folder / target) as temporary:
+                temporary.write_bytes(content)
+            written.append(folder / target)
+        return written
+
     def _add(self, name: str, path: Path) -> None:
-        candidates = [path.name, *(f"{path.stem}_{number}{path.suffix}" for number in range(2, len(self.copies) + 3))]
+        kind = path.suffix if self._kinds is None or path.suffix.lower() in self._kinds else _REWRITTEN
+        numbered = (f"{path.stem}_{number}{kind}" for number in range(2, len(self.copies) + 3))
         target = next(
             target
-            for target in (f"{FOLDER}/{candidate}" for candidate in candidates)
+            for target in (f"{FOLDER}/{candidate}" for candidate in (f"{path.stem}{kind}", *numbered))
             if self.copies.get(target, path) == path
         )
         self.copies[target] = path
         self._exported[name] = target
+
+
+def _as_obj(path: Path) -> bytes:
+    """Read a mesh file and write its triangles as one OBJ; colours are left behind."""
+    import trimesh
+
+    meshes = read_meshes(path)
+    if not meshes:
+        raise DescriptionError(path, "mesh", "expected triangles")
+    triangles = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    text = triangles.export(file_type="obj", include_normals=False, include_color=False, digits=9)
+    return f"{text}\n".encode()
 
 
 def _found(urdf: Path, name: str) -> Path:

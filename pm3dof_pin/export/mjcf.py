@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import PurePath
 from xml.etree.ElementTree import Element, SubElement
 
@@ -12,13 +11,13 @@ from pm3dof_pin.export.robot_document import RobotDocument
 from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape, quaternion_product
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
-_logger = logging.getLogger(__name__)
+MESH_KINDS = (".stl", ".obj", ".msh")
+"""Suffixes of the mesh files that MuJoCo reads."""
 
 # Loops as hard as the solver can hold them: with the defaults a robot opens them by tenths of a millimetre, by weight
 # alone. A time constant of less than two steps counts as two steps, so the step belongs to it.
 _STEP = 5e-4
 _STIFF = {"solref": "0.001 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
-_MESHES = (".stl", ".obj", ".msh")
 _BANNER = "{name} for MuJoCo, generated from its description by `pm3dof export mjcf`. Edit that, not this file."
 _SITE = "{}_site"
 
@@ -39,7 +38,7 @@ def mjcf_text(robot: RobotDocument) -> str:
         ConvergenceError: the loops do not close near the home configuration.
     """
     robot.require_moving_mass("MuJoCo")
-    return document_text(_Writer(robot).document(), _BANNER.format(name=robot.name))
+    return document_text(_Writer(robot.with_meshes_of(MESH_KINDS)).document(), _BANNER.format(name=robot.name))
 
 
 class _Writer:
@@ -84,17 +83,18 @@ class _Writer:
 
     def _defaults(self, default: Element) -> None:
         SubElement(default, "equality", _STIFF)
+        # by density: Pinocchio overlooks a default mass of 0, and weighs the shapes of bodies without inertia
         visual = SubElement(default, "default", {"class": "visual"})
-        SubElement(visual, "geom", group="2", contype="0", conaffinity="0", mass="0")
+        SubElement(visual, "geom", group="2", contype="0", conaffinity="0", density="0")
         collision = SubElement(default, "default", {"class": "collision"})
-        SubElement(collision, "geom", group="3", mass="0", rgba="0.5 0.5 0.5 0.3")
+        SubElement(collision, "geom", group="3", density="0", rgba="0.5 0.5 0.5 0.3")
 
     def _assets(self, root: Element) -> None:
         shapes = {
             (shape.mesh, shape.sizes): shape
             for link in self._robot.urdf.links.values()
             for shape in (*link.visuals, *link.collisions)
-            if shape.kind == "mesh" and self._is_readable(shape)
+            if shape.kind == "mesh"
         }
         if shapes:
             asset = SubElement(root, "asset")
@@ -103,10 +103,9 @@ class _Writer:
                 SubElement(asset, "mesh", name=self._mesh_name(shape), file=file, scale=scale)
 
     def _mesh_name(self, shape: Shape) -> str:
-        return "_".join([PurePath(self._robot.meshes.exported(shape.mesh)).stem, *map(number_text, shape.sizes)])
-
-    def _is_readable(self, shape: Shape) -> bool:
-        return PurePath(shape.mesh).suffix.lower() in _MESHES
+        # with its suffix: arm.stl may stand beside arm.obj
+        scales = map(number_text, shape.sizes) if set(shape.sizes) != {1.0} else ()
+        return "_".join([PurePath(self._robot.meshes.exported(shape.mesh)).name, *scales])
 
     def _fill(self, body: Element, link: Link, joint: Joint | None) -> None:
         if link.inertial is not None and link.mass > 0.0:
@@ -139,9 +138,6 @@ class _Writer:
             self._geoms.add(shape.name)
             attributes["name"] = shape.name
         if shape.kind == "mesh":
-            if not self._is_readable(shape):
-                _logger.warning("%s: %s left out, MuJoCo reads %s", self._robot.name, shape.mesh, ", ".join(_MESHES))
-                return
             attributes |= {"type": "mesh", "mesh": self._mesh_name(shape)}
         else:
             attributes |= {"type": shape.kind, "size": numbers_text(_sizes(shape))}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -96,6 +96,14 @@ class RobotDocument:
                     f"expected mass and inertia, as {tool} needs of all that moves",
                 )
 
+    def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
+        """Return the robot for a tool that reads mesh files of some kinds only; the others become OBJ files.
+
+        Args:
+            kinds: suffixes of the files that it reads, in small letters, such as `.stl`.
+        """
+        return replace(self, meshes=self.meshes.for_kinds(kinds))
+
     def convention(self) -> Mapping[str, Any]:
         """Return the closures file as plain data."""
         return read_mapping(self.files.closures)
@@ -117,7 +125,7 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
     mechanism = Mechanism.load(name_or_path)
     urdf = read_urdf(files.urdf)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
-    meshes = Meshes(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])
     return RobotDocument(files, urdf, mechanism, _untouchable(files.srdf, urdf), meshes)
 
 

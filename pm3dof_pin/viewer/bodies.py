@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism import Configuration, Mechanism
 from pm3dof_pin.viewer import objects
@@ -174,15 +175,8 @@ def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[Part]:
 
     The file is read again: Pinocchio keeps no colours, and its triangles of some Collada files are wrong ones.
     """
-    import trimesh
-
-    try:
-        meshes = trimesh.load_scene(shape.meshPath).dump()
-    except Exception as error:  # trimesh's readers raise what they like
-        reason = " ".join(str(error).split())
-        raise DescriptionError(shape.meshPath, "mesh", f"expected a mesh that can be read ({reason})") from error
     parts = []
-    for number, mesh in enumerate(mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)):
+    for number, mesh in enumerate(read_meshes(shape.meshPath)):
         vertices = np.asarray(mesh.vertices) * np.array(shape.meshScale)
         colour = _colour(shape.meshColor) if shape.overrideMaterial else _own_colour(mesh)
         body = objects.mesh(objects.triangles(vertices, mesh.faces), colour[:3], opacity=colour[3])

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from pm3dof_pin.mechanism import Mechanism
 from pm3dof_pin.tripod import Tripod
@@ -206,6 +207,8 @@ _INERTIAL = """<inertial><origin xyz="{xyz}" rpy="0.4 -0.3 0.2"/><mass value="{m
 <inertia ixx="0.003" iyy="0.004" izz="0.005" ixy="0.0002" ixz="-0.0003" iyz="0.0004"/></inertial>"""
 _MASSLESS = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
 _MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+_SURFACE = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
+_BALL = '<collision><geometry><sphere radius="0.01"/></geometry></collision>'
 _HINGE = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
 <origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="0 -1 0"/>{limit}</joint>"""
 _LIMIT = '<limit lower="-3" upper="3" effort="20" velocity="5"/>'
@@ -220,13 +223,16 @@ def _four_bar(kind: str) -> str:
         "base": _INERTIAL.format(xyz="0 0 0", mass=1.0),
         "crank": _INERTIAL.format(xyz="0.05 0 0.01", mass=0.2) + _MESH.format("package://shapes/arm.obj"),
         "coupler": _INERTIAL.format(xyz="0.1 0.02 0", mass=0.4) + _MESH.format("more/arm.obj"),
-        "rocker": _INERTIAL.format(xyz="0 0 0.1", mass=0.3) + _MESH.format("more/arm.dae"),
+        "rocker": _INERTIAL.format(xyz="0 0 0.1", mass=0.3)
+        + _MESH.format("more/arm.dae")
+        + _SURFACE.format("more/arm.stl"),
         "tip": _INERTIAL.format(xyz="0.01 0.02 0.03", mass=0.05),
     }
     joints = [
         '<link name="world"/>',
         # PyBullet gives 1 kg to a link that does not say that it has none
-        *(f'<link name="{name}">{_MASSLESS}</link>' for name in ("rocker_tip", "tool")),
+        f'<link name="rocker_tip">{_MASSLESS}</link>',
+        f'<link name="tool">{_MASSLESS}{_BALL}</link>',
         _FIXED.format(parent="world", child="base", xyz="0 0 0.1"),
         _HINGE.format(
             name="crank_joint",
@@ -283,8 +289,10 @@ def four_bar(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """The path of its URDF."""
     folder = tmp_path / "shapes" / "urdf"
     (folder / "more").mkdir(parents=True)
-    for mesh in (folder.parent / "arm.obj", folder / "more" / "arm.obj", folder / "more" / "arm.dae"):
+    for mesh in (folder.parent / "arm.obj", folder / "more" / "arm.obj"):
         mesh.write_text(_TETRAHEDRON)
+    for suffix in ("dae", "stl"):
+        trimesh.load_mesh(folder.parent / "arm.obj").export(folder / "more" / f"arm.{suffix}")
     (folder / "linkage.urdf").write_text(_four_bar(request.param))
     closures = (
         f"closed_loop: [[tip, rocker_tip]]\ntype: ['{request.param}']\nname_mot: [crank_joint]\ntool_frame: tool\n"

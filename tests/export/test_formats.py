@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 import yourdfpy
 
@@ -72,14 +73,43 @@ def test_what_the_convention_says_of_joints_is_handed_on(four_bar: Path) -> None
     assert (content["joint_name"], content["joint_type"]) == (["rocker_joint"], ["SPHERICAL"])
 
 
-def test_meshes_are_beside_the_files_that_name_them(four_bar: Path, tmp_path: Path) -> None:
-    for kind in ("drake", "gepetto", "sdf", "urdf"):
-        path, *others = export_robot(four_bar, kind, tmp_path / kind)
-        named = [mesh.get("filename") or mesh.findtext("uri") for mesh in ElementTree.parse(path).iter("mesh")]
-        assert named == ["meshes/arm.obj", "meshes/arm_2.obj", "meshes/arm.dae"]
-        assert all((path.parent / str(name)).read_text().startswith("v ") for name in named)
-        assert {path.parent / str(name) for name in named} <= set(others)
-    assert Mechanism.load(tmp_path / "urdf" / "four_bar.urdf").closures == Mechanism.load(four_bar).closures
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        (
+            "drake",
+            ["arm.obj", "arm_2.obj", "arm_3.obj", "arm_4.obj"],
+        ),  # it reads no Collada, and no STL to collide with
+        ("gepetto", ["arm.obj", "arm_2.obj", "arm.dae", "arm.stl"]),
+        ("mjcf", ["arm.obj", "arm_2.obj", "arm_3.obj", "arm.stl"]),
+        ("sdf", ["arm.obj", "arm_2.obj", "arm.dae", "arm.stl"]),
+        ("urdf", ["arm.obj", "arm_2.obj", "arm.dae", "arm.stl"]),
+    ],
+)
+def test_meshes_are_beside_the_files_that_name_them(
+    four_bar: Path, tmp_path: Path, kind: str, expected: list[str]
+) -> None:
+    """In a kind of file that the tool reads; the triangles are the same ones."""
+    path, *others = export_robot(four_bar, kind, tmp_path)
+    meshes = ElementTree.parse(path).iter("mesh")
+    named = [name for mesh in meshes if (name := mesh.get("filename") or mesh.get("file") or mesh.findtext("uri"))]
+    assert named == [f"meshes/{name}" for name in expected]
+    assert {path.parent / name for name in named} <= set(others)
+    original = trimesh.load_mesh(four_bar.parents[1] / "arm.obj").triangles
+    for name in named:
+        corners = trimesh.load_mesh(path.parent / name).triangles
+        np.testing.assert_allclose(np.sort(corners, axis=None), np.sort(original, axis=None), rtol=0, atol=1e-9)
+
+
+def test_an_exported_urdf_is_loaded_again(four_bar: Path, tmp_path: Path) -> None:
+    export_robot(four_bar, "urdf", tmp_path)
+    assert Mechanism.load(tmp_path / "four_bar.urdf").closures == Mechanism.load(four_bar).closures
+
+
+def test_a_mesh_that_cannot_be_rewritten_is_named(four_bar: Path, tmp_path: Path) -> None:
+    (four_bar.parent / "more" / "arm.dae").write_text("no mesh")
+    with pytest.raises(DescriptionError, match=r"arm\.dae: mesh: expected a mesh that can be read"):
+        export_robot(four_bar, "mjcf", tmp_path)
 
 
 def test_a_missing_mesh_is_named(four_bar: Path) -> None:
@@ -138,7 +168,13 @@ def test_the_command_writes_and_says_what(four_bar: Path, tmp_path: Path) -> Non
     assert done.returncode == 0
     assert done.stdout == ""
     written = [line.removeprefix("wrote ") for line in done.stderr.splitlines() if line.startswith("wrote ")]
-    assert written == ["a/b/four_bar.xml", "a/b/meshes/arm.obj", "a/b/meshes/arm_2.obj", "a/b/meshes/arm.dae"]
+    assert written == [
+        "a/b/four_bar.xml",
+        "a/b/meshes/arm.obj",
+        "a/b/meshes/arm_2.obj",
+        "a/b/meshes/arm_3.obj",
+        "a/b/meshes/arm.stl",
+    ]
     assert all((tmp_path / path).is_file() for path in written)
 
 

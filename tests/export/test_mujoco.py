@@ -262,16 +262,14 @@ def test_a_robot_of_ones_own(
     tmp_path: Path,
     actuator_forces: Callable[..., np.ndarray],
     terms: Any,
-    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Its zero is not assembled: the sites close the right loop all the same, and the home keyframe is assembled."""
     (path, *meshes) = export_robot(four_bar, "mjcf", tmp_path / "out")
     assert path.name == "four_bar.xml"
-    assert [mesh.name for mesh in meshes] == ["arm.obj", "arm_2.obj", "arm.dae"]
-    assert "arm.dae left out" in caplog.text
+    assert [mesh.name for mesh in meshes] == ["arm.obj", "arm_2.obj", "arm_3.obj", "arm.stl"]
     mechanism = Mechanism.load(four_bar)
     linkage = Simulator(path, mechanism)
-    assert [linkage.model.mesh(index).name for index in range(linkage.model.nmesh)] == ["arm_1_1_1", "arm_2_1_1_1"]
+    assert [linkage.model.mesh(index).name for index in range(linkage.model.nmesh)] == [mesh.name for mesh in meshes]
     assert linkage.model.joint("crank_joint").damping[0] == 0.01
     mujoco.mj_resetDataKeyframe(linkage.model, linkage.data, linkage.model.key("home").id)
     mujoco.mj_forward(linkage.model, linkage.data)

@@ -172,7 +172,7 @@ def test_a_robot_of_ones_own(client: int, four_bar: Path, tmp_path: Path) -> Non
     assert linkage.closure_error() < 1e-6  # PyBullet keeps the axes of centres of mass in single precision
     for _ in range(100):
         _, rates, closure_error = linkage.step(np.array(holding_forces(configuration).actuator_forces))
-    assert closure_error < 1e-5
+    assert closure_error < 2e-5
     assert abs(rates).max() < 1e-3
     # let go, it falls, and stays closed
     for _ in range(200):
