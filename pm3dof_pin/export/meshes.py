@@ -10,6 +10,7 @@ from pathlib import Path, PurePath
 
 from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.xml_text import numbers_text
 from pm3dof_pin.files import write_atomically
 
 FOLDER = "meshes"
@@ -94,14 +95,15 @@ class Meshes:
 
 def _as_obj(path: Path) -> bytes:
     """Read a mesh file and write its triangles as one OBJ; colours are left behind."""
-    import trimesh
-
-    meshes = read_meshes(path)
-    if not meshes:
+    lines: list[str] = []
+    vertices = 0
+    for mesh in read_meshes(path):
+        lines += [f"v {numbers_text(vertex)}" for vertex in mesh.vertices.tolist()]
+        lines += ["f {} {} {}".format(*corners) for corners in (mesh.faces + 1 + vertices).tolist()]
+        vertices += len(mesh.vertices)
+    if not lines:
         raise DescriptionError(path, "mesh", "expected triangles")
-    triangles = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
-    text = triangles.export(file_type="obj", include_normals=False, include_color=False, digits=9)
-    return f"{text}\n".encode()
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _found(urdf: Path, name: str) -> Path:
