@@ -26,12 +26,15 @@ from pm3dof_pin.calibration.geometry import (
 )
 from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.pose_error import moved_pose
+from pm3dof_pin.calibration.reachable_poses import reachable_poses
 from pm3dof_pin.calibration.sensitivity import closable
 from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+
+_POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +221,8 @@ def richer(errors: GeometricErrors) -> GeometricErrors:
     everything = [
         replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(mechanism)
     ]
-    home = forward_poses(mechanism, mechanism.home.actuated_positions[None])
-    return closable(GeometricErrors(mechanism, everything), home)
+    poses = reachable_poses(mechanism, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+    return closable(GeometricErrors(mechanism, everything), poses)
 
 
 def _beside_their_lines(mechanism: Mechanism, offsets: Array) -> Mechanism:

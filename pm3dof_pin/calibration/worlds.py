@@ -13,7 +13,7 @@ from pm3dof_pin.calibration.error_sources import ElasticDeflection, GuideWavines
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.measurements import Measurements, command_units
-from pm3dof_pin.calibration.simulated_machine import Conditions, SimulatedMachine
+from pm3dof_pin.calibration.simulated_machine import Conditions, SimulatedMachine, richer
 from pm3dof_pin.exceptions import InvalidValueError
 
 Array = NDArray[np.float64]
@@ -67,7 +67,9 @@ class World:
             machine = replace(machine, elastic=ElasticDeflection())
         if set(command_units(mechanism)) != {"m"}:
             return cls(machine, 0.0)
-        links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures}
+        # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
+        lengths = {p.place for p in richer(errors).parameters if p.motion == "translation"}
+        links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
             waviness=GuideWaviness.random(len(mechanism.actuated_joints), generator),
