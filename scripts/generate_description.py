@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
-from pm3dof_pin.export.description import description_files, same_but_rounding
+from pm3dof_pin.export.description import description_files, same_but_rounding, shared_xacro
 from pm3dof_pin.files import write_text_atomically
 
 
@@ -29,7 +29,15 @@ def main() -> int:
         return _outdated(arguments.output, files, arguments.check)
     robots = [arguments.robot] if arguments.robot else robot_names()
     folders = {robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}": robot for robot in robots}
-    return max(_outdated(folder, description_files(robot), arguments.check) for folder, robot in folders.items())
+    # first the copies of shared files, which the rest is made from
+    shared = [_outdated(folder, shared_xacro(robot), arguments.check) for folder, robot in folders.items()]
+    made = [_outdated(folder, _made_from_them(robot), arguments.check) for folder, robot in folders.items()]
+    return max(*shared, *made)
+
+
+def _made_from_them(robot: str) -> dict[str, str]:
+    shared = shared_xacro(robot)
+    return {name: text for name, text in description_files(robot).items() if name not in shared}
 
 
 def _outdated(folder: Path, files: dict[str, str], check: bool) -> int:

@@ -6,6 +6,7 @@ import logging
 import math
 import re
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from pm3dof_pin.description.expand import expand_xacro
@@ -17,13 +18,17 @@ from pm3dof_pin.export.closures_file import closures_text
 from pm3dof_pin.export.formats import exported_files
 from pm3dof_pin.export.named_configurations import srdf_text
 from pm3dof_pin.export.robot_document import read_robot
-from pm3dof_pin.export.ros import ros_files
+from pm3dof_pin.export.ros import OUR_MANIFEST, ros_files
 from pm3dof_pin.files import write_text_atomically
 
 _logger = logging.getLogger(__name__)
 
 _FOLDERS = ("drake", "gepetto", "mjcf", "sdf")
-_MANIFEST = {"maintainer": "The pm3dof-pin authors", "license_name": "BSD-2-Clause"}
+_SHARED = re.compile(r"<xacro:include filename=\"(shared/(\w+\.xacro))\"/>")
+_COPIED = """\
+<?xml version="1.0"?>
+<!-- A copy of {folder}/xacro/{name}, so that this folder needs no other one. Edit that file, not this one. -->
+"""
 _WORDS = re.compile(r"([\s\",\[\]{}]+)")
 
 
@@ -36,8 +41,9 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
 
     Returns:
         Text of each file by its path in the folder of the description: `urdf/pm3dof.urdf`, its closures file and its
-        SRDF; what other tools read, such as `mjcf/pm3dof.xml`; and what makes the folder a ROS 2 package. A format that
-        cannot say what this robot is, such as a body that moves and has no mass, is left out, and logged.
+        SRDF; what other tools read, such as `mjcf/pm3dof.xml`; what makes the folder a ROS 2 package; and, without
+        `config`, the xacro files that it shares with other robots. A format that cannot say what this robot is, such
+        as a body that moves and has no mass, is left out, and logged.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -47,7 +53,7 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
     if robot not in robot_names():
         raise UnknownRobotError(robot, robot_names())
     folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}"
-    manifest = _MANIFEST if config is None else {}
+    own = config is None
     config = Path(config).absolute() if config is not None else folder / "config" / f"{robot}.yaml"
     read_quantities(config)
     name = read_mapping(config).get("name")
@@ -57,10 +63,32 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
     closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
     srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", config, urdf, closures)
     described = {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
-    return described | _exports(name, described, manifest)
+    files = described | _exports(name, described, OUR_MANIFEST if own else {})
+    return files | shared_xacro(robot) if own else files
 
 
-def _exports(name: str, described: dict[str, str], manifest: dict[str, str]) -> dict[str, str]:
+def shared_xacro(robot: str) -> dict[str, str]:
+    """Return the xacro files that a robot shares with another one, so that its folder is a package by itself.
+
+    Args:
+        robot: a robot that comes with the package.
+
+    Returns:
+        Text of each file by its path in the folder of the description, `xacro/shared/...`.
+    """
+    folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}" / "xacro"
+    texts = [path.read_text(encoding="utf-8") for path in folder.glob("*.xacro")]
+    included = sorted({found for text in texts for found in _SHARED.findall(text)})
+    return {f"xacro/{path}": _shared_copy(name) for path, name in included}
+
+
+def _shared_copy(name: str) -> str:
+    (original,) = robots_directory().glob(f"*{DESCRIPTION_SUFFIX}/xacro/{name}")
+    text = original.read_text(encoding="utf-8").removeprefix('<?xml version="1.0"?>\n')
+    return _COPIED.format(folder=original.parents[1].name, name=name) + text
+
+
+def _exports(name: str, described: dict[str, str], manifest: Mapping[str, str]) -> dict[str, str]:
     with tempfile.TemporaryDirectory() as folder:
         for path, text in described.items():
             write_text_atomically(Path(folder) / path, text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.export import drake, mjcf
 from pm3dof_pin.export.drake import drake_text
@@ -12,7 +13,7 @@ from pm3dof_pin.export.gepetto import gepetto_files
 from pm3dof_pin.export.mjcf import mjcf_text
 from pm3dof_pin.export.plain_urdf import description_texts
 from pm3dof_pin.export.robot_document import RobotDocument, read_robot
-from pm3dof_pin.export.ros import ros_files, ros_package_name
+from pm3dof_pin.export.ros import OUR_MANIFEST, ros_files, ros_package_name
 from pm3dof_pin.export.sdf import sdf_text
 from pm3dof_pin.files import write_text_atomically
 
@@ -20,7 +21,7 @@ _WRITERS: dict[str, Callable[[RobotDocument], dict[str, str]]] = {
     "drake": lambda robot: {f"{robot.file_name}.urdf": drake_text(robot)},
     "gepetto": gepetto_files,
     "mjcf": lambda robot: {f"{robot.file_name}.xml": mjcf_text(robot)},
-    "ros": ros_files,
+    "ros": lambda robot: ros_files(robot, **(OUR_MANIFEST if _is_ours(robot) else {})),
     "sdf": lambda robot: {f"{robot.file_name}.sdf": sdf_text(robot)},
     "urdf": description_texts,
 }
@@ -78,3 +79,7 @@ def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> lis
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
     meshes = document.meshes.for_kinds(_MESH_KINDS[format_name]) if format_name in _MESH_KINDS else document.meshes
     return [*(write_text_atomically(target / name, text) for name, text in files.items()), *meshes.write(target)]
+
+
+def _is_ours(robot: RobotDocument) -> bool:
+    return robot.files.urdf.resolve().is_relative_to(robots_directory().resolve())

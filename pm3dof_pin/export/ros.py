@@ -10,7 +10,15 @@ from pm3dof_pin.export.plain_urdf import description_texts
 from pm3dof_pin.export.robot_document import RobotDocument
 
 UNDECLARED_LICENSE = "TODO: License declaration"
+UNKNOWN_EMAIL = "user@todo.todo"
 """What `ros2 pkg create` writes when it is not told."""
+
+OUR_MANIFEST = {
+    "maintainer": "The pm3dof-pin authors",
+    "email": "no-reply@pm3dof-pin.invalid",  # a manifest has to give one, and the project has none
+    "license_name": "BSD-2-Clause",
+}
+"""Arguments of :func:`ros_files` for the robots that come with the package."""
 
 _PACKAGE = """\
 <?xml version="1.0"?>
@@ -19,7 +27,7 @@ _PACKAGE = """\
   <name>{package}</name>
   <version>0.1.0</version>
   <description>The robot {name}: URDF, and a launch file that shows it in RViz</description>
-  <maintainer email="user@todo.todo">{maintainer}</maintainer>
+  <maintainer email="{email}">{maintainer}</maintainer>
   <license>{license}</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
   <exec_depend>ament_index_python</exec_depend>
@@ -135,7 +143,11 @@ def ros_package_name(robot: str) -> str:
 
 
 def ros_files(
-    robot: RobotDocument, *, maintainer: str = "TODO", license_name: str = UNDECLARED_LICENSE
+    robot: RobotDocument,
+    *,
+    maintainer: str = "TODO",
+    email: str = UNKNOWN_EMAIL,
+    license_name: str = UNDECLARED_LICENSE,
 ) -> dict[str, str]:
     """Write a ROS 2 package (ament_cmake) around a robot.
 
@@ -146,6 +158,7 @@ def ros_files(
     Args:
         robot: the robot.
         maintainer: who looks after the package, for its manifest.
+        email: address of the maintainer.
         license_name: its license, for its manifest.
 
     Returns:
@@ -154,7 +167,8 @@ def ros_files(
     """
     package = ros_package_name(robot.name)
     size = robot.mechanism.characteristic_length
-    manifest = {"name": escape(robot.name), "license": escape(license_name), "maintainer": escape(maintainer)}
+    manifest = {"name": robot.name, "license": license_name, "maintainer": maintainer, "email": email}
+    manifest = {key: escape(text) for key, text in manifest.items()}
     view = {"distance": float(f"{6.0 * size:.2g}"), "height": float(f"{size:.2g}")}
     return {
         "package.xml": _PACKAGE.format(package=package, **manifest),

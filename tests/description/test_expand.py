@@ -62,7 +62,7 @@ def test_the_committed_files_are_as_generated(robot: str) -> None:
     for name, text in generated.items():
         committed = (folder / name).read_text(encoding="utf-8")
         assert same_but_rounding(committed, text), f"{name}: run scripts/generate_description.py"
-    for subfolder in {name.split("/")[0] for name in generated if "/" in name} - {"urdf"}:
+    for subfolder in {name.rpartition("/")[0] for name in generated if "/" in name} - {"urdf"}:
         there = {path.relative_to(folder).as_posix() for path in (folder / subfolder).iterdir() if path.is_file()}
         assert there <= set(generated), f"{subfolder} has files that are not generated"
 

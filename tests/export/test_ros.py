@@ -16,6 +16,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
+from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.ros import ros_package_name
@@ -63,6 +64,7 @@ def test_the_manifest_is_one(robot: str) -> None:
     assert not warnings
     assert package.name == _package(robot).name == f"{robot}_description"
     assert package.licenses == ["BSD-2-Clause"]
+    assert [person.email.endswith(".invalid") for person in package.maintainers] == [True]  # nobody else's address
     assert package.get_build_type() == "ament_cmake"
 
 
@@ -98,21 +100,29 @@ def test_the_rviz_file_shows_the_robot_in_its_base(robot: str) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake")
-def test_it_installs_what_the_launch_file_needs(tmp_path: Path) -> None:
-    """With an ament_cmake that has only its last command."""
+def test_a_package_installs_by_itself(tmp_path: Path, robot: str) -> None:
+    """Copied into an empty workspace and installed into a folder of its own, as colcon does it, it needs no other one.
+
+    With an ament_cmake that has only its last command.
+    """
     ament = tmp_path / "ament"
     ament.mkdir()
     (ament / "ament_cmakeConfig.cmake").write_text("macro(ament_package)\nendmacro()\n")
-    source, build, prefix = _package("pm3dof"), tmp_path / "build", tmp_path / "install"
+    name = f"{robot}_description"
+    source, build, prefix = tmp_path / "src" / name, tmp_path / "build", tmp_path / "install" / name
+    shutil.copytree(_package(robot), source)
     for command in (
         ["cmake", "-S", str(source), "-B", str(build), f"-Dament_cmake_DIR={ament}"],
         ["cmake", "--install", str(build), "--prefix", str(prefix)],
     ):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-    share = prefix / "share" / "pm3dof_description"
-    for path in ("urdf/pm3dof.urdf", "srdf/pm3dof.srdf", "launch/display.launch.py", "rviz/display.rviz", "xacro"):
-        assert (share / path).exists()
+    share = prefix / "share" / name
+    shutil.rmtree(source)
+    for path in (f"urdf/{robot}.urdf", f"srdf/{robot}.srdf", "launch/display.launch.py", "rviz/display.rviz"):
+        assert (share / path).is_file()
+    committed = (_package(robot) / "urdf" / f"{robot}.urdf").read_text(encoding="utf-8")
+    assert expand_xacro(share / "xacro" / f"{robot}.urdf.xacro") == committed
 
 
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path, ros: Callable[[Path], None]) -> None:
@@ -121,6 +131,7 @@ def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path, ros: Callable[[Path
     assert all(folder in path.parents for path in written)
     manifest = _manifest(folder)
     assert (manifest.findtext("name"), manifest.findtext("license")) == (folder.name, "TODO: License declaration")
+    assert manifest.find("maintainer").get("email") == "user@todo.todo"  # of `ros2 pkg create`
     ros(folder)
     launch = runpy.run_path(str(folder / "launch" / "display.launch.py"))["generate_launch_description"]
     urdf = launch().arguments[0][0].keywords["parameters"][0]["robot_description"].arguments[0]
