@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.mechanism import Configuration, Mechanism
 from pm3dof_pin.tripod import Tripod
 from pm3dof_pin.tripod.kinematics import joint_positions
 
@@ -118,6 +119,51 @@ def named_positions(load: Callable[[str], Mechanism]) -> Callable[[str], dict[st
         return {key: {name: at.joint_position(name) for name in names} for key, at in named.items()}
 
     return positions
+
+
+@pytest.fixture(scope="session")
+def ten_poses(load: Callable[[str], Mechanism]) -> Callable[[str], list[Configuration]]:
+    """Home and nine closed configurations of a robot, within all limits, at random places of its actuators."""
+
+    def poses(robot: str) -> list[Configuration]:
+        mechanism, generator = load(robot), np.random.default_rng(11)
+        indices = mechanism.actuated_indices
+        strokes = (mechanism.upper_limits - mechanism.lower_limits)[indices]
+        found = [mechanism.home]
+        while len(found) < 10:
+            pose = mechanism.forward_geometry(strokes * generator.uniform(-0.3, 0.3, len(strokes)))
+            if not pose.violated_limits():
+                found.append(pose)
+        return found
+
+    return poses
+
+
+@pytest.fixture(scope="session")
+def assert_closed_and_held(
+    ten_poses: Callable[[str], list[Configuration]], actuator_forces: Callable[..., Vector]
+) -> Callable[..., None]:
+    """Check a simulator's loops, and the forces of its own terms against ours, at ten poses and the named ones."""
+
+    def check(robot: str, simulator: Any, *, closed: float) -> None:
+        poses = ten_poses(robot)
+        mechanism = poses[0].mechanism
+        still = np.zeros(len(mechanism.motion_coordinates))
+        for pose in [*poses, *map(mechanism.configuration, mechanism.named_configurations.values())]:
+            positions = {name: pose.joint_position(name) for name in mechanism.coordinate_names}
+            simulator.place(positions)
+            assert simulator.closure_error() < closed
+            forces = actuator_forces(
+                lambda at, rates: simulator.state(Terms, at, rates),
+                positions,
+                actuated=mechanism.actuated_joints,
+                coordinates=mechanism.motion_coordinates,
+                rates=still,
+                accelerations=still,
+            )
+            np.testing.assert_allclose(forces, holding_forces(pose).actuator_forces, rtol=0, atol=1e-9)
+
+    return check
 
 
 @pytest.fixture(scope="session")

@@ -151,32 +151,19 @@ def test_forces_are_those_of_the_closed_form(
     np.testing.assert_allclose(forces, cross_check.forces, rtol=0, atol=1e-9)
 
 
-def test_every_robot_holds_itself_with_our_forces(
-    open_robot: Callable[[str], Simulator],
-    robot: str,
-    load: Callable[[str], Mechanism],
-    named_positions: Callable[[str], dict[str, Positions]],
-    actuator_forces: Callable[..., np.ndarray],
-    terms: Any,
+def test_every_robot_is_closed_and_holds_itself_with_our_forces(
+    open_robot: Callable[[str], Simulator], robot: str, assert_closed_and_held: Callable[..., None]
 ) -> None:
-    simulator, mechanism = open_robot(robot), load(robot)
-    still = np.zeros(len(mechanism.motion_coordinates))
-    for name, positions in named_positions(robot).items():
-        forces = actuator_forces(
-            lambda at, rates: simulator.state(terms, at, rates),
-            positions,
-            actuated=mechanism.actuated_joints,
-            coordinates=mechanism.motion_coordinates,
-            rates=still,
-            accelerations=still,
-        )
-        ours = holding_forces(mechanism.configuration(mechanism.named_configurations[name])).actuator_forces
-        np.testing.assert_allclose(forces, ours, rtol=0, atol=1e-9)
+    assert_closed_and_held(robot, open_robot(robot), closed=1e-13)
 
 
 @pytest.mark.parametrize(
     ("robot", "gains"),
-    [("pm3dof", (4000.0, 20000.0, 80.0)), ("three_rps", (100000.0, 500000.0, 4000.0))],
+    [
+        ("pm3dof", (4000.0, 20000.0, 80.0)),
+        ("hexapod", (20000.0, 100000.0, 400.0)),
+        ("three_rps", (100000.0, 500000.0, 4000.0)),
+    ],
 )
 def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     open_robot: Callable[[str], Simulator],
@@ -185,7 +172,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     robot: str,
     gains: tuple[float, float, float],
 ) -> None:
-    """Point closures and, in the second robot, welds made of three: 5e-8 m open, moving or at rest."""
+    """Point closures and, in the last robot, welds made of three: 5e-8 m open, moving or at rest."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
     end = settle(simulator.step, target.actuated_positions, time_step=STEP, duration=4.0, gains=gains)

@@ -189,26 +189,10 @@ def test_forces_are_those_of_the_closed_form(
     np.testing.assert_allclose(forces, cross_check.forces, rtol=0, atol=1e-9)
 
 
-def test_every_robot_holds_itself_with_our_forces(
-    open_robot: Callable[[str], Simulator],
-    robot: str,
-    load: Callable[[str], Mechanism],
-    named_positions: Callable[[str], dict[str, Positions]],
-    actuator_forces: Callable[..., np.ndarray],
-    terms: Any,
+def test_every_robot_is_closed_and_holds_itself_with_our_forces(
+    open_robot: Callable[[str], Simulator], robot: str, assert_closed_and_held: Callable[..., None]
 ) -> None:
-    simulator, mechanism = open_robot(robot), load(robot)
-    for name, positions in named_positions(robot).items():
-        forces = actuator_forces(
-            lambda at, rates: simulator.state(terms, at, rates),
-            positions,
-            actuated=mechanism.actuated_joints,
-            coordinates=mechanism.motion_coordinates,
-            rates=np.zeros(len(mechanism.motion_coordinates)),
-            accelerations=np.zeros(len(mechanism.motion_coordinates)),
-        )
-        ours = holding_forces(mechanism.configuration(mechanism.named_configurations[name])).actuator_forces
-        np.testing.assert_allclose(forces, ours, rtol=0, atol=1e-9)
+    assert_closed_and_held(robot, open_robot(robot), closed=1e-13)
 
 
 @pytest.mark.parametrize(
