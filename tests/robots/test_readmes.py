@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
 from pm3dof_pin.mechanism import Mechanism, actuation_jacobian, independent_motions
 
@@ -36,6 +36,19 @@ def test_the_picture_and_the_neighbours_are_there(robot: str) -> None:
     assert any(link.endswith(".png") for link in links)
     for link in links:
         assert (folder / link).resolve().is_file(), link
+
+
+@pytest.mark.parametrize("robot", robot_names())
+def test_the_table_of_files_is_complete(robot: str) -> None:
+    folder = robots_directory() / f"{robot}_description"
+    table = "".join(line for line in _readme(robot).splitlines() if line.startswith("| `"))
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path.name != "README.md" and "__pycache__" not in path.parts:
+            name = path.relative_to(folder).as_posix()
+            inside = f"`{path.relative_to(folder).parts[0]}/`" if "/" in name else name
+            kind = f"{path.parent.relative_to(folder).as_posix()}/*{path.suffix}"
+            braced = name.replace(path.suffix, ".{urdf,yaml}")
+            assert any(entry in table for entry in (name, inside, kind, braced)), name
 
 
 def test_the_hexapods_table_of_compliance() -> None:
