@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from enum import StrEnum
@@ -168,6 +169,7 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
     from pm3dof_pin.viewer.server import is_loopback
 
+    logging.getLogger("pm3dof_pin.viewer.server").setLevel(logging.ERROR)  # its warning is given below
     for violation in broken:
         message(f"pm3dof: joint limit broken: {violation}")
     stop = threading.Event()

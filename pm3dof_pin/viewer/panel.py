@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -55,8 +56,15 @@ def scientific(number: float) -> str:
 
 
 def numbers(values: ArrayLike, unit: str) -> str:
-    """Write numbers with their unit."""
-    return " · ".join(scientific(float(value)) for value in np.asarray(values, dtype=float)) + f" {unit}"
+    """Write numbers with their unit, unless that is 1."""
+    text = " · ".join(scientific(float(value)) for value in np.asarray(values, dtype=float))
+    return text if unit == "1" else f"{text} {unit}"
+
+
+def outside_limits(broken: Iterable[str]) -> list[str]:
+    """Return what the page says of joints outside their ranges, each described; nothing if there is none."""
+    listed = list(broken)
+    return ["Out of reach within the limits of the joints:", *listed] if listed else []
 
 
 def scale_text(scale: float, length: float, unit: str, what: str) -> str:

@@ -23,6 +23,7 @@ from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.arrows import joint_axis
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import Quantity
+from pm3dof_pin.viewer.panel import outside_limits
 from pm3dof_pin.viewer.scene import Json, Scene, column_major
 
 Array = NDArray[np.float64]
@@ -73,14 +74,15 @@ class Sliders:
         pose = self.pose(configuration)
         theta_x, theta_y, z_e = pose
         travels = configuration.actuated_positions + self._tripod.parameters.slider_home
-        where = f"θx {np.degrees(theta_x):.1f}°, θy {np.degrees(theta_y):.1f}°, z {z_e:.4f} m"
+        degrees = [round(float(np.degrees(angle)), 1) + 0.0 for angle in (theta_x, theta_y)]  # zero has no sign
+        where = f"θx {degrees[0]:.1f}°, θy {degrees[1]:.1f}°, z {z_e:.4f} m"
         listed = ", ".join(f"{1000.0 * travel:.2f}" for travel in travels)
         lines = [where.replace("-", "\u2212"), f"sliders at {listed} mm"]
         try:
             broken = limit_violations(self._tripod, pose)
         except UnreachablePoseError as error:  # of joints put together by hand
             return lines, [str(error)]
-        return lines, [f"Limit broken: {violation}" for violation in broken]
+        return lines, outside_limits(map(str, broken))
 
     def machine_data(self, bodies: tuple[Body, ...]) -> Json:
         """Return the numbers of the machine as the page's closed form takes them.

@@ -18,7 +18,7 @@ from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box
 from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
 from pm3dof_pin.viewer.frames import draw_frame
-from pm3dof_pin.viewer.panel import Entry, numbers, scale_text
+from pm3dof_pin.viewer.panel import Entry, numbers, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, require_same_machine
@@ -490,7 +490,7 @@ class Viewer(ShownScene):
     def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
         """Return what is said of a configuration, and which limits it breaks."""
         lines: list[str] = []
-        warnings = [_limit_text(violation) for violation in configuration.violated_limits()]
+        warnings = outside_limits(map(_limit_text, configuration.violated_limits()))
         if self._sliders is not None:
             lines, warnings = self._sliders.note(configuration)
         elif self.mechanism.tool_frame is not None:
@@ -522,7 +522,7 @@ class Viewer(ShownScene):
 
 def _limit_text(violation: LimitViolation) -> str:
     lower, upper = violation.lower, violation.upper
-    return f"Limit broken: {violation.name} at {violation.value:.4g}, outside {lower:.4g} .. {upper:.4g} (m, rad)"
+    return f"{violation.name} at {violation.value:.4g}, outside {lower:.4g} .. {upper:.4g} (m, rad)"
 
 
 def _load_text(wrench: Array) -> str:

@@ -82,6 +82,9 @@ const pm3dof = (() => {
     return Math.abs(exponent) < 3 ? String(Number(number.toPrecision(3))) : `${mantissa}e${Number(exponent)}`;
   };
 
+  // Zero has no sign.
+  const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+
   function element(parent, tag, name, text) {
     const made = parent.appendChild(document.createElement(tag));
     if (name) made.className = name;
@@ -177,7 +180,7 @@ const pm3dof = (() => {
   function move(wanted) {
     if (viewer.animator.playing) viewer.animator.pause();
     pose = wanted;
-    const [x, y, z] = [ClosedForm.degrees(pose[0]).toFixed(1), ClosedForm.degrees(pose[1]).toFixed(1), pose[2].toFixed(4)];
+    const [x, y, z] = [fixed(ClosedForm.degrees(pose[0]), 1), fixed(ClosedForm.degrees(pose[1]), 1), fixed(pose[2], 4)];
     const where = `θx ${x}°, θy ${y}°, z ${z} m`.replaceAll("-", "\u2212");
     const leg = machine.legOutOfReach(pose);
     if (leg) {
@@ -195,8 +198,13 @@ const pm3dof = (() => {
     const error = machine.closureError(placements).toExponential(0);
     showNote(
       [where, `sliders at ${travels} mm`, `closed form in this page, loops closed to ${error} m`],
-      machine.brokenLimits(pose).map((text) => `Limit broken: ${text}`),
+      outsideLimits(machine.brokenLimits(pose)),
     );
+  }
+
+  // As outside_limits does in pm3dof_pin/viewer/panel.py.
+  function outsideLimits(broken) {
+    return broken.length ? ["Out of reach within the limits of the joints:", ...broken] : [];
   }
 
   // What was computed elsewhere for another pose is not shown at this one.
@@ -235,7 +243,7 @@ const pm3dof = (() => {
       const length = Math.max(Math.abs(force) * scale, 1e-6 * width), slim = Math.min(width, 0.5 * length);
       placeNode(entry.nodes[index], ClosedForm.stretched(ClosedForm.turnZTo(direction), [slim, slim, length], slider));
     });
-    setValues(entry, `${forces.map((force) => force.toFixed(2)).join(", ")} N`);
+    setValues(entry, `${forces.map((force) => fixed(force, 2)).join(", ")} N`);
   }
 
   function followShares(entry, stiffness) {
