@@ -7,7 +7,7 @@ nearest to it in the tip-weighted sense, |translation|^2 + eta^2 |rotation|^2. W
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -32,6 +32,8 @@ _SEEN = 0.02
 the tripod positions of the tool point alone show its height only; both tilts turn it on the spot."""
 
 _INVERSION_STEPS = 3  # each leaves about a thousandth of the error
+_SHORTER = (0.25, 0.25, 0.25, 0.0, 1.0)  # what a step that leads away is multiplied by, one trial after the other
+_ROUNDING = 1e-12  # [m]
 
 
 class PseudoErrorModel(Protocol):
@@ -145,24 +147,21 @@ def pseudo_errors(measurements: Measurements, model: ToolPoses, eta: float = TIP
         ConvergenceError: the loops do not close at a deviated command.
         SingularConfigurationError: at a command the tool can move with all commands held.
     """
-    mechanism, commands = model.mechanism, measurements.commands
     weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
-    poses, deviations = model, np.zeros_like(commands)
-    before = measured_residuals(measurements, model) * weights
-    for _ in range(_INVERSION_STEPS):
-        control = measured_rows(measurements, poses, command_jacobians(poses)) * weights[:, None]
-        inverse = control_inverse(control)
-        residuals = measured_residuals(measurements, poses) * weights
-        deviations = deviations + np.einsum("nij,nj->ni", inverse, residuals)
-        poses = forward_poses(mechanism, commands + deviations, poses.q)
-    spread = inverse * (weights * measurements.sigmas)[:, None, :]
-    return PseudoErrors(
-        deviations,
-        spread @ np.swapaxes(spread, 1, 2),
-        before,
-        measured_residuals(measurements, poses) * weights,
-        control,
-    )
+
+    def residuals(poses: ToolPoses) -> Array:
+        return np.asarray(measured_residuals(measurements, poses) * weights)
+
+    def control(poses: ToolPoses) -> Array:
+        return np.asarray(measured_rows(measurements, poses, command_jacobians(poses)) * weights[:, None])
+
+    def step(poses: ToolPoses) -> Array:
+        return np.asarray(np.einsum("nij,nj->ni", control_inverse(control(poses)), residuals(poses)))
+
+    deviations, poses = _descend(model, measurements.commands, step, residuals)
+    reached = control(poses)
+    spread = control_inverse(reached) * (weights * measurements.sigmas)[:, None, :]
+    return PseudoErrors(deviations, spread @ np.swapaxes(spread, 1, 2), residuals(model), residuals(poses), reached)
 
 
 def nearest_commands(poses: ToolPoses, wanted: Array, eta: float = TIP_LENGTH) -> ToolPoses:
@@ -176,7 +175,42 @@ def nearest_commands(poses: ToolPoses, wanted: Array, eta: float = TIP_LENGTH) -
     Raises:
         ConvergenceError: the loops do not close at a command.
     """
+
+    def residuals(poses: ToolPoses) -> Array:
+        return pose_difference(wanted, poses.transforms) * tip_weights(eta)
+
+    def step(poses: ToolPoses) -> Array:
+        return best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
+
+    return _descend(poses, poses.commands, step, residuals)[1]
+
+
+def _descend(
+    poses: ToolPoses, commands: Array, step: Callable[[ToolPoses], Array], residuals: Callable[[ToolPoses], Array]
+) -> tuple[Array, ToolPoses]:
+    """Take Gauss-Newton steps in the commands; where one leads away, as near a singularity, a shorter one or none.
+
+    Args:
+        poses: where to start, the poses at `commands`.
+        commands: shape=(n, number of actuated joints) [m, rad].
+        step: changes of the commands, shape as theirs.
+        residuals: what is to become small, shape=(n, anything).
+
+    Returns:
+        The change of the commands, and the poses there.
+
+    Raises:
+        ConvergenceError: the loops do not close at a command.
+    """
+    deviations, left = np.zeros_like(commands), np.linalg.norm(residuals(poses), axis=1)
     for _ in range(_INVERSION_STEPS):
-        steps = best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
-        poses = forward_poses(poses.mechanism, poses.commands + steps, poses.q)
-    return poses
+        move = step(poses)
+        for factor in _SHORTER:
+            trial = forward_poses(poses.mechanism, commands + deviations + move, poses.q)
+            found = np.linalg.norm(residuals(trial), axis=1)
+            farther = found > left + _ROUNDING
+            if not farther.any():
+                break
+            move[farther] *= factor
+        poses, left, deviations = trial, found, deviations + move
+    return deviations, poses

@@ -13,7 +13,7 @@ The same measurements, method and seed give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.measurements import Measurements, write_measurements
+from pm3dof_pin.calibration.measurements import Measurements, command_units, write_measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel
 from pm3dof_pin.description.robots import find_robot
@@ -128,20 +128,25 @@ def summary_of(calibration: Calibration, robot: str, held_out: HeldOut | None = 
         "unexplained_tip_error_m": calibration.compensation.unexplained,
     }
     if held_out is not None:
-        summary["held_out"] = held_out_summary(held_out)
+        summary["held_out"] = held_out_summary(held_out, command_units(calibration.compensation.errors.mechanism))
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary
 
 
-def held_out_summary(held_out: HeldOut) -> dict[str, Any]:
-    """Return mean, 95th percentile and greatest error over the held-out poses [m]."""
+def held_out_summary(held_out: HeldOut, units: Iterable[str]) -> dict[str, Any]:
+    """Return mean, 95th percentile and greatest error over the held-out poses [m].
+
+    Args:
+        held_out: the errors.
+        units: of the actuated joints, in which the excess joint error is; they end its key.
+    """
     kinds = {
         "tip_error_before_m": held_out.before,
         "tip_error_after_m": held_out.after,
         "tip_error_floor_m": held_out.floor,
         "tip_noise_m": held_out.noise,
-        "excess_joint_error": held_out.excess,
+        "_".join(["excess_joint_error", *sorted(set(units))]): held_out.excess,
     }
     return {"poses": len(held_out.rows)} | {name: statistics(values) for name, values in kinds.items()}
 

@@ -133,7 +133,13 @@ def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:
         "tip_error_after_m": "corrected",
         "tip_error_floor_m": "best commands (floor)",
         "tip_noise_m": "measurement noise",
-        "excess_joint_error": "corrected minus best commands",
+        "excess_joint_error_m": "corrected minus best commands",
+        "excess_joint_error_rad": "corrected minus best commands [urad]",
+        "excess_joint_error_m_rad": "corrected minus best commands [um, urad]",
     }
-    rows = [[text, *(f"{1e6 * number:.1f}" for number in held_out[key].values())] for key, text in names.items()]
+    rows = [
+        [text, *(f"{1e6 * number:.1f}" for number in held_out[key].values())]
+        for key, text in names.items()
+        if key in held_out
+    ]
     return [*lines, *table_lines(["held-out poses, tip error [um]", "mean", "95 %", "max"], rows)]

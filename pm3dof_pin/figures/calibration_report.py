@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
 from pm3dof_pin.calibration.identification import Identification
+from pm3dof_pin.calibration.measurements import command_units
 from pm3dof_pin.calibration.results import statistics
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.calibration import (
@@ -93,12 +94,14 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     heading = "<h2>Accuracy on poses it was not shown</h2>"
     if held_out is None:
         return [heading, "<p>Not known: too few measurements for a cross-validation.</p>"]
+    units = sorted(set(command_units(calibration.compensation.errors.mechanism)))
+    joint_unit = ", ".join(f"µ{unit}" for unit in units)
     rows = [
         ("as described", held_out.before),
         ("corrected", held_out.after),
         ("best commands: floor", held_out.floor),
         ("measurement noise", held_out.noise),
-        ("corrected minus best commands, each joint", held_out.excess),
+        (f"corrected minus best commands, each joint [{joint_unit}]", held_out.excess),
     ]
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     return [

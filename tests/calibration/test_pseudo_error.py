@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
@@ -18,6 +19,7 @@ from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
 from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands, pseudo_errors
 from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism import Mechanism
 
 NOISE = 5e-6
 
@@ -54,6 +56,21 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: ToolPoses) -
     found = pseudo_errors(Measurements.of_poses(poses.commands, moved, Instrument("position")), poses)
     np.testing.assert_allclose(found.left, np.tile([2e-4, -1e-4, 0.0], (20, 1)), atol=1e-9)
     assert np.abs(found.deviations).max() < 1e-3
+
+
+def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Mechanism) -> None:
+    """Some of 400 random poses of an arm are so near to a singularity that whole Newton steps would leave the room."""
+    errors = GeometricErrors(serial_arm)
+    generator = np.random.default_rng(3)
+    nominal = forward_poses(serial_arm, generator.uniform(-np.pi, np.pi, (400, 6)))
+    machine = errors.apply(errors.sample(generator))
+    wanted = forward_poses(machine, nominal.commands, nominal.q).transforms
+    before = tip_error(pose_difference(wanted, nominal.transforms))
+    nearest = nearest_commands(nominal, wanted)
+    after = tip_error(pose_difference(wanted, nearest.transforms))
+    assert np.all(after <= before)
+    assert np.median(after) < 1e-12
+    assert np.abs(nearest.commands - nominal.commands).max() < 1.0
 
 
 @pytest.mark.parametrize("eta", [0.02, 0.1, 0.5])
