@@ -24,10 +24,10 @@ def drake_text(robot: RobotDocument) -> str:
     """Write a robot as a URDF for Drake.
 
     It is the robot's URDF, fixed to the world, with `<drake:ball_constraint>` for the loop closures, a transmission for
-    every actuated joint, and a filter group for each body that the SRDF keeps from colliding with another. Drake's URDF
-    has no weld: a 6d closure is three ball constraints, at the origin of the two frames and out on their x and y axes.
-    These are nine equations of rank six; the forces in the three are not unique, what they add up to is. A plant takes
-    ball constraints only if it is discrete and solved by SAP.
+    every actuated joint, and a filter group for each body that the SRDF or a closure keeps from colliding with another.
+    Drake's URDF has no weld: a 6d closure is three ball constraints, at the origin of the two frames and out on their x
+    and y axes. These are nine equations of rank six; the forces in the three are not unique, what they add up to is. A
+    plant takes ball constraints only if it is discrete and solved by SAP.
 
     Args:
         robot: the robot.

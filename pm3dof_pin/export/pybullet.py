@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +22,8 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
 
     PyBullet reads no loops from files, counts the points of a constraint from the centres of mass of the links, and
     brakes every joint by a motor of its own, which would hold a closed mechanism fast. A 3d closure becomes a
-    `JOINT_POINT2POINT`, a 6d closure a `JOINT_FIXED`.
+    `JOINT_POINT2POINT`, a 6d closure a `JOINT_FIXED`. A fixed link, such as a frame, of which the URDF gives no inertia
+    is freed of the 1 kg that PyBullet puts there.
 
     Load the URDF with `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without merging fixed
     links.
@@ -42,13 +44,23 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
     """
     import pybullet
 
-    files = read_closures(find_robot(robot).closures)
+    found = find_robot(robot)
+    files, massless = read_closures(found.closures), _links_without_inertia(found.urdf)
     names = {pybullet.getBodyInfo(body, physicsClientId=client)[0].decode(): _BASE}
     for joint in range(pybullet.getNumJoints(body, physicsClientId=client)):
         information = pybullet.getJointInfo(body, joint, physicsClientId=client)
-        names[information[12].decode()] = joint
+        link = information[12].decode()
+        names[link] = joint
+        if link in massless and information[2] == pybullet.JOINT_FIXED:
+            nothing = {"mass": 0.0, "localInertiaDiagonal": [0.0, 0.0, 0.0]}
+            pybullet.changeDynamics(body, joint, physicsClientId=client, **nothing)
         pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
     return tuple(_constraint(client, body, loop, names) for loop in files.closures)
+
+
+def _links_without_inertia(urdf: Path) -> set[str]:
+    links = ElementTree.parse(urdf).getroot().iter("link")
+    return {link.get("name", "") for link in links if link.find("inertial") is None}
 
 
 def _constraint(client: int, body: int, loop: LoopClosure, names: dict[str, int]) -> int:

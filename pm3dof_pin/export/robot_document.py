@@ -28,14 +28,14 @@ class RobotDocument:
         files: where it was read.
         urdf: its tree.
         mechanism: the same in Pinocchio, with loop closures.
-        untouchable: pairs of links that the SRDF keeps from colliding.
+        allowed_by_srdf: pairs of links that the SRDF keeps from colliding.
         meshes: mesh files of the shapes.
     """
 
     files: RobotFiles
     urdf: UrdfDocument
     mechanism: Mechanism
-    untouchable: tuple[tuple[str, str], ...]
+    allowed_by_srdf: tuple[tuple[str, str], ...]
     meshes: Meshes
 
     @property
@@ -59,6 +59,29 @@ class RobotDocument:
         return tuple(
             (self.urdf.link_of_frame(loop.frame_a), self.urdf.link_of_frame(loop.frame_b)) for loop in self.closures
         )
+
+    @cached_property
+    def untouchable(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of links that must not collide: those of the SRDF, and links that a loop closure joins.
+
+        Every tool lets two links overlap that a joint of the tree joins, where their shapes often meet; of closures
+        they do not know it.
+        """
+        known = {frozenset(pair) for pair in self.allowed_by_srdf}
+        joined = [
+            (one.name, other.name)
+            for links in self.closure_links
+            for one in self._rigid_body(links[0])
+            for other in self._rigid_body(links[1])
+            if one.collisions and other.collisions and frozenset((one.name, other.name)) not in known
+        ]
+        return (*self.allowed_by_srdf, *dict.fromkeys(joined))
+
+    def _rigid_body(self, link: str) -> list[Link]:
+        """Return the links that are one rigid body with a link."""
+        while (above := self.urdf.above(link)) is not None and above.is_fixed:
+            link = above.parent
+        return list(self.urdf.fixed_to(link))
 
     @cached_property
     def home(self) -> Configuration:
@@ -126,10 +149,10 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
     urdf = read_urdf(files.urdf)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])
-    return RobotDocument(files, urdf, mechanism, _untouchable(files.srdf, urdf), meshes)
+    return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), meshes)
 
 
-def _untouchable(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:
+def _allowed_pairs(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:
     if srdf is None:
         return ()
     elements = ElementTree.parse(srdf).getroot().iter("disable_collisions")

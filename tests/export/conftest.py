@@ -247,7 +247,8 @@ def terms() -> type[Terms]:
 
 
 # A robot of one's own, with everything that the package's robots do not have: a root called world, a zero that is not
-# assembled, a continuous joint, products of inertia in turned axes, closures on bodies with mass, meshes, no SRDF.
+# assembled, a continuous joint, products of inertia in turned axes, closures on bodies with mass and
+# shapes, meshes, no SRDF.
 
 _INERTIAL = """<inertial><origin xyz="{xyz}" rpy="0.4 -0.3 0.2"/><mass value="{mass}"/>
 <inertia ixx="0.003" iyy="0.004" izz="0.005" ixy="0.0002" ixz="-0.0003" iyz="0.0004"/></inertial>"""
@@ -272,13 +273,12 @@ def _four_bar(kind: str) -> str:
         "rocker": _INERTIAL.format(xyz="0 0 0.1", mass=0.3)
         + _MESH.format("more/arm.dae")
         + _SURFACE.format("more/arm.stl"),
-        "tip": _INERTIAL.format(xyz="0.01 0.02 0.03", mass=0.05),
+        "tip": _INERTIAL.format(xyz="0.01 0.02 0.03", mass=0.05) + _BALL,
     }
     joints = [
         '<link name="world"/>',
-        # PyBullet gives 1 kg to a link that does not say that it has none
-        f'<link name="rocker_tip">{_MASSLESS}</link>',
-        f'<link name="tool">{_MASSLESS}{_BALL}</link>',
+        f'<link name="rocker_tip">{_MASSLESS}{_BALL}</link>',  # the shapes of both tips overlap
+        f'<link name="tool">{_BALL}</link>',  # PyBullet gives 1 kg to a link that does not say that it has none
         _FIXED.format(parent="world", child="base", xyz="0 0 0.1"),
         _HINGE.format(
             name="crank_joint",

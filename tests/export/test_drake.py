@@ -193,6 +193,8 @@ def test_a_robot_of_ones_own(
     positions = {name: configuration.joint_position(name) for name in linkage.joints}
     linkage.place(positions)
     assert linkage.closure_error() < 1e-12
+    query = linkage.plant.get_geometry_query_input_port().Eval(linkage.context)
+    assert not query.ComputePointPairPenetration()
     motion = {"rates": [2.0], "accelerations": [-3.0]}
     forces = actuator_forces(
         lambda at, rates: linkage.state(terms, at, rates),

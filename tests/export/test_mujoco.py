@@ -258,6 +258,7 @@ def test_a_robot_of_ones_own(
     mujoco.mj_resetDataKeyframe(linkage.model, linkage.data, linkage.model.key("home").id)
     mujoco.mj_forward(linkage.model, linkage.data)
     assert linkage.closure_error() < 1e-12
+    assert linkage.data.ncon == 0
     positions = {name: linkage.data.joint(name).qpos[0] for name in linkage.joints}
     forces = actuator_forces(
         lambda at, rates: linkage.state(terms, at, rates),
