@@ -154,7 +154,7 @@ def view(
         if frames:
             viewer.frames()
         if workspace is not None and tripod is not None:
-            viewer.workspace(tripod, workspace)
+            _draw_workspace(viewer, tripod, workspace)
         if html is None and picture is None:
             _serve(viewer, broken, browser)
             return
@@ -239,6 +239,15 @@ def _draw_forces(viewer: Viewer, where: Configuration) -> None:
         return
     if held.any():
         viewer.actuator_forces(held, what="Holding forces")
+
+
+def _draw_workspace(viewer: Viewer, tripod: Tripod, quantity: str) -> None:
+    from pm3dof_pin.exceptions import InvalidValueError
+
+    try:
+        viewer.workspace(tripod, quantity)
+    except InvalidValueError as error:
+        raise InvalidValueError("--workspace", quantity, error.expected) from error
 
 
 def _configurations(mechanism: Mechanism, tripod: Tripod, poses: NDArray[np.float64]) -> list[Configuration]:

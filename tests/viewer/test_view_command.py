@@ -107,7 +107,11 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         (["0", "0", "0.5", "--shares", "w"], 2, "'w'"),
         (["0", "0", "0.5", "--port", "0"], 2, "--port"),
         (["0", "0", "0.5", "--hmtl", "page.html"], 2, "--hmtl"),
-        (["0", "0", "0.5", "--workspace", "colour", "--html", "page.html"], 1, "expected some of"),
+        (
+            ["0", "0", "0.5", "--workspace", "colour", "--html", "page.html"],
+            1,
+            "--workspace = colour: expected some of",
+        ),
         (["--robot", "hexapod", "--workspace", "condition_number"], 2, "only the tripod has one"),
         (["--robot", "hexapod", "--path", "path.txt"], 2, "only the tripod has one"),
         (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable text file"),

@@ -127,7 +127,7 @@ const pm3dof = (() => {
     if (entry.colour) element(label, "span", "swatch").style.background = entry.colour;
     element(label, "span", "", entry.title);
     element(made, "div", "values", entry.values || "");
-    entry.lines.forEach((line) => element(made, "div", "line", line));
+    entry.lines.forEach((line) => element(made, "div", "line", line.replaceAll("N m", "N\u00a0m"))); // not torn apart
     if (entry.bar) {
       element(made, "div", "bar").style.background = `linear-gradient(to right, ${entry.bar.colours.join(", ")})`;
       const ends = element(made, "div", "ends");
