@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,9 +85,13 @@ def block(
         shape=(3, 3) [see :data:`UNITS`].
 
     Raises:
-        InvalidValueError: neither or both of K and C are given, or they are not finite or of another shape.
+        InvalidValueError: neither or both of K and C are given, or they are not finite or of another shape; or what is
+            wanted is none of the words above.
         SingularConfigurationError: the block does not exist, some motion being free or held rigidly.
     """
+    for word, given_word, known in (("kind", kind, Motion), ("of", of, Quantity), ("others", others, OtherMotions)):
+        if given_word not in get_args(known):
+            raise InvalidValueError(word, given_word, f"one of {', '.join(get_args(known))}")
     matrices: dict[Quantity, ArrayLike | None] = {"stiffness": stiffness, "compliance": compliance}
     given = [(name, entries) for name, entries in matrices.items() if entries is not None]
     if len(given) != 1:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,10 @@ def test_scales_stay_for_comparison(mechanism: Mechanism) -> None:
     viewer.display(mechanism.home)
     assert viewer.stiffness_ellipsoid(30e6 * np.eye(6)).scale == first.scale
     assert viewer.stiffness_ellipsoid(3e6 * np.eye(6), of="compliance").scale != first.scale
+
+
+@pytest.mark.parametrize("wrong", [{"kind": "twist"}, {"of": "strength"}, {"others": "fixed"}])
+def test_words_that_do_not_exist_are_named(mechanism: Mechanism, wrong: dict[str, Any]) -> None:
+    ((name, word),) = wrong.items()
+    with pytest.raises(InvalidValueError, match=f"{name} = {word}: expected one of"):
+        Viewer(mechanism).stiffness_ellipsoid(np.eye(6), **wrong)
