@@ -22,6 +22,8 @@ WORLDS: tuple[WorldName, ...] = get_args(WorldName)
 
 TEMPERATURE = "temperature_screws_K"
 """Column of the screws' temperature rise."""
+LOAD = "load_tool_N"
+"""Column of the weight that hangs on the tool."""
 
 _WARMEST = 8.0
 _LINKS_SHARE = 0.5  # of the screws' temperature rise
@@ -36,10 +38,12 @@ class World:
         machine: the machine.
         warmest: screws are between 0 and so much warmer than when the machine was as described; known to those who
             measure [K].
+        heaviest: a weight between 0 and so much hangs on the tool point, likewise known [N].
     """
 
     machine: SimulatedMachine
-    warmest: float
+    warmest: float = 0.0
+    heaviest: float = 0.0
 
     @classmethod
     def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
@@ -58,7 +62,7 @@ class World:
         if name not in WORLDS:
             raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
         if name == "geometry":
-            return cls(SimulatedMachine.random(errors, generator, everything=False), 0.0)
+            return cls(SimulatedMachine.random(errors, generator, everything=False))
         machine = SimulatedMachine.random(errors, generator)
         mechanism = errors.mechanism
         position, angle = _VIBRATION
@@ -66,7 +70,7 @@ class World:
         if mechanism.springs:
             machine = replace(machine, elastic=ElasticDeflection())
         if set(command_units(mechanism)) != {"m"}:
-            return cls(machine, 0.0)
+            return cls(machine)
         # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
         lengths = {p.place for p in richer(errors).parameters if p.motion == "translation"}
         links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures if loop.frame_a in lengths}
@@ -77,9 +81,43 @@ class World:
         )
         return cls(machine, _WARMEST)
 
+    def only(self, source: str) -> World:
+        """Return the world in which the machine has one of its sources of error alone.
+
+        Args:
+            source: see :meth:`SimulatedMachine.only`.
+
+        Raises:
+            InvalidValueError: there is no such source, or the machine does not have it.
+        """
+        alone = self.machine.only(source)
+        if getattr(alone, source) is None:
+            raise InvalidValueError("source", source, "one that this machine has")
+        return World(
+            alone,
+            self.warmest if source == "thermal" else 0.0,
+            self.heaviest if source == "elastic" else 0.0,
+        )
+
+    def loaded(self, heaviest: float) -> World:
+        """Return the world with weights on the tool point.
+
+        Args:
+            heaviest: the greatest of them [N].
+
+        Raises:
+            InvalidValueError: it is negative or not finite, or the machine does not give way: it has no springs.
+        """
+        if not 0.0 <= heaviest < np.inf:
+            raise InvalidValueError("heaviest", heaviest, "a weight that is not negative")
+        if heaviest > 0.0 and self.machine.elastic is None:
+            raise InvalidValueError("heaviest", heaviest, "0, since this machine has no springs to give way")
+        return replace(self, heaviest=heaviest)
+
     def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
-        """Draw the temperatures of some moments, by the name of their column, shape=(count,) each."""
-        return {TEMPERATURE: generator.uniform(0.0, self.warmest, count)} if self.warmest else {}
+        """Draw temperatures and loads of some moments, by the name of their column, shape=(count,) each."""
+        greatest = {TEMPERATURE: self.warmest, LOAD: self.heaviest}
+        return {name: generator.uniform(0.0, most, count) for name, most in greatest.items() if most}
 
     def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
         """Return where the tool really is, shape=(n, 4, 4).
@@ -96,7 +134,7 @@ class World:
     def measure(
         self, commands: Array, generator: np.random.Generator, instrument: Instrument | None = None
     ) -> Measurements:
-        """Measure the machine at commands, each at its own temperature.
+        """Measure the machine at commands, each at its own temperature and load.
 
         Args:
             commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
@@ -112,6 +150,12 @@ class World:
         return replace(Measurements.of_poses(commands, seen, instrument), conditions=conditions)
 
     def _surroundings(self, commands: Array, conditions: Mapping[str, Array]) -> Conditions:
-        if TEMPERATURE not in conditions:
-            return Conditions()
-        return Conditions(np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1))
+        surroundings = Conditions()
+        if TEMPERATURE in conditions:
+            rises = np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1)
+            surroundings = replace(surroundings, temperature_rises=rises)
+        if LOAD in conditions:
+            wrenches = np.zeros((len(commands), 6))
+            wrenches[:, 2] = -conditions[LOAD]
+            surroundings = replace(surroundings, wrenches=wrenches)
+        return surroundings

@@ -12,6 +12,16 @@ from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import message, print_result
 
 
+class SourceName(StrEnum):
+    """A source of errors."""
+
+    GEOMETRIC = "geometric"
+    WAVINESS = "waviness"
+    THERMAL = "thermal"
+    ELASTIC = "elastic"
+    VIBRATION = "vibration"
+
+
 class WorldName(StrEnum):
     """What is wrong with the simulated machine."""
 
@@ -29,6 +39,8 @@ def measure(
         WorldName,
         typer.Option(help="geometry: only the parameters of the error file are wrong; everything: much more."),
     ] = WorldName.EVERYTHING,
+    only: Annotated[SourceName | None, typer.Option(help="Leave the machine one of its sources of error.")] = None,
+    load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
     machine: Annotated[int, typer.Option(min=0, help="Seed of the machine: the same number, the same machine.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
@@ -55,6 +67,9 @@ def measure(
     sample = reachable_poses(errors.mechanism, poses, generator)
     commands = sample.commands if plan is None else read_commands(plan, errors)
     truth = World.random(world.value, closable(errors, sample[:20]), np.random.default_rng(machine))
+    truth = truth.loaded(load)
+    if only is not None:
+        truth = truth.only(only.value)
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")

@@ -42,6 +42,16 @@ def test_the_same_seed_gives_the_same_file(place: Path) -> None:
     assert (place / "other.csv").read_bytes() != (place / "m.csv").read_bytes()
 
 
+def test_one_source_of_errors_and_loads(place: Path) -> None:
+    answer("measure", "--out", "soft.csv", "--poses", "4", "--only", "elastic", "--load", "50", cwd=place)
+    header, first, *_ = (place / "soft.csv").read_text().splitlines()
+    assert header.endswith(",sigma_rz_rad,load_tool_N")
+    assert 0.0 <= float(first.rsplit(",", 1)[1]) <= 50.0
+    result = run("measure", "--world", "geometry", "--only", "thermal", cwd=place)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
+
+
 def test_compensate(place: Path) -> None:
     result = answer("compensate", "10", "-15", "0.5", "--calibration", "calibration", cwd=place)
     np.testing.assert_allclose(result["u_nominal_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)
