@@ -76,7 +76,9 @@ def view(
         Others | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
     ] = None,
-    forces: Annotated[bool, typer.Option(help="Arrows for the actuator forces that hold the weight.")] = True,
+    forces: Annotated[
+        bool, typer.Option(help="Arrows for the actuator forces that hold the weight; not along a path.")
+    ] = True,
     frames: Annotated[bool, typer.Option(help="Frames of the tool and the loop closures.")] = False,
     shares: Annotated[
         Load | None,
@@ -123,6 +125,10 @@ def view(
     from pm3dof_pin.mechanism import Mechanism
     from pm3dof_pin.viewer import Viewer
 
+    if path is not None and (theta_x is not None or configuration is not None):
+        raise typer.BadParameter("--path: the file has the poses; expected no TX TY Z or --configuration beside it")
+    if path is not None and shares is not None:
+        raise typer.BadParameter("--shares: legs are not coloured along a --path")
     nothing = theta_x is None and robot is None and configuration is None
     target = Target.of(theta_x, theta_y, z_e, THE_TRIPOD if nothing else robot, configuration)
     mechanism = Mechanism.load(target.robot)

@@ -114,6 +114,8 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         ),
         (["--robot", "hexapod", "--workspace", "condition_number"], 2, "only the tripod has one"),
         (["--robot", "hexapod", "--path", "path.txt"], 2, "only the tripod has one"),
+        (["10", "0", "0.5", "--path", "path.txt"], 2, "--path: the file has the poses"),
+        (["--path", "path.txt", "--shares", "z"], 2, "--shares: legs are not coloured along a --path"),
         (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable text file"),
         (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
     ],
