@@ -30,18 +30,17 @@ def excess_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
         for (world, test), axes in panels.items():
             here = select(records, world=world, test=test)
             for method in METHODS:
-                _curve(axes, plan, here, method, "excess", None)
-            none = _MICROMETRES * over_seeds(select(here, method=NONE), "excess")[0]
-            noise = _MICROMETRES * over_seeds(select(here, method=NONE), "joint_noise")[0]
-            axes.axhline(none, color="#999999", label="no correction")
-            axes.axhline(noise, color="#009E73", linestyle=":", label="noise of one measurement")
+                values = [[r.excess for r in select(here, count=count, method=method)] for count in plan.counts]
+                _curve(axes, plan, values, method)
+            _levels(axes, *(over_seeds(select(here, method=NONE), name)[0] for name in ("excess", "joint_noise")))
             axes.set_ylabel("excess joint error, rms [µm]")
+            axes.set_title(f"{world}: {test}")
         _finish(plan, figure, panels)
     return figure
 
 
 def tip_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
-    """Draw the mean tip error, mean over the seeds with its range, over the floor of the best commands.
+    """Draw what is left of the mean tip error beyond the floor, that of the best commands, with its range over seeds.
 
     Args:
         plan: what the study ran through.
@@ -51,17 +50,15 @@ def tip_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
         figure, panels = _panels(plan)
         for (world, test), axes in panels.items():
             here = select(records, world=world, test=test)
+            floors = {record.seed: record.tip[0] for record in select(here, method=FLOOR)}
             for method in METHODS:
-                _curve(axes, plan, here, method, "tip", 0)
-            for row, color, line, label in (
-                (NONE, "#999999", "-", "no correction"),
-                (FLOOR, "#009E73", "--", "best commands (floor)"),
-            ):
-                level = _MICROMETRES * over_seeds(select(here, method=row), "tip", 0)[0]
-                axes.axhline(level, color=color, linestyle=line, label=label)
-            noise = _MICROMETRES * over_seeds(select(here, method=NONE), "noise")[0]
-            axes.axhline(noise, color="#009E73", linestyle=":", label="noise of one measurement")
-            axes.set_ylabel("mean tip error [µm]")
+                rows = [select(here, count=count, method=method) for count in plan.counts]
+                _curve(axes, plan, [[r.tip[0] - floors[r.seed] for r in row] for row in rows], method)
+            floor = over_seeds(select(here, method=FLOOR), "tip", 0)[0]
+            before = over_seeds(select(here, method=NONE), "tip", 0)[0]
+            _levels(axes, before - floor, over_seeds(select(here, method=NONE), "noise")[0])
+            axes.set_ylabel("mean tip error beyond the floor [µm]")
+            axes.set_title(f"{world}: {test}, floor {_MICROMETRES * floor:.0f} µm")
         _finish(plan, figure, panels)
     return figure
 
@@ -73,21 +70,23 @@ def _panels(plan: StudyPlan) -> tuple[Figure, dict[tuple[str, str], Any]]:
     return figure, {(world, test): grid[i][j] for i, test in enumerate(TESTS) for j, world in enumerate(plan.worlds)}
 
 
-def _curve(
-    axes: Any, plan: StudyPlan, records: Sequence[Record], method: str, quantity: str, index: int | None
-) -> None:
-    numbers = [over_seeds(select(records, count=count, method=method), quantity, index) for count in plan.counts]
-    mean, least, most = _MICROMETRES * np.array(numbers).T
+def _curve(axes: Any, plan: StudyPlan, values: Sequence[Sequence[float]], method: str) -> None:
+    """Draw the mean over the seeds, one list of values for each number of poses [m]."""
+    numbers = _MICROMETRES * np.array(values)
     color = _COLORS[method]
-    axes.plot(plan.counts, mean, "o-", markersize=3.0, color=color, label=method)
-    axes.fill_between(plan.counts, least, most, color=color, alpha=0.1, linewidth=0.0)
+    axes.plot(plan.counts, numbers.mean(axis=1), "o-", markersize=3.0, color=color, label=method)
+    axes.fill_between(plan.counts, numbers.min(axis=1), numbers.max(axis=1), color=color, alpha=0.1, linewidth=0.0)
+
+
+def _levels(axes: Any, none: float, noise: float) -> None:
+    axes.axhline(_MICROMETRES * none, color="#999999", label="no correction")
+    axes.axhline(_MICROMETRES * noise, color="#009E73", linestyle=":", label="noise of one measurement")
 
 
 def _finish(plan: StudyPlan, figure: Figure, panels: dict[tuple[str, str], Any]) -> None:
-    for (world, test), axes in panels.items():
+    for axes in panels.values():
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_title(f"{world}: {test}")
         axes.set_xlabel("poses measured")
         axes.set_xticks(plan.counts, [str(count) for count in plan.counts])
         axes.xaxis.set_minor_formatter(NullFormatter())
