@@ -36,7 +36,7 @@ def export(
     """A robot's description for another tool, its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
 
     mjcf for MuJoCo, sdf for SDFormat, drake a URDF for Drake, gepetto the layout of example-parallel-robots, ros a ROS
-    2 package, urdf the URDF with its closures file and SRDF. Meshes are put beside it.
+    2 package, urdf the URDF with its closures file, error file and SRDF. Meshes are put beside it.
     """
     from pm3dof_pin.export.formats import export_robot
 

@@ -13,7 +13,7 @@ _BANNER = "The URDF of {}, its meshes where `pm3dof export` puts them. Generated
 
 
 def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, str]:
-    """Return URDF, closures file and SRDF, by their names: what pm3dof-pin loads a robot from.
+    """Return URDF, closures file, error file and SRDF, by their names: what pm3dof-pin loads a robot from.
 
     Args:
         robot: the robot.
@@ -23,6 +23,9 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, 
         f"{robot.file_name}.urdf": urdf_text(robot, mesh_prefix),
         f"{robot.file_name}{CLOSURES_SUFFIX}": robot.files.closures.read_text(encoding="utf-8"),
     }
+    errors = robot.files.urdf.with_suffix(".errors.yaml")
+    if errors.is_file():
+        texts[f"{robot.file_name}.errors.yaml"] = errors.read_text(encoding="utf-8")
     if robot.files.srdf is not None:
         texts[f"{robot.file_name}.srdf"] = robot.files.srdf.read_text(encoding="utf-8")
     return texts

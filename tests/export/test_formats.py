@@ -100,6 +100,14 @@ def test_meshes_are_beside_the_files_that_name_them(
         np.testing.assert_allclose(np.sort(corners, axis=None), np.sort(original, axis=None), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["urdf", "ros"])
+def test_the_error_file_goes_along(four_bar: Path, tmp_path: Path, kind: str) -> None:
+    four_bar.with_suffix(".errors.yaml").write_text("classes: {}\n")
+    (written,) = [path for path in export_robot(four_bar, kind, tmp_path) if path.name == "four_bar.errors.yaml"]
+    assert written.read_text() == "classes: {}\n"
+    assert written.with_name("four_bar.urdf").is_file()
+
+
 def test_an_exported_urdf_is_loaded_again(four_bar: Path, tmp_path: Path) -> None:
     export_robot(four_bar, "urdf", tmp_path)
     assert Mechanism.load(tmp_path / "four_bar.urdf").closures == Mechanism.load(four_bar).closures
