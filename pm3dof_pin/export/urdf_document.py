@@ -298,7 +298,6 @@ class _Reader:
                 self._path, f"joint '{name}'", f"expected a fixed, revolute, continuous or prismatic joint, not {kind}"
             )
         limit, dynamics = element.find("limit"), element.find("dynamics")
-        axis = np.array(self._numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0)))
         is_limited = kind in ("revolute", "prismatic")
         return Joint(
             name=name,
@@ -306,7 +305,7 @@ class _Reader:
             parent=self._named(element, "parent"),
             child=self._named(element, "child"),
             origin=self._origin(element),
-            axis=tuple(float(x) for x in axis / np.linalg.norm(axis)),
+            axis=self._axis(element, name, kind),
             lower=self._number(limit, "lower", 0.0) if is_limited else None,
             upper=self._number(limit, "upper", 0.0) if is_limited else None,
             effort=self._number(limit, "effort", 0.0) if limit is not None else None,
@@ -314,6 +313,15 @@ class _Reader:
             damping=self._number(dynamics, "damping", 0.0),
             friction=self._number(dynamics, "friction", 0.0),
         )
+
+    def _axis(self, element: ElementTree.Element, name: str, kind: str) -> tuple[float, ...]:
+        axis = np.array(self._numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0)))
+        if kind == "fixed":  # some programs write "0 0 0" there
+            return 1.0, 0.0, 0.0
+        length = float(np.linalg.norm(axis))
+        if not length > 0.0:
+            raise DescriptionError(self._path, f"joint '{name}'", "expected an axis that is not zero")
+        return tuple(float(x) for x in axis / length)
 
     def _named(self, element: ElementTree.Element, tag: str) -> str:
         found = element.find(tag)

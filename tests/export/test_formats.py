@@ -15,7 +15,7 @@ import yourdfpy
 
 from pm3dof_pin.cli.export import Format
 from pm3dof_pin.description.robots import find_robot, robots_directory
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, UnknownRobotError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, PM3DofError, UnknownRobotError
 from pm3dof_pin.export.description import description_files, same_but_rounding
 from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
@@ -98,6 +98,16 @@ def test_meshes_are_beside_the_files_that_name_them(
     for name in named:
         corners = trimesh.load_mesh(path.parent / name).triangles
         np.testing.assert_allclose(np.sort(corners, axis=None), np.sort(original, axis=None), rtol=0, atol=1e-9)
+
+
+def test_a_fixed_joint_may_have_an_axis_of_zero_and_no_other(four_bar: Path) -> None:
+    """SolidWorks' exporter writes it into every fixed joint."""
+    text = four_bar.read_text()
+    four_bar.write_text(text.replace('<origin xyz="0 0 0.1" rpy', '<axis xyz="0 0 0"/><origin xyz="0 0 0.1" rpy'))
+    assert "tip_rocker_tip" in exported_files(read_robot(four_bar), "mjcf")["four_bar.xml"]
+    four_bar.write_text(four_bar.read_text().replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', 1))
+    with pytest.raises(PM3DofError, match=r"linkage\.urdf"):
+        read_robot(four_bar)
 
 
 @pytest.mark.parametrize("kind", ["urdf", "ros"])
