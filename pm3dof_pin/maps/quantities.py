@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.description.parameters import TripodParameters
+from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic import indices, shares
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.tripod import chapter_stiffness as chapter
 from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
-from pm3dof_pin.tripod.kinematics import inverse_kinematics
+from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions
 from pm3dof_pin.tripod.tripod import Tripod
 
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+_MODES = 6
 
 
 class Evaluation:
@@ -61,6 +66,32 @@ class Evaluation:
         """Share of each spring in the deflection under a unit wrench along each axis, shape=(..., 6, s)."""
         contributions = spring_contributions(self.tripod, self.poses)
         return shares.shares(contributions[..., None, :, :, :], np.eye(6))
+
+    def natural_frequencies(self) -> Array:
+        """Lowest natural frequencies with the drives held by their springs, shape=(..., 6) [Hz].
+
+        Raises:
+            InvalidValueError: the masses are not known: the tripod is not the one that comes with the package.
+        """
+        if self.tripod.parameters.quantities != TripodParameters.load().quantities:
+            raise InvalidValueError(
+                "natural_frequencies", f"of {self.tripod.parameters.name}", "the machine whose URDF has the masses"
+            )
+        model = _described_model(self.tripod.parameters.name)
+        frequencies = np.full((*self.poses.shape[:-1], _MODES), np.nan)
+        for index in np.ndindex(self.poses.shape[:-1]):
+            try:
+                positions = joint_positions(self.tripod, self.poses[index])
+            except UnreachablePoseError:
+                continue
+            q, _ = model.rigid.held_positions(model.rigid.home.q, positions)
+            frequencies[index] = natural_modes(model, q, count=_MODES).frequencies
+        return frequencies
+
+
+@cache
+def _described_model(name: str) -> ElasticModel:
+    return ElasticModel.load(name)
 
 
 @dataclass(frozen=True)
@@ -130,6 +161,13 @@ _ALL = (
     ),
     Quantity("spring_shares", ("axis", "spring"), "1", "share of each spring in the deflection", lambda e: e.shares()),
     Quantity(
+        "natural_frequencies",
+        ("natural_mode",),
+        "Hz",
+        "lowest natural frequencies",
+        lambda e: e.natural_frequencies(),
+    ),
+    Quantity(
         "chapter_diagonal",
         ("chapter_axis",),
         "N m/rad (theta_x, theta_y, theta_z), N/m (t_z, t_x, t_y)",
@@ -175,6 +213,7 @@ def labels(tripod: Tripod) -> dict[str, tuple[str, ...]]:
         "principal": ("least", "middle", "greatest"),
         "mode": tuple(str(mode) for mode in range(1, 7)),
         "spring": spring_names(tripod),
+        "natural_mode": tuple(str(mode) for mode in range(1, _MODES + 1)),
         "chapter_axis": chapter.AXES,
         "leg": tuple(str(leg + 1) for leg in range(tripod.leg_count)),
     }
