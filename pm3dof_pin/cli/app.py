@@ -79,10 +79,19 @@ def _options(
 
 
 def main() -> None:
-    """Run the command; errors of the package become one line on standard error and exit status 1."""
+    """Run the command; errors become one line on standard error and exit status 1.
+
+    Those of the package, and what the machine it runs on refuses: memory, and a full disk behind standard output.
+    """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # which fonts it looks for is no news for a user
     try:
         app()
     except PM3DofError as error:
         typer.echo(f"pm3dof: {error}", err=True)
-        sys.exit(WORK_FAILED)
+    except MemoryError as error:
+        typer.echo(f"pm3dof: not enough memory{f': {error}' if str(error) else ''}", err=True)
+    except OSError as error:
+        typer.echo(f"pm3dof: {error}", err=True)
+    else:
+        return
+    sys.exit(WORK_FAILED)

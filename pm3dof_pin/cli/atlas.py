@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Json, load_tripod
+from pm3dof_pin.cli.options import Config, Json, load_tripod, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
 from pm3dof_pin.cli.progress import progress_bar
 
@@ -24,7 +24,9 @@ def atlas(
     points: Annotated[
         tuple[int, int, int], typer.Option(metavar="NX NY NZ", help="Number of theta_x, theta_y and z_e.")
     ] = (91, 91, 61),
-    tilt: Annotated[float, typer.Option(help="Tilts run from minus to plus this angle [deg].")] = 45.0,
+    tilt: Annotated[
+        float, typer.Option(parser=tilt_angle, help="Tilts run from minus to plus this angle [deg].")
+    ] = 45.0,
     heights: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="FIRST LAST", help="Heights z_e [m]; those of the level platform by default."),

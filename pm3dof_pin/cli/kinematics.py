@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Height, Json, ThetaX, ThetaY, load_tripod, pose_of
-from pm3dof_pin.cli.output import print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.options import Config, Height, Json, ThetaX, ThetaY, finite_number, load_tripod, pose_of
+from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits, table_lines
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-Travels = Annotated[list[float], typer.Argument(metavar="U1 U2 U3", help="Slider travels of the legs [m].")]
+Travels = Annotated[
+    list[float], typer.Argument(metavar="U1 U2 U3", parser=finite_number, help="Slider travels of the legs [m].")
+]
 
 
 def ik(theta_x: ThetaX, theta_y: ThetaY, z_e: Height, as_json: Json = False, config: Config = None) -> None:
@@ -57,10 +59,11 @@ def fk(
     """Pose of the platform for slider travels in metres (direct kinematics).
 
     Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
-    message and exit status 1.
+    message and exit status 1; so are other assembly modes with --all, where none is reached from home.
     """
     import numpy as np
 
+    from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
     from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics, newton
     from pm3dof_pin.tripod.kinematics import assembly_mode_of
     from pm3dof_pin.tripod.limits import limit_violations
@@ -68,19 +71,34 @@ def fk(
     tripod = load_tripod(config)
     if len(u) != tripod.leg_count or not np.all(np.isfinite(u)):
         raise typer.BadParameter(f"expected {tripod.leg_count} finite slider travels in metres, got {u}")
-    pose = direct_kinematics(tripod, u)
-    violations = limit_violations(tripod, pose, assembly_mode=assembly_mode_of(tripod, pose, u))
+    modes = list(all_assembly_modes(tripod, u)) if all_modes else []
+    if all_modes and not modes:
+        travels = ", ".join(f"{travel:g}" for travel in u)
+        raise UnreachablePoseError(f"no pose closes the loops at u = ({travels}) m: there is no assembly mode")
+    try:
+        pose = direct_kinematics(tripod, u)
+    except ConvergenceError:
+        if not all_modes:
+            raise
+        pose = np.full(3, np.nan)
+    reached = bool(np.all(np.isfinite(pose)))
+    violations = limit_violations(tripod, pose, assembly_mode=assembly_mode_of(tripod, pose, u)) if reached else []
     result = _pose_result(pose, float(newton(tripod, u, pose).residual))
-    result |= {"within_limits": not violations, "violated": [violation.joint for violation in violations]}
-    poses = [pose]
+    result |= {
+        "within_limits": reached and not violations,
+        "violated": [violation.joint for violation in violations],
+    }
+    poses = modes if all_modes else [pose]
     if all_modes:
-        poses = list(all_assembly_modes(tripod, u))
         residuals = newton(tripod, u, np.array(poses)).residual
         result["assembly_modes"] = [
             _pose_result(mode, float(left)) for mode, left in zip(poses, residuals, strict=True)
         ]
     rows = [[f"{math.degrees(x):.9f}", f"{math.degrees(y):.9f}", f"{z:.12f}"] for x, y, z in poses]
     print_result(result, table_lines(["theta_x [deg]", "theta_y [deg]", "z_e [m]"], rows), as_json=as_json)
+    if not reached:
+        message("pm3dof: the machine's own assembly mode does not exist at these travels, or is not reached from home")
+        raise typer.Exit(LIMIT_BROKEN)
     stop_on_broken_limits(violations)
 
 

@@ -19,23 +19,43 @@ if TYPE_CHECKING:
 THE_TRIPOD = "pm3dof"
 
 
+def finite_number(text: str) -> float:
+    """Read a number; negative ones come as arguments, and so do misspelt options, which have to be told from them."""
+    try:
+        number = float(text)
+    except ValueError:
+        kind = "neither a number nor an option" if text.startswith("-") else "not a number"
+        raise typer.BadParameter(f"{text} is {kind}") from None
+    if not math.isfinite(number):
+        raise typer.BadParameter(f"{text} is not a finite number")
+    return number
+
+
+def tilt_angle(text: str) -> float:
+    """Read the angle to which tilts run on either side."""
+    angle = finite_number(text)
+    if not 0.0 < angle <= 180.0:
+        raise typer.BadParameter(f"{text} is not an angle above 0 and up to 180 degrees")
+    return angle
+
+
 def _finite(number: float | None) -> float | None:
     if number is not None and not math.isfinite(number):
         raise typer.BadParameter(f"{number} is not a finite number")
     return number
 
 
-ThetaX = Annotated[float, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", callback=_finite)]
-ThetaY = Annotated[float, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", callback=_finite)]
-Height = Annotated[float, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", callback=_finite)]
+ThetaX = Annotated[float, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", parser=finite_number)]
+ThetaY = Annotated[float, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", parser=finite_number)]
+Height = Annotated[float, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", parser=finite_number)]
 OptionalThetaX = Annotated[
-    float | None, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", callback=_finite)
+    float | None, typer.Argument(metavar="TX", help="Rotation theta_x about x [deg].", parser=finite_number)
 ]
 OptionalThetaY = Annotated[
-    float | None, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", callback=_finite)
+    float | None, typer.Argument(metavar="TY", help="Rotation theta_y about y [deg].", parser=finite_number)
 ]
 OptionalHeight = Annotated[
-    float | None, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", callback=_finite)
+    float | None, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", parser=finite_number)
 ]
 Robot = Annotated[
     str | None,
@@ -118,11 +138,11 @@ class Target:
             positions = joint_positions(load_tripod(None), pose_of(*self.pose))
             return mechanism.configuration(mechanism.held_positions(mechanism.home.q, positions)[0])
         named = mechanism.named_configurations
-        if self.name is None:
+        if self.name is None or (self.name == "home" and not named):
             return mechanism.assemble(mechanism.home)
         if self.name not in named:
             raise InvalidValueError(
-                "--configuration", self.name, f"one of {', '.join(named) or 'none, there are none'}"
+                "--configuration", self.name, f"one of {', '.join(named)}" if named else "home, as no other has a name"
             )
         return mechanism.assemble(named[self.name])
 

@@ -85,13 +85,15 @@ def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = No
     result = newton(tripod, travels, guess)
     if not np.all(result.converged):
         worst = np.unravel_index(np.nanargmax(np.nan_to_num(result.residual, nan=np.inf)), result.residual.shape)
-        where = ", ".join(f"{travel:.6g}" for travel in np.broadcast_to(travels, (*result.residual.shape, 3))[worst])
+        where = ", ".join(
+            f"{travel:.6g}" for travel in np.broadcast_to(travels, (*result.residual.shape, tripod.leg_count))[worst]
+        )
         raise ConvergenceError(
             f"direct kinematics at u = ({where}) m",
             float(result.residual[worst]),
             "m of link length",
             int(result.steps[worst]),
-            "the links may not meet the platform at these travels; all_assembly_modes() needs no guess",
+            "the links may not meet the platform at these travels; all_assembly_modes() and pm3dof fk --all need no guess",
         )
     return result.poses
 

@@ -50,6 +50,17 @@ def test_fk_all_assembly_modes() -> None:
     assert all(mode["residual_m"] < 1e-12 for mode in modes)
 
 
+def test_fk_where_only_other_assembly_modes_exist() -> None:
+    result = answer("fk", "0.1", "0.1", "0.4", "--all", status=1)
+    assert len(result["assembly_modes"]) == 4
+    assert result["theta_x_rad"] is None
+    assert result["within_limits"] is False
+    none = run("fk", "1", "0", "0", "--all")
+    assert none.returncode == 1
+    assert none.stdout == ""
+    assert none.stderr == "pm3dof: no pose closes the loops at u = (1, 0, 0) m: there is no assembly mode\n"
+
+
 def test_stiffness_of_the_chapter() -> None:
     """T_z of a level platform by hand: 3 n_z^2 (k_t + k_a / c^2); the rest from E I, G J and L."""
     result = answer("stiffness", "0", "0", "0.493", "--model", "chapter")
@@ -95,6 +106,19 @@ def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(tmp_path:
     assert len(result["rigid_directions"]) == 3
     assert result["felt"]["x"] is None
     assert result["felt"]["z"] == pytest.approx(answer("stiffness", "--configuration", "home")["felt"]["z"])
+
+
+def test_home_needs_no_name(tmp_path: Path) -> None:
+    """A robot without an SRDF has its home as well."""
+    urdf = Path(answer("info")["urdf"])
+    (tmp_path / "own robot.urdf").write_text(urdf.read_text())
+    (tmp_path / "own robot.closures.yaml").write_text(urdf.with_name("pm3dof.closures.yaml").read_text())
+    robot = ["--robot", str(tmp_path / "own robot.urdf")]
+    home = answer("statics", "--robot", "pm3dof", "--configuration", "home")["force_N"]
+    assert answer("statics", *robot, "--configuration", "home")["force_N"] == pytest.approx(home)
+    wrong = run("statics", *robot, "--configuration", "nest")
+    assert wrong.returncode == 1
+    assert wrong.stderr == "pm3dof: --configuration = nest: expected home, as no other has a name\n"
 
 
 def test_table_8_3() -> None:
@@ -184,7 +208,15 @@ def test_broken_limit_is_answered_named_and_fails(command: str) -> None:
         (["ik", "0", "0", "0.9"], 1, "out of reach"),
         (["ik", "nan", "0", "0.5"], 2, "nan is not a finite number"),
         (["ik", "0", "0"], 2, "Missing argument"),
-        (["ik", "0", "0", "half"], 2, "'Z': Input should be a valid number"),
+        (["ik", "0", "0", "half"], 2, "'Z': half is not a number"),
+        (["ik", "--jsn", "0", "0", "0.5"], 2, "--jsn is neither a number nor an option"),
+        (["fk", "0.24", "inf", "0.24"], 2, "inf is not a finite number"),
+        (["stiffness-map", "--height", "nan"], 2, "'--height': nan is not a finite number"),
+        (["stiffness-map", "--tilt", "-40"], 2, "'--tilt': -40 is not an angle"),
+        (["atlas", "--tilt", "nan"], 2, "'--tilt': nan is not a finite number"),
+        (["stiffness-map", "--height", "0.9"], 1, "no pose of the map at z_e = 0.9 m is within every joint limit"),
+        (["stiffness-map", "--height", "0.577"], 1, "too few to draw"),
+        (["stiffness-map", "--points", "2000000"], 1, "not enough memory"),
         (["ik", "0", "0", "0.5", "--jsn"], 2, "--jsn"),
         (["fk", "0.24", "0.24"], 2, "3 finite slider travels"),
         (["fk", "-2", "0.24", "3"], 1, "did not converge: residual"),
@@ -246,6 +278,15 @@ def test_help_and_version_need_no_numerics() -> None:
     for command in ("ik", "fk", "stiffness", "stiffness-map", "table-8-3", "workspace", "atlas", "info"):
         text = run(command, "--help").stdout
         assert "Usage: " in text
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+def test_full_disk_behind_standard_output() -> None:
+    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "table-8-3"]
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert result.returncode == 1
+    assert result.stderr == "pm3dof: [Errno 28] No space left on device\n"
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:

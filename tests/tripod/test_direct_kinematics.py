@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -87,3 +88,12 @@ def test_nonsense_travels_are_refused(tripod: Tripod, u: object) -> None:
         direct_kinematics(tripod, u)  # type: ignore[arg-type]
     with pytest.raises(InvalidValueError, match="u = "):
         all_assembly_modes(tripod, u)  # type: ignore[arg-type]
+
+
+def test_a_machine_with_four_legs_and_travels_that_do_not_fit(tripod: Tripod) -> None:
+    angles = np.radians([0.0, 90.0, 180.0, 270.0])
+    four = Tripod(dataclasses.replace(tripod.parameters, base_joint_angles=angles, platform_joint_angles=angles))
+    u = inverse_kinematics(four, [0.1, -0.2, 0.5])
+    np.testing.assert_allclose(direct_kinematics(four, u), [0.1, -0.2, 0.5], atol=1e-11)
+    with pytest.raises(ConvergenceError, match=r"u = \(1, 0, 0, 0\) m did not converge"):
+        direct_kinematics(four, [1.0, 0.0, 0.0, 0.0])
