@@ -108,14 +108,29 @@ def joint_placements(configuration: Configuration) -> list[Array]:
 
 def bounding_box(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
     """Return least and greatest coordinates of all that is drawn of a mechanism, shape=(2, 3) [m]."""
+    points = _corner_points(bodies, configuration)
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def outermost_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
+    """Return points that have all that is drawn of a mechanism between them, few of them, shape=(n, 3) [m]."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    points = _corner_points(bodies, configuration)
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):  # all in a plane, or too few
+        return points
+
+
+def _corner_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
     placements = body_placements(bodies, configuration)
     clouds = [
         part.corners @ placements[body.path][:3, :3].T + placements[body.path][:3, 3]
         for body in bodies
         for part in body.parts
     ]
-    points = np.concatenate(clouds) if clouds else np.zeros((1, 3))
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.concatenate(clouds) if clouds else np.zeros((1, 3))
 
 
 def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:

@@ -15,7 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism import Configuration, LimitViolation, Mechanism
 from pm3dof_pin.mechanism.arrays import finite_array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
-from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box
+from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
 from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
 from pm3dof_pin.viewer.frames import draw_frame
 from pm3dof_pin.viewer.panel import Entry, numbers, outside_limits, scale_text
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
+_NEAR = 1.2  # closeness of the camera: the corners of a box around a machine are mostly empty
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
@@ -88,7 +89,7 @@ class Viewer(ShownScene):
         self._scales: dict[tuple[str, ...], float] = {}
         self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
         self._draw_bodies()
-        self._direction = (-62.0, 17.0, 1.2)
+        self._direction: tuple[float, float, float | None] = (-62.0, 17.0, None)
         if self._sliders is not None:
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
             self._panel["subtitle"] = "sliders in closed form, double precision"
@@ -411,13 +412,14 @@ class Viewer(ShownScene):
         self.scene.set_animation(animation.clips(tracks, (frames - 1) / duration), repetitions=repetitions)
         self._update()
 
-    def look(self, azimuth: float = -62.0, elevation: float = 17.0, closeness: float = 1.2) -> None:
+    def look(self, azimuth: float = -62.0, elevation: float = 17.0, closeness: float | None = None) -> None:
         """Turn the camera so that the machine, as it is displayed, fills the picture.
 
         Args:
             azimuth: of the camera seen from the machine, from x towards y [deg].
             elevation: of the camera over the horizon [deg].
-            closeness: 1 for a box around the machine all in the picture, more for nearer.
+            closeness: 1 for a box around the machine all in the picture, more for nearer; by default rather near, but
+                with all of the machine in the picture.
         """
         self._direction = (azimuth, elevation, closeness)
         serial = self._panel.get("camera", {}).get("serial", 0) + 1
@@ -425,7 +427,8 @@ class Viewer(ShownScene):
             "box": bounding_box(self._bodies, self._configuration).tolist(),
             "azimuth": azimuth,
             "elevation": elevation,
-            "closeness": closeness,
+            "closeness": _NEAR if closeness is None else closeness,
+            "points": [] if closeness else outermost_points(self._bodies, self._configuration).round(6).tolist(),
             "serial": serial,
         }
         self._update()

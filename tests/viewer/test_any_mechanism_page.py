@@ -145,3 +145,16 @@ def test_more_drawn_with_meshcat(page: Any, mechanism: Mechanism, tmp_path: Path
     np.testing.assert_allclose(np.reshape(positions, (20, 3)).T, points)
     assert "gone" not in page.ask("Object.keys(pm3dof.node('/meshcat').children)")
     assert page.browser.errors == []
+
+
+@pytest.mark.parametrize("size", ["0.1 0.1 3", "3 0.1 0.1", "2 2 2"])
+def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path, size: str) -> None:
+    """Of long and thin, and of bulky machines: no corner is cut off."""
+    urdf = f'<robot name="r"><link name="b"><visual><geometry><box size="{size}"/></geometry></visual></link></robot>'
+    page.open(Viewer(Mechanism.load(write_robot(urdf))).save_html(tmp_path / "page.html").as_uri())
+    whole = page.picture()
+    page.ask("pm3dof.node('/robot').object.visible = false, pm3dof.viewer.set_dirty()")
+    rows, columns = np.argwhere(np.abs(whole - page.picture()).max(axis=-1) > 0.1).T
+    height, width = whole.shape[:2]
+    assert 0 < rows.min() < rows.max() < height - 1
+    assert 0 < columns.min() < columns.max() < width - 1

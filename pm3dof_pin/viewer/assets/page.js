@@ -45,8 +45,9 @@ const pm3dof = (() => {
     viewer.gui.open();
   }
 
-  // Look at a box from a direction so that it just fills the picture, with some room for panel and controls.
-  function frame({ box: [low, high], azimuth, elevation, closeness, serial }) {
+  // Look at a box from a direction so that it just fills the picture, with some room for panel and controls; nearer by
+  // the closeness, unless points would then be outside.
+  function frame({ box: [low, high], points, azimuth, elevation, closeness, serial }) {
     if (serial === cameraSerial) return;
     cameraSerial = serial;
     const [a, e] = [azimuth, elevation].map((angle) => angle * Math.PI / 180);
@@ -55,15 +56,19 @@ const pm3dof = (() => {
     const up = [-Math.sin(e) * Math.cos(a), -Math.sin(e) * Math.sin(a), Math.cos(e)];
     const along = (p, direction) => p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2];
     const target = low.map((entry, index) => 0.5 * (entry + high[index]));
-    const vertical = Math.tan(FIELD_OF_VIEW * Math.PI / 360) * 0.88;
     const room = Math.max(0.55, 1 - 330 / window.innerWidth);
-    const horizontal = vertical * room * window.innerWidth / window.innerHeight;
-    let distance = 0;
-    for (let corner = 0; corner < 8; corner++) {
-      const p = target.map((middle, index) => ((corner >> index) & 1 ? high : low)[index] - middle);
-      const reach = Math.max(Math.abs(along(p, right)) / horizontal, Math.abs(along(p, up)) / vertical);
-      distance = Math.max(distance, (reach + along(p, back)) / closeness);
-    }
+    const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360), aspect = window.innerWidth / window.innerHeight;
+    // from where a point is still in a part of the picture
+    const distanceOf = (point, width, height) => {
+      const p = point.map((entry, index) => entry - target[index]);
+      const reach = Math.max(Math.abs(along(p, right)) / (width * aspect), Math.abs(along(p, up)) / height);
+      return reach / half + along(p, back);
+    };
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((c) => target.map((_, index) => ((c >> index) & 1 ? high : low)[index]));
+    const distance = Math.max(
+      ...corners.map((corner) => distanceOf(corner, 0.88 * room, 0.88) / closeness),
+      ...points.map((point) => distanceOf(point, 0.97, 0.97)),
+    );
     const radius = 0.5 * Math.hypot(...high.map((entry, index) => entry - low[index]));
     const eye = back.map((entry, index) => target[index] + distance * entry);
     const camera = viewer.camera; // three.js holds y up here
