@@ -280,6 +280,10 @@ class _Reader:
             raise MeasurementError(self._path, f"{column} is '{word}', expected a number", [line]) from error
 
     def _check_header(self, header: Sequence[str]) -> None:
+        if len(header) == 1 and (found := next((mark for mark in ";\t|" if mark in header[0]), "")):
+            raise MeasurementError(
+                self._path, f"columns are separated by {found!r}, expected commas, and points in numbers", [1]
+            )
         wanted = [*self._own]
         if not self._commands_only:
             wanted += POSITION_COLUMNS

@@ -228,6 +228,7 @@ def test_columns_that_are_not_used_are_named(
     [
         ("", "no column u1_m"),
         (HEADER + "\n", "no complete row"),
+        (HEADER.replace(",", ";") + "\n0,24;0,24\n", "line 1: columns are separated by ';', expected commas"),
         (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
         (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
         (HEADER + ",u1_m\n", "line 1: column u1_m stands there more than once"),
