@@ -101,7 +101,7 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         (["0", "0", "0.5", "--html", "missing/page.html"], 1, "there is no folder missing"),
         (["0", "0", "0.5", "--picture", "missing/picture.png"], 1, "there is no folder missing"),
         (["0", "0"], 2, "expected all of TX TY Z"),
-        (["0", "0", "high"], 2, "valid number"),
+        (["0", "0", "high"], 2, "high is not a number"),
         (["0", "0", "nan"], 2, "nan is not a finite number"),
         (["0", "0", "0.5", "--of", "beauty"], 2, "beauty"),
         (["0", "0", "0.5", "--shares", "w"], 2, "'w'"),
