@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.instrument import Instrument, Measured
 from pm3dof_pin.calibration.pose_error import quaternion, rotation_vector
+from pm3dof_pin.calibration.registration import Registration, register
 from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, MeasurementError, lines_in_words
 from pm3dof_pin.files import write_text_atomically
@@ -36,6 +37,8 @@ _SAME = 1e-9
 _BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the way from the base to the tool: no tolerance explains that
 _TURNED = 0.1  # [rad], likewise
+_THOUSANDFOLD = 300.0
+_TOO_LARGE = "they spread a thousand times as far as the machine moves"
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 
 
@@ -53,6 +56,7 @@ class Measurements:
         conditions: temperatures and loads by the name of their column, shape=(n,) each.
         lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
         warnings: what is odd about them.
+        registration: how they came into the axes of the base; None if they were measured in them.
     """
 
     commands: Array
@@ -63,6 +67,7 @@ class Measurements:
     conditions: dict[str, Array] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
+    registration: Registration | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and numbers.
@@ -176,7 +181,13 @@ def write_measurements(measurements: Measurements, errors: GeometricErrors, path
     return write_text_atomically(path, measurements_as_text(measurements, errors))
 
 
-def read_measurements(path: Path | str, errors: GeometricErrors, instrument: Instrument | None = None) -> Measurements:
+def read_measurements(
+    path: Path | str,
+    errors: GeometricErrors,
+    instrument: Instrument | None = None,
+    *,
+    own_frame: bool = False,
+) -> Measurements:
     """Read and check a CSV file of measurements.
 
     Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a drive that turns), `x_m,y_m,z_m`, and for full poses
@@ -187,12 +198,15 @@ def read_measurements(path: Path | str, errors: GeometricErrors, instrument: Ins
         path: the file.
         errors: the robot; commands count from where its error file says.
         instrument: its noise is taken where the file has no sigmas.
+        own_frame: whether the instrument measured in a frame of its own, from which the base has to be found first; see
+            :mod:`pm3dof_pin.calibration.registration`.
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing, a cell is no number, a quaternion is no rotation,
             numbers are most likely in another unit, or no row is left.
+        InvalidValueError: the base cannot be found: positions alone, on one line.
     """
-    return _Reader(Path(path), errors).measurements(instrument or Instrument())
+    return _Reader(Path(path), errors).measurements(instrument or Instrument(), own_frame)
 
 
 def read_commands(path: Path | str, errors: GeometricErrors) -> Array:
@@ -227,15 +241,23 @@ class _Reader:
         self._check_commands(commands)
         return commands
 
-    def measurements(self, instrument: Instrument) -> Measurements:
+    def measurements(self, instrument: Instrument, own_frame: bool) -> Measurements:
         table = self._table
         self._warn_of_copies()
         commands = self.commands()
         rotations = self._rotations()
         points = self._columns(POINT_COLUMNS) if POINT_COLUMNS[0] in table else np.zeros((len(commands), 3))
         positions = self._columns(POSITION_COLUMNS)
+        sigmas = self._sigmas(instrument, rotations is not None)
         nominal = self._nominal_poses(commands)
-        self._check_positions(nominal, positions, points)
+        expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
+        registration = None
+        if own_frame:
+            self._check_extent(expected, positions)
+            registration = register(positions, expected, rotations, nominal.rotations)
+            positions, sigmas = registration.positions(positions), registration.sigmas(sigmas)
+            rotations = None if rotations is None else registration.rotations(rotations)
+        self._check_positions(expected, positions)
         if rotations is not None:
             self._check_rotations(nominal, rotations)
         conditions = {name: values for name, values in table.items() if name.startswith(_CONDITIONS)}
@@ -243,11 +265,12 @@ class _Reader:
             commands,
             positions,
             rotations,
-            self._sigmas(instrument, rotations is not None),
+            sigmas,
             points,
             conditions,
             tuple(self._lines),
             tuple(self._warnings),
+            registration,
         )
 
     def _numbers(self) -> tuple[list[int], dict[str, Array]]:
@@ -360,8 +383,12 @@ class _Reader:
         except ConvergenceError as error:
             raise MeasurementError(self._path, f"commands that the machine cannot take: {error}") from error
 
-    def _check_positions(self, nominal: ToolPoses, positions: Array, points: Array) -> None:
-        expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
+    def _check_extent(self, expected: Array, positions: Array) -> None:
+        seen, wanted = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (positions, expected))
+        if seen > _THOUSANDFOLD * wanted:
+            raise MeasurementError(self._path, f"{','.join(POSITION_COLUMNS)} look like millimetres: {_TOO_LARGE}")
+
+    def _check_positions(self, expected: Array, positions: Array) -> None:
         size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)
         distances = np.linalg.norm(positions - expected, axis=1)
         if np.median(np.linalg.norm(1e-3 * positions - expected, axis=1)) < _FAR_OFF * size:

@@ -29,7 +29,9 @@ from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.measurements import Measurements, command_units, write_measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.pose_error import quaternion
 from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel
+from pm3dof_pin.calibration.registration import Registration
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import replace_directory, write_text_atomically
@@ -215,6 +217,19 @@ def _measurements_summary(measurements: Measurements) -> dict[str, Any]:
         "conditions": list(measurements.conditions),
         "median_sigma_m_rad": [float(sigma) for sigma in np.median(measurements.sigmas, axis=0)],
         "warnings": list(measurements.warnings),
+    } | _registration_summary(measurements.registration)
+
+
+def _registration_summary(registration: Registration | None) -> dict[str, Any]:
+    if registration is None:
+        return {}
+    base = registration.base
+    return {
+        "base_in_instrument_frame": {
+            "position_m": base[:3, 3].tolist(),
+            "quaternion_wxyz": quaternion(base[:3, :3]).tolist(),
+            "residual_m": registration.residual,
+        }
     }
 
 

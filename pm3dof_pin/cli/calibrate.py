@@ -48,6 +48,9 @@ def calibrate(
     robot: Annotated[
         str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
     ] = "pm3dof",
+    own_frame: Annotated[
+        bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
+    ] = False,
     eta: Annotated[float, typer.Option(help="Weight of the orientation in the tip error [m/rad].")] = 0.1,
     prior: Annotated[
         float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
@@ -66,7 +69,7 @@ def calibrate(
 
     with _warnings_as_messages():
         errors = _parameters(robot)
-        measurements = read_measurements(file, errors)
+        measurements = read_measurements(file, errors, own_frame=own_frame)
         with progress_bar("calibrating") as progress:
             calibration = calibrated(measurements, errors, Options(method.value, seed, eta, prior, loss.value))
             progress(1, 4)

@@ -77,6 +77,12 @@ def report_as_html(
 def _data(calibration: Calibration) -> list[str]:
     found = calibration.identification
     remarks = [escape(text) for text in calibration.measurements.warnings]
+    if (registration := calibration.measurements.registration) is not None:
+        x, y, z = registration.base[:3, 3]
+        remarks.append(
+            f"The base was found from the measurements: its origin is at ({x:.6f}, {y:.6f}, {z:.6f}) m in the frame of "
+            f"the instrument. Positions then are {1e6 * registration.residual:.0f} µm (rms) from the description."
+        )
     if found.outliers:
         lines = ", ".join(map(str, found.outlier_lines))
         remarks.append(f"Outliers, given no or little weight and shown to no learned model: lines {lines}.")

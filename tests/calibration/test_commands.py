@@ -52,6 +52,30 @@ def test_one_source_of_errors_and_loads(place: Path) -> None:
     assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
 
 
+def test_a_frame_of_the_instruments_own(place: Path) -> None:
+    """The tracker stands upside down, two metres away."""
+    header, *rows = (place / "m.csv").read_text().splitlines()
+    names = header.split(",")
+    x, y, z, w, i, j, k = (names.index(name) for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
+    moved = []
+    for row in rows:
+        cells = row.split(",")
+        numbers = [float(cell) for cell in cells]
+        # half a turn about x: (x, -y, -z), and the quaternion (0, 1, 0, 0) times that of the tool
+        cells[x], cells[y], cells[z] = (repr(v) for v in (numbers[x] + 2.0, -numbers[y], 0.5 - numbers[z]))
+        cells[w], cells[i], cells[j], cells[k] = (repr(v) for v in (-numbers[i], numbers[w], -numbers[k], numbers[j]))
+        moved.append(",".join(cells))
+    (place / "tracker.csv").write_text("\n".join([header, *moved]) + "\n")
+    assert run("calibrate", "tracker.csv", "--out", "no", cwd=place).returncode == 1
+    found = answer("calibrate", "tracker.csv", "--method", "lm", "--own-frame", "--out", "own", cwd=place)
+    base = found["measurements"]["base_in_instrument_frame"]
+    np.testing.assert_allclose(base["position_m"], [2.0, 0.0, 0.5], atol=5e-3)
+    np.testing.assert_allclose(np.abs(base["quaternion_wxyz"]), [0.0, 1.0, 0.0, 0.0], atol=1e-2)
+    tips = [found["held_out"][f"tip_error_{when}_m"]["mean"] for when in ("floor", "after", "before")]
+    assert tips == sorted(tips)
+    assert tips[1] < 1.05 * tips[0]
+
+
 def test_compensate(place: Path) -> None:
     result = answer("compensate", "10", "-15", "0.5", "--calibration", "calibration", cwd=place)
     np.testing.assert_allclose(result["u_nominal_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)

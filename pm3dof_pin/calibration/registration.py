@@ -1,0 +1,118 @@
+"""Registration: where the base of a machine stands in the axes of the instrument that measures it.
+
+The rotation R and translation t that bring what was seen nearest to where the machine is by its description,
+
+    sum_i |R p_i + t - n_i|^2 + eta^2 |R R_i - N_i|^2 / 2,
+
+in closed form by a singular value decomposition (W. Kabsch, Acta Cryst. A 32, 1976; |.|^2 / 2 of small differences of
+rotation matrices is the squared angle), again without the rows that lie far from all others. Errors that move
+everything alike are thereby no errors of the machine any more: another place of the instrument looks the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH
+from pm3dof_pin.exceptions import InvalidValueError
+
+Array = NDArray[np.float64]
+
+_FAR = 5.0  # times the median distance
+_MAX_ROUNDS = 20
+_ON_A_LINE = 1e-6  # of the greatest extent
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """From the axes of an instrument to those of the base.
+
+    Attributes:
+        rotation: R, shape=(3, 3).
+        translation: t, shape=(3,) [m].
+        residual: what is left of the positions, root mean square over the rows that agree [m].
+    """
+
+    rotation: Array
+    translation: Array
+    residual: float
+
+    @property
+    def base(self) -> Array:
+        """Placement of the base in the axes of the instrument, as a homogeneous transform, shape=(4, 4)."""
+        transform = np.eye(4)
+        transform[:3, :3] = self.rotation.T
+        transform[:3, 3] = -self.rotation.T @ self.translation
+        return transform
+
+    def positions(self, seen: Array) -> Array:
+        """Return positions in the axes of the base, shape=(n, 3) [m]."""
+        return np.asarray(seen @ self.rotation.T + self.translation)
+
+    def rotations(self, seen: Array) -> Array:
+        """Return orientations in the axes of the base, shape=(n, 3, 3)."""
+        return np.asarray(self.rotation @ seen)
+
+    def sigmas(self, seen: Array) -> Array:
+        """Return standard deviations along (and about) the axes of the base, shape=(n, 3) or (n, 6)."""
+        triples = seen.reshape(len(seen), -1, 3)
+        return np.sqrt(triples**2 @ (self.rotation**2).T).reshape(seen.shape)
+
+
+def register(
+    seen: Array,
+    expected: Array,
+    seen_rotations: Array | None = None,
+    expected_rotations: Array | None = None,
+    *,
+    eta: float = TIP_LENGTH,
+) -> Registration:
+    """Find the base from positions, and orientations where there are such.
+
+    Args:
+        seen: positions in the axes of the instrument, shape=(n, 3) [m].
+        expected: the same points by the machine's description, in the axes of its base, shape=(n, 3) [m].
+        seen_rotations: orientations of the tool in the axes of the instrument, shape=(n, 3, 3).
+        expected_rotations: those by the description, shape=(n, 3, 3).
+        eta: weight of the orientation [m/rad].
+
+    Raises:
+        InvalidValueError: positions alone, which lie on one line: they do not tell how it is turned about that line.
+    """
+    agreeing = np.ones(len(seen), dtype=bool)
+    for _ in range(_MAX_ROUNDS):
+        turned = None
+        if seen_rotations is not None and expected_rotations is not None:
+            turned = np.einsum("nij,nkj->ik", expected_rotations[agreeing], seen_rotations[agreeing])
+        found = _nearest(seen[agreeing], expected[agreeing], None if turned is None else 0.5 * eta**2 * turned)
+        squares = np.sum((found.positions(seen) - expected) ** 2, axis=1)
+        if seen_rotations is not None and expected_rotations is not None:
+            differences = found.rotations(seen_rotations) - expected_rotations
+            squares = squares + 0.5 * eta**2 * np.sum(differences**2, axis=(1, 2))
+        closer = squares <= _FAR**2 * np.median(squares[agreeing]) + np.finfo(float).eps
+        if (closer == agreeing).all():
+            break
+        agreeing = closer
+    return found
+
+
+def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration:
+    centre, goal = seen.mean(axis=0), expected.mean(axis=0)
+    products = (expected - goal).T @ (seen - centre)
+    if turned is None:
+        extents = np.linalg.svd(products, compute_uv=False)
+        if extents[1] <= _ON_A_LINE * extents[0]:
+            raise InvalidValueError(
+                "positions", "on one line", "poses, or several targets: a line does not tell how it is turned"
+            )
+    else:
+        products = products + turned
+    left, _, right = np.linalg.svd(products)
+    mirrored = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = left @ mirrored @ right
+    translation = goal - rotation @ centre
+    left_over = seen @ rotation.T + translation - expected
+    return Registration(rotation, translation, float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))))

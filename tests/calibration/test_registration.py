@@ -1,0 +1,99 @@
+"""Measurements in a frame of the instrument's own: the base is found in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
+from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.calibration.measurements import Measurements, read_measurements, write_measurements
+from pm3dof_pin.calibration.registration import register
+from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
+
+BASE = pin.SE3(pin.exp3(np.array([0.4, -1.9, 0.8])), np.array([2.1, -0.7, 1.3]))
+"""Where the base stands in the frame of the instrument."""
+
+
+def seen_from(base: pin.SE3, measurements: Measurements) -> Measurements:
+    assert measurements.rotations is not None
+    poses = np.tile(np.eye(4), (len(measurements), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = measurements.rotations, measurements.positions
+    return Measurements.of_poses(measurements.commands, base.homogeneous @ poses)
+
+
+@pytest.fixture(scope="module")
+def described(tripod_nominal: ToolPoses) -> Measurements:
+    """A machine without errors."""
+    return Measurements.of_poses(tripod_nominal.commands[:20], tripod_nominal.transforms[:20])
+
+
+def test_the_base_is_found_to_rounding(described: Measurements) -> None:
+    seen = seen_from(BASE, described)
+    assert seen.rotations is not None
+    found = register(seen.positions, described.positions, seen.rotations, described.rotations)
+    np.testing.assert_allclose(found.base, BASE.homogeneous, atol=1e-12)
+    np.testing.assert_allclose(found.rotations(seen.rotations), described.rotations, atol=1e-12)
+    assert found.residual < 1e-12
+
+
+def test_a_row_far_off_does_not_move_it(described: Measurements) -> None:
+    seen = seen_from(BASE, described)
+    seen.positions[4] += [0.0, 0.3, -0.2]
+    assert seen.rotations is not None
+    found = register(seen.positions, described.positions, seen.rotations, described.rotations)
+    np.testing.assert_allclose(found.base, BASE.homogeneous, atol=1e-12)
+
+
+def test_points_alone_tell_it_unless_they_lie_on_a_line() -> None:
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (12, 3))
+    found = register(points @ BASE.rotation.T + BASE.translation, points)
+    np.testing.assert_allclose(found.base, BASE.homogeneous, atol=1e-12)
+    line = np.outer(np.linspace(0.0, 1.0, 12), [0.1, 0.2, 0.3])
+    with pytest.raises(InvalidValueError, match="on one line"):
+        register(line @ BASE.rotation.T, line)
+
+
+def test_noise_turns_with_the_axes() -> None:
+    """A quarter turn about z exchanges x and y; any rotation keeps the sum of the variances."""
+    turned = register(np.eye(3) @ pin.exp3(np.array([0.0, 0.0, np.pi / 2])), np.eye(3))
+    np.testing.assert_allclose(turned.sigmas(np.array([[1.0, 2.0, 3.0]])), [[2.0, 1.0, 3.0]], atol=1e-9)
+    any_way = register(np.eye(3) @ BASE.rotation, np.eye(3))
+    sigmas = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])
+    squares = any_way.sigmas(sigmas).reshape(2, 3) ** 2
+    np.testing.assert_allclose(squares.sum(axis=1), [14.0, 77.0])
+
+
+def test_a_calibration_is_as_good_from_anywhere(
+    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses, tmp_path: Path
+) -> None:
+    """What commands can do for the tip, by cross-validation, against a measurement in the frame of the base."""
+    world = World.random("geometry", tripod_errors, np.random.default_rng(2))
+    at_base = world.measure(tripod_nominal.commands[:40], np.random.default_rng(3))
+    path = write_measurements(seen_from(BASE, at_base), tripod_errors, tmp_path / "tracker.csv")
+    elsewhere = read_measurements(path, tripod_errors, own_frame=True)
+    assert elsewhere.registration is not None
+    # the base is where it is, but for what errors that move everything alike make of it
+    np.testing.assert_allclose(elsewhere.registration.base, BASE.homogeneous, atol=5e-3)
+    excess = [
+        np.sqrt(np.mean(held_out_errors(calibrate(measured, tripod_errors, Options("lm"))).excess ** 2))
+        for measured in (at_base, elsewhere)
+    ]
+    assert excess[1] < 1.2 * excess[0]
+
+
+def test_millimetres_and_the_frame_of_the_base_are_still_told(
+    described: Measurements, tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    seen = seen_from(BASE, described)
+    path = write_measurements(seen, tripod_errors, tmp_path / "file.csv")
+    assert "other axes" in read_measurements(path, tripod_errors).warnings[0]
+    seen.positions[:] *= 1000.0
+    path = write_measurements(seen, tripod_errors, tmp_path / "file.csv")
+    with pytest.raises(MeasurementError, match="look like millimetres"):
+        read_measurements(path, tripod_errors, own_frame=True)
