@@ -12,6 +12,8 @@ from pm3dof_pin.cli.options import Config, Json, load_tripod, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
 from pm3dof_pin.cli.progress import progress_bar
 
+LEAST_POINTS = 2
+
 Quantities = Annotated[
     list[str] | None,
     typer.Option("--quantity", "-q", help="What to map; may be given several times. --list names them all."),
@@ -62,6 +64,10 @@ def atlas(
             raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
+    if min(points) < LEAST_POINTS:
+        raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {LEAST_POINTS} each")
+    if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
+        raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
     tripod = load_tripod(config)
     angle = math.radians(tilt)
     grid = AtlasGrid(
@@ -72,8 +78,12 @@ def atlas(
     job = Atlas(tripod, grid, names, out, keep_beyond_limits)
     if job.parts.exists():
         message(f"going on with {job.parts}")
-    with progress_bar("poses") as progress:
-        path = compute_atlas(job, workers=workers, scheduler=scheduler, progress=progress)
+    try:
+        with progress_bar("poses") as progress:
+            path = compute_atlas(job, workers=workers, scheduler=scheduler, progress=progress)
+    except KeyboardInterrupt:
+        message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
+        raise
     files = [path, *_draw(path)] if pictures else [path]
     poses = math.prod(grid.shape)
     result = {"files": [str(file) for file in files], "poses": poses, "quantities": job.quantities}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,8 @@ def atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
 
     Args:
         values: over the dimensions z_e [m], theta_x and theta_y [rad]; NaN where a pose is excluded.
-        name: of the quantity, for title and colour bar.
-        unit: its unit.
+        name: of the quantity, for the title.
+        unit: its unit, for the colour bar.
 
     Raises:
         InvalidValueError: other dimensions, or no value to draw.
@@ -53,7 +54,7 @@ def atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
         _draw_upright(axes["x"], field.sel(theta_y=0.0, method="nearest"), "theta_x", norm, levels)
         _draw_upright(axes["y"], field.sel(theta_x=0.0, method="nearest"), "theta_y", norm, levels)
         bar = figure.colorbar(filled, ax=list(axes.values()), pad=0.015, aspect=32)
-        bar.set_label(f"{name} [{unit}]")
+        bar.set_label(f"[{unit}]")  # the title says what it is
         if isinstance(norm, LogNorm):
             bar.set_ticks(list(levels[::2]))
             bar.ax.yaxis.set_major_formatter(FormatStrFormatter("%.3g"))
@@ -83,8 +84,18 @@ def atlas_pictures(dataset: xr.Dataset) -> dict[str, Figure]:
         for suffix, values in entries.items():
             if bool(values.notnull().any()):
                 title = f"{words}: {suffix.removeprefix('_')}" if suffix else words
-                figures[f"{name}{suffix}"] = atlas_slices(values.load(), title, unit)
+                figures[f"{name}{suffix}"] = atlas_slices(
+                    values.load(), title, _unit_of(unit, suffix.removeprefix("_"))
+                )
     return figures
+
+
+def _unit_of(units: str, entry: str) -> str:
+    """Return an entry's unit out of "N/m (x, y, z), N m/rad (rx, ry, rz)"; a unit of all entries stays as it is."""
+    for unit, entries in re.findall(r"([^,()]+) \(([^()]+)\)", units):
+        if entry in entries.split(", "):
+            return str(unit).strip()
+    return units
 
 
 def _scale(least: float, greatest: float) -> tuple[Normalize, Array]:

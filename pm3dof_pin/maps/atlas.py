@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import shutil
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +36,7 @@ from pm3dof_pin.tripod.tripod import Tripod
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
+    from distributed import Client
 
 Array = NDArray[np.float64]
 Block = tuple[int, int]  # first index along z_e and along theta_x
@@ -193,16 +196,23 @@ def compute_atlas(
         The path of the result.
 
     Raises:
-        OutputError: the folder cannot be written, the disk is full (what is finished is kept), or the unfinished store
-            beside the result belongs to another atlas.
+        OutputError: the folder cannot be written, there is no room for the atlas, the disk is full (what is finished is
+            kept), or the unfinished store beside the result belongs to another atlas.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
+    with _cluster(scheduler) if scheduler else nullcontext() as cluster:
+        return _compute(atlas, workers, cluster, progress)
+
+
+def _compute(
+    atlas: Atlas, workers: int | None, cluster: Client | None, progress: Callable[[int, int], None] | None
+) -> Path:
     try:
         _open_parts(atlas)
         todo = [block for block in atlas.grid.blocks() if not _is_done(atlas, block)]
-        total = int(np.prod(atlas.grid.shape))
+        total = math.prod(atlas.grid.shape)
         done = total - sum(_poses_in(atlas, block) for block in todo)
-        run = _on_cluster(atlas, todo, scheduler) if scheduler else _on_threads(atlas, todo, workers)
+        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, workers)
         for block in run:
             done += _poses_in(atlas, block)
             if progress:
@@ -273,20 +283,24 @@ def _on_threads(atlas: Atlas, todo: Sequence[Block], workers: int | None) -> Ite
             pool.shutdown(cancel_futures=True)
 
 
-def _on_cluster(atlas: Atlas, todo: Sequence[Block], scheduler: str) -> Iterator[Block]:
+def _cluster(scheduler: str) -> Client:
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError as error:
         raise PM3DofError("a dask scheduler needs the extra 'cluster': pip install 'pm3dof-pin[cluster]'") from error
     try:
-        client = Client(scheduler, timeout=_SCHEDULER_PATIENCE)  # type: ignore[no-untyped-call]
+        return Client(scheduler, timeout=_SCHEDULER_PATIENCE)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError) as error:
         raise PM3DofError(f"no dask scheduler answers at {scheduler}: {error}") from error
-    with client:
-        absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
-        futures = [client.submit(compute_block, absolute, block, pure=False) for block in todo]
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
-            yield future.result()
+
+
+def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[Block]:
+    from distributed import as_completed
+
+    absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
+    futures = [cluster.submit(compute_block, absolute, block, pure=False) for block in todo]
+    for future in as_completed(futures):  # type: ignore[no-untyped-call]
+        yield future.result()
 
 
 def _poses_in(atlas: Atlas, block: Block) -> int:
@@ -309,11 +323,24 @@ def _open_parts(atlas: Atlas) -> None:
             torn.unlink()
         return
     shutil.rmtree(atlas.parts, ignore_errors=True)
+    _require_room(atlas)
     atlas.parts.parent.mkdir(parents=True, exist_ok=True)
     fresh = atlas.parts.with_name(atlas.parts.name + ".new")
     shutil.rmtree(fresh, ignore_errors=True)
     _make_store(atlas, fresh)
     fresh.rename(atlas.parts)
+
+
+def _require_room(atlas: Atlas) -> None:
+    """Refuse at once what the disk cannot hold: the blocks and, beside them, the NetCDF file that is made from them."""
+    names = labels(atlas.tripod)
+    numbers = sum(math.prod(len(names[dim]) for dim in entry.dims) for entry in select_quantities(atlas.quantities))
+    copies = 2 if atlas.path.suffix == ".nc" else 1
+    needed = copies * math.prod(atlas.grid.shape) * (8 * numbers + 1)
+    folder = next(parent for parent in atlas.parts.resolve().parents if parent.exists())
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise OutputError(atlas.path, f"it takes {needed / 1e9:.4g} GB of disk to make, {free / 1e9:.4g} GB are free")
 
 
 def _make_store(atlas: Atlas, path: Path) -> None:

@@ -93,7 +93,7 @@ def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = No
             float(result.residual[worst]),
             "m of link length",
             int(result.steps[worst]),
-            "the links may not meet the platform at these travels; all_assembly_modes() and pm3dof fk --all need no guess",
+            "the links may not meet the platform at these travels; all_assembly_modes(), or fk --all, needs no guess",
         )
     return result.poses
 

@@ -6,8 +6,10 @@ import json
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -190,6 +192,20 @@ def test_atlas(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {Path(file).name for file in result["files"]} == expected
 
 
+def test_atlas_says_how_it_goes_on_after_an_interrupt(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "atlas", "-q", "slider_travel"]
+    target = tmp_path / "atlas.zarr"
+    process = subprocess.Popen(
+        [*command, "--points", "201", "201", "201", "--out", str(target)], stderr=subprocess.PIPE, text=True
+    )
+    while process.poll() is None and not list((tmp_path / "atlas.zarr.parts" / "broken_limits").rglob("0")):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert f"finished blocks are kept in {target}.parts, and the same command goes on" in process.communicate()[1]
+    assert process.returncode == 130
+    assert not target.exists()
+
+
 @pytest.mark.parametrize("command", ["ik", "stiffness"])
 def test_broken_limit_is_answered_named_and_fails(command: str) -> None:
     result = run(command, "0", "0", "0.59", "--json")
@@ -213,6 +229,9 @@ def test_broken_limit_is_answered_named_and_fails(command: str) -> None:
         (["fk", "0.24", "inf", "0.24"], 2, "inf is not a finite number"),
         (["stiffness-map", "--height", "nan"], 2, "'--height': nan is not a finite number"),
         (["stiffness-map", "--tilt", "-40"], 2, "'--tilt': -40 is not an angle"),
+        (["atlas", "--points", "5", "1", "5"], 2, "--points 5 1 5: expected at least 2 each"),
+        (["atlas", "--heights", "0.5", "0.4"], 2, "--heights 0.5 0.4: expected two growing"),
+        (["atlas", "--points", "90000", "90000", "90000"], 1, "GB of disk to make"),
         (["atlas", "--tilt", "nan"], 2, "'--tilt': nan is not a finite number"),
         (["stiffness-map", "--height", "0.9"], 1, "no pose of the map at z_e = 0.9 m is within every joint limit"),
         (["stiffness-map", "--height", "0.577"], 1, "too few to draw"),

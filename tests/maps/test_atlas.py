@@ -139,6 +139,7 @@ def test_no_scheduler_there(tripod: Tripod, tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(atlas_module, "_SCHEDULER_PATIENCE", "0.5s")
     with pytest.raises(PM3DofError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9"):
         compute_atlas(make(tripod, tmp_path / "atlas.nc"), scheduler="tcp://127.0.0.1:9")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -165,6 +166,15 @@ def test_full_disk(tripod: Tripod, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(OutputError, match=r"No space left on device; finished blocks are kept in .*\.parts"):
         compute_atlas(make(tripod, tmp_path / "atlas.nc"))
     assert not (tmp_path / "atlas.nc").exists()
+
+
+@pytest.mark.parametrize(("suffix", "gigabytes"), [(".nc", "578"), (".zarr", "289")])
+def test_no_room_on_the_disk(tripod: Tripod, tmp_path: Path, suffix: str, gigabytes: str) -> None:
+    """10^9 poses of 36 numbers and one byte; refused before anything is written, and not one block is listed."""
+    job = make(tripod, tmp_path / f"atlas{suffix}", (1000, 1000, 1000), "K")
+    with pytest.raises(OutputError, match=rf"it takes {gigabytes} GB of disk to make, .* GB are free"):
+        compute_atlas(job)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_unwritable_folder(tripod: Tripod, tmp_path: Path) -> None:
