@@ -1,0 +1,44 @@
+"""Slices through an atlas: one picture for each number, with the unit of that number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pm3dof_pin.figures.atlas import atlas_pictures
+from pm3dof_pin.maps.atlas import Atlas, AtlasGrid, compute_atlas, open_atlas
+from pm3dof_pin.tripod import Tripod
+
+UNITS = {
+    **{f"felt_stiffness_{axis}": "[N/m]" for axis in ("x", "y", "z")},
+    **{f"felt_stiffness_{axis}": "[N m/rad]" for axis in ("rx", "ry", "rz")},
+    **{f"chapter_diagonal_{axis}": "[N m/rad]" for axis in ("theta_x", "theta_y", "theta_z")},
+    **{f"chapter_diagonal_{axis}": "[N/m]" for axis in ("t_z", "t_x", "t_y")},
+    **{f"slider_travel_{leg}": "[m]" for leg in (1, 2, 3)},
+    "condition_number": "[1]",
+}
+
+
+@pytest.fixture(scope="module")
+def pictures(tripod: Tripod, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    grid = AtlasGrid.over_workspace(tripod, (9, 9, 9))
+    names = ("felt_stiffness", "chapter_diagonal", "slider_travel", "condition_number", "K")
+    path: Path = tmp_path_factory.mktemp("atlas") / "atlas.nc"
+    with open_atlas(compute_atlas(Atlas(tripod, grid, names, path))) as dataset:
+        return atlas_pictures(dataset)
+
+
+def test_one_picture_for_each_number_and_none_for_matrices(pictures: dict) -> None:
+    assert set(pictures) == set(UNITS)
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_colour_bar_has_the_unit_of_its_number_and_stays_within_the_picture(pictures: dict, name: str) -> None:
+    figure = pictures[name]
+    bar = figure.axes[-1]
+    assert bar.get_ylabel() == UNITS[name]
+    figure.canvas.draw()
+    box = bar.yaxis.label.get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+    assert 0 <= box.y0 < box.y1 <= figure.bbox.height
