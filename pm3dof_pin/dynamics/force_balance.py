@@ -8,7 +8,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
 from pm3dof_pin.mechanism import Configuration, singularities
-from pm3dof_pin.mechanism.arrays import Vector, frozen
+from pm3dof_pin.mechanism.arrays import Vector, frozen, listed
 from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms
 
 BALANCE_TOLERANCE = 1e-9
@@ -66,7 +66,7 @@ def balance(
     if work > BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled))):
         raise SingularConfigurationError(
             f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, here, tolerance)}; "
-            f"residual {work / mechanism.characteristic_length:.3e} N; q = {np.array2string(configuration.q)}"
+            f"residual {work / mechanism.characteristic_length:.3e} N; at q = {listed(configuration.q)}"
         )
     actuators = here.locked.inverse.T @ scaled
     left = scaled - here.actuators.T @ actuators
@@ -83,7 +83,8 @@ def balance(
 
 def _name(configuration: Configuration, here: Freedoms, tolerance: float) -> str:
     """Say what is wrong with a configuration whose actuated joints do not hold it."""
-    free = f"{here.locked.motions.shape[1]} freedoms are left with the actuated joints at rest"
+    count = here.locked.motions.shape[1]
+    free = f"{count} freedom{'s are' if count > 1 else ' is'} left with the actuated joints at rest"
     if configuration.mechanism.tool_frame is None:
         return free
     try:

@@ -15,7 +15,7 @@ from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen
+from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen, listed
 from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms, Restriction
 from pm3dof_pin.mechanism.payloads import Payloads
 
@@ -137,7 +137,7 @@ def loop_motion(
     if Restriction(here.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
         raise SingularConfigurationError(
             f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
-            f"are at rest; q = {np.array2string(configuration.q)}"
+            f"are at rest; at q = {listed(configuration.q)}"
         )
     start = finite_array("rates", rates, indices.shape) / here.scale[indices]
     wanted = finite_array("accelerations", accelerations, indices.shape) / here.scale[indices]

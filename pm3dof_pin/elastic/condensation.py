@@ -28,7 +28,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
 from pm3dof_pin.mechanism import Configuration, RankDecision
-from pm3dof_pin.mechanism.arrays import Matrix, frozen
+from pm3dof_pin.mechanism.arrays import Matrix, frozen, listed
 from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
 
 
@@ -106,8 +106,7 @@ class CartesianCompliance:
         return frozen(root.T @ root)
 
     def _message(self, what: str, directions: Matrix) -> str:
-        q = " ".join(f"{value:.4g}" for value in self.configuration.q)
-        return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = ({q})"
+        return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"
 
 
 def cartesian_compliance(

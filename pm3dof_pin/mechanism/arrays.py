@@ -37,6 +37,11 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     return array
 
 
+def listed(numbers: Vector) -> str:
+    """Write the numbers of a vector in one line, for a message: (0.1 0 -2.5)."""
+    return f"({' '.join(f'{number:.4g}' for number in numbers)})"
+
+
 def frozen(array: _Array) -> _Array:
     """Make an array read-only and return it."""
     array.setflags(write=False)

@@ -92,6 +92,9 @@ def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
     Returns:
         Positive semidefinite matrices, shape=(..., 2 n + 1, 6, 6) [m/N, 1/N, rad/(N m)], NaN out of reach. The
         derivative of C with respect to the stiffness k_j of a spring is -C_j / k_j.
+
+    Raises:
+        InvalidValueError: poses or modes of a wrong shape.
     """
     p = tripod.parameters
     total = elastic_stiffness(tripod, poses, assembly_mode=assembly_mode, unreachable="nan")

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.tripod import kernels
 from pm3dof_pin.tripod.reach import require_reach
 from pm3dof_pin.tripod.tripod import Tripod
@@ -32,8 +33,13 @@ def placement(poses: ArrayLike) -> Array:
 
     Returns:
         shape=(..., 4, 4).
+
+    Raises:
+        InvalidValueError: poses of a wrong shape.
     """
     array = np.asarray(poses, dtype=float)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InvalidValueError("poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e")
     transform = np.zeros((*array.shape[:-1], 4, 4))
     transform[..., :3, :3] = rotation(array[..., 0], array[..., 1])
     transform[..., 2, 3] = array[..., 2]
@@ -79,7 +85,7 @@ def inverse_kinematics(
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `unreachable` is "raise".
-        InvalidValueError: poses or modes of a wrong shape.
+        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `unreachable` is "raise".
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
     u: Array = kernels.slider_travel(pose_array, tripod.legs, modes)
@@ -137,8 +143,16 @@ def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
 def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
     """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
+    Args:
+        tripod: the machine.
+        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
+        assembly_mode: -1 or +1, once or for each leg.
+
     Returns:
         shape=(..., n, 3) [m/rad, m/rad, 1], NaN out of reach.
+
+    Raises:
+        InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
     jacobian: Array = kernels.leg_jacobians(pose_array, tripod.legs, modes)[0]
@@ -148,8 +162,16 @@ def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
 def actuation_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9).
 
+    Args:
+        tripod: the machine.
+        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
+        assembly_mode: -1 or +1, once or for each leg.
+
     Returns:
         shape=(..., n, 3) [m/rad, m/rad, 1], NaN out of reach.
+
+    Raises:
+        InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
     jacobian: Array = kernels.leg_jacobians(pose_array, tripod.legs, modes)[1]
@@ -170,6 +192,9 @@ def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
 
     Returns:
         (first, second, swing), shape=(..., n, 3) [rad], NaN out of reach.
+
+    Raises:
+        InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
     angles: Array = kernels.passive_angles(pose_array, tripod.legs, modes)
@@ -184,12 +209,16 @@ def joint_positions(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike
         pose: shape=(3,) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg.
 
+    Returns:
+        By name [m, rad]; all zero at home.
+
     Raises:
         UnreachablePoseError: a link cannot meet its guideway.
+        InvalidValueError: not one pose of finite numbers, or a mode that is not -1 or +1.
     """
+    theta_x, theta_y, z_e = tripod.checked_pose(pose)
     u = inverse_kinematics(tripod, pose, assembly_mode=assembly_mode)
     angles = passive_joint_angles(tripod, pose, assembly_mode=assembly_mode)
-    theta_x, theta_y, z_e = np.asarray(pose, dtype=float)
     positions = {
         "platform_x_joint": float(theta_x),
         "platform_y_joint": float(theta_y),

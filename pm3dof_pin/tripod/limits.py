@@ -23,6 +23,9 @@ def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
 
     Returns:
         Sums of :class:`Limit`, shape=(...); zero where the pose is within every limit.
+
+    Raises:
+        InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
     flags: NDArray[np.uint8] = kernels.broken_limits(pose_array, tripod.legs, modes, tripod.bounds)
@@ -39,11 +42,12 @@ def limit_violations(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLik
 
     Raises:
         UnreachablePoseError: a link is too short for the pose.
+        InvalidValueError: not one pose of finite numbers, or a mode that is not -1 or +1.
     """
     p = tripod.parameters
+    theta_x, theta_y, z_e = tripod.checked_pose(pose)
     u = inverse_kinematics(tripod, pose, assembly_mode=assembly_mode)
     angles = passive_joint_angles(tripod, pose, assembly_mode=assembly_mode)
-    theta_x, theta_y, z_e = np.asarray(pose, dtype=float)
     u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
     candidates = [
         LimitViolation("platform_x_joint", Limit.TILT, theta_x, -p.universal_limit, p.universal_limit, "rad"),

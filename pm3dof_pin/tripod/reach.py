@@ -25,8 +25,11 @@ def require_reach(tripod: Tripod, poses: NDArray[np.float64], u: NDArray[np.floa
         UnreachablePoseError: naming pose and leg.
         InvalidValueError: a pose is not a number.
     """
-    if not np.all(np.isfinite(poses)):
-        raise InvalidValueError("pose", poses.tolist(), "finite theta_x, theta_y [rad] and z_e [m]")
+    infinite = np.argwhere(~np.all(np.isfinite(poses), axis=-1))
+    if len(infinite):
+        first = tuple(int(entry) for entry in infinite[0])
+        where = f" {first} of the array" if first else ""
+        raise InvalidValueError(f"pose{where}", poses[first].tolist(), "finite theta_x, theta_y [rad] and z_e [m]")
     bad = np.argwhere(np.isnan(u))
     if len(bad) == 0:
         return

@@ -129,6 +129,17 @@ class Tripod:
             )
         return array, modes if modes.ndim > 0 else np.full(self.leg_count, modes)
 
+    def checked_pose(self, pose: ArrayLike) -> Array:
+        """Return a single pose as an array, shape=(3,).
+
+        Raises:
+            InvalidValueError: it is not of shape (3,).
+        """
+        array, _ = self.checked(pose, -1)
+        if array.ndim != 1:
+            raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (3,): theta_x, theta_y, z_e")
+        return array
+
     def _leg_table(self) -> Array:
         p = self.parameters
         sliders = self.base_joints + p.slider_home * self.guide_directions

@@ -201,7 +201,7 @@ def test_without_an_actuator_the_linkage_falls(
 ) -> None:
     model = make_four_bar()
     undriven = Mechanism(model.model, model.closures, tool_frame=model.tool_frame)
-    with pytest.raises(SingularConfigurationError, match="1 freedoms are left"):
+    with pytest.raises(SingularConfigurationError, match="1 freedom is left"):
         holding_forces(place_four_bar(undriven, 0.3))
 
 
@@ -248,3 +248,11 @@ def test_loops_that_are_open_are_refused(mechanism: Mechanism) -> None:
     q[0] += 0.01
     with pytest.raises(InvalidValueError, match="loops are closed"):
         holding_forces(mechanism.configuration(q))
+
+
+def test_a_machine_that_nothing_holds_is_named_in_one_line(mechanism: Mechanism) -> None:
+    slack = Mechanism(mechanism.model, mechanism.closures, actuated_joints=["slider1_joint"], tool_frame="O_e")
+    with pytest.raises(SingularConfigurationError) as caught:
+        holding_forces(slack.assemble())
+    assert "2 freedoms are left with the actuated joints at rest" in str(caught.value)
+    assert "\n" not in str(caught.value)

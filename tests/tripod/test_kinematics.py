@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from pm3dof_pin.tripod.kinematics import (
     platform_joint_jacobians,
     rotation,
 )
+from pm3dof_pin.tripod.limits import limit_violations
 
 # Table 8.1, typed here on purpose: the tests do not take their numbers from the file under test.
 ALPHA = np.radians([-30.0, 90.0, -150.0])
@@ -225,3 +227,23 @@ def test_nonsense_modes_are_refused(tripod: Tripod, mode: object) -> None:
 def test_a_tripod_is_read_only(tripod: Tripod) -> None:
     with pytest.raises(ValueError, match="read-only"):
         tripod.base_joints[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("function", [joint_positions, limit_violations])
+@pytest.mark.parametrize("poses", [np.full((2, 3), 0.45), np.zeros((0, 3))])
+def test_functions_of_one_pose_refuse_several(tripod: Tripod, function: Callable, poses: np.ndarray) -> None:
+    with pytest.raises(InvalidValueError, match=r"pose = an array of shape .*: expected shape \(3,\)"):
+        function(tripod, poses)
+
+
+def test_a_pose_of_two_numbers_has_no_placement() -> None:
+    with pytest.raises(InvalidValueError, match=r"poses = an array of shape \(2,\)"):
+        placement([0.0, 0.5])
+
+
+def test_of_many_poses_the_one_that_is_no_number_is_named(tripod: Tripod) -> None:
+    poses = np.full((100, 50, 3), 0.45)
+    poses[7, 3, 1] = np.nan
+    with pytest.raises(InvalidValueError) as caught:
+        inverse_kinematics(tripod, poses)
+    assert str(caught.value).startswith("pose (7, 3) of the array = [0.45, nan, 0.45]: expected finite")
