@@ -69,7 +69,7 @@ def _lines(result: dict[str, Any], mechanism: Mechanism) -> list[str]:
     rows = [
         [
             name,
-            "actuated" if name in mechanism.actuated_joints else "passive",
+            "actuated" if name.partition("[")[0] in mechanism.actuated_joints else "passive",
             *(f"{limits[index]:.4g}" for limits in (mechanism.lower_limits, mechanism.upper_limits)),
         ]
         for index, name in enumerate(mechanism.coordinate_names)

@@ -21,7 +21,7 @@ from pm3dof_pin.cli.options import (
     load_tripod,
     pose_of,
 )
-from pm3dof_pin.cli.output import message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,6 +31,14 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _RIGID = 1e-12  # an axis that gives less than this times the softest of its kind gives nothing
+JSON_UNITS = {
+    "K": "N/m, N, N m/rad",
+    "C": "m/N, 1/N, rad/(N m)",
+    "felt": "N/m (x, y, z), N m/rad (rx, ry, rz)",
+    "eigenvalues": "N/m, at the characteristic length",
+    "principal": "N/m (translation), N m/rad (rotation)",
+    "spring_shares": "1",
+}
 UNITS = ("N/m", "N/m", "N/m", "N m/rad", "N m/rad", "N m/rad")
 
 
@@ -74,6 +82,7 @@ def stiffness(
 def _print_of_robot(target: Target, as_json: bool) -> None:
     """Print the stiffness of any robot's tool by condensation over its loop closures."""
     from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+    from pm3dof_pin.elastic.directions import direction_names
 
     elastic = ElasticModel.load(target.robot)
     where = target.configuration(elastic.rigid)
@@ -81,10 +90,11 @@ def _print_of_robot(target: Target, as_json: bool) -> None:
     result = _read(tool.compliance, tool.spring_names, tool.contributions)
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
-        message("pm3dof: the tool is rigid in some directions, so there is no K; this is C")
+        directions = direction_names(tool.rigid_directions)
+        message(f"pm3dof: the tool is rigid, so there is no K; this is C. Rigid are: {directions}")
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
-    print_result(result, _elastic_lines(result), as_json=as_json)
+    print_result(result | {"units": JSON_UNITS}, _elastic_lines(result), as_json=as_json)
     stop_on_broken_limits(target.broken_limits(where))
 
 
@@ -107,7 +117,7 @@ def _print_elastic(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> 
     matrix = elastic_stiffness(tripod, pose)
     tool = compliance(matrix)
     result = _read(tool, spring_names(tripod), spring_contributions(tripod, pose)) | _read_stiffness(matrix, tool)
-    print_result(result, _elastic_lines(result), as_json=as_json)
+    print_result(result | {"units": JSON_UNITS}, _elastic_lines(result), as_json=as_json)
 
 
 def _read(compliance: NDArray[np.float64], names: Sequence[str], contributions: NDArray[np.float64]) -> dict[str, Any]:
@@ -173,7 +183,7 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
 
 
 def _percent(share: float) -> str:
-    return "-" if math.isnan(share) else f"{share:.1%}"
+    return "-" if math.isnan(share) else f"{fixed(100.0 * share, 1)}%"
 
 
 def _index_lines(indices: dict[str, Any]) -> list[str]:

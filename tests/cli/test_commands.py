@@ -87,6 +87,8 @@ def test_stiffness_is_elastic_by_default() -> None:
     np.testing.assert_allclose(matrix @ inverse / scale[:, None] * scale, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(matrix, matrix.T)
     assert len(result["eigenvalues"]) == 6
+    assert set(result["units"]) <= set(result) | set(result["indices"])
+    assert result["units"]["K"] == "N/m, N, N m/rad"
     for parts in result["spring_shares"].values():
         assert sum(parts.values()) == pytest.approx(1.0)
 
@@ -107,6 +109,9 @@ def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(tmp_path:
     assert result["K"] is None
     assert len(result["rigid_directions"]) == 3
     assert result["felt"]["x"] is None
+    said = run("stiffness", "--robot", str(tmp_path / "stiff.urdf")).stderr
+    assert "Rigid are: translation along" in said
+    assert "rotation about (0, 0, 1)" in said
     assert result["felt"]["z"] == pytest.approx(answer("stiffness", "--configuration", "home")["felt"]["z"])
 
 
@@ -143,6 +148,16 @@ def test_info_of_every_robot() -> None:
         assert result["mobility"] >= 1
         assert result["home_closure_residual"] < 1e-12
     assert answer("info")["mobility"] == 3
+
+
+def test_info_of_an_actuated_joint_without_limits(tmp_path: Path) -> None:
+    """A continuous joint has two coordinates, a cosine and a sine; both are those of an actuated joint."""
+    tip = '<link name="tip"/><joint name="fix" type="fixed"><parent link="arm"/><child link="tip"/></joint>'
+    hinge = '<joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/></joint>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/><link name="arm"/>{hinge}{tip}</robot>')
+    (tmp_path / "arm.closures.yaml").write_text("name_mot: [hinge]\ntool_frame: tip\n")
+    lines = run("info", "--robot", "arm.urdf", cwd=tmp_path).stdout.splitlines()
+    assert [line.split()[:2] for line in lines[-2:]] == [["hinge[0]", "actuated"], ["hinge[1]", "actuated"]]
 
 
 def test_main_job_writes_everything_and_says_where(tmp_path: Path) -> None:
