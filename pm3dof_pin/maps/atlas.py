@@ -196,8 +196,9 @@ def compute_atlas(
         The path of the result.
 
     Raises:
-        OutputError: the folder cannot be written, there is no room for the atlas, the disk is full (what is finished is
-            kept), or the unfinished store beside the result belongs to another atlas.
+        OutputError: the folder cannot be written, something else than an older atlas is in its place, there is no room
+            for it, the disk is full (what is finished is kept), or the unfinished store beside the result belongs to
+            another atlas.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
     with _cluster(scheduler) if scheduler else nullcontext() as cluster:
@@ -316,6 +317,7 @@ def _open_parts(atlas: Atlas) -> None:
     """Make the store, or check that the one that is there is of the same atlas."""
     import zarr
 
+    _require_place(atlas.path)
     if (atlas.parts / "zarr.json").is_file():
         if dict(zarr.open_group(atlas.parts, mode="r").attrs) != atlas.attributes:
             raise OutputError(atlas.path, f"{atlas.parts} is an unfinished atlas of other settings; remove it first")
@@ -329,6 +331,14 @@ def _open_parts(atlas: Atlas) -> None:
     shutil.rmtree(fresh, ignore_errors=True)
     _make_store(atlas, fresh)
     fresh.rename(atlas.parts)
+
+
+def _require_place(path: Path) -> None:
+    """Refuse at once a place that the result cannot take: only a file gives way to a file, and an atlas to an atlas."""
+    if path.suffix == ".nc" and path.is_dir():
+        raise OutputError(path, "a folder is there, expected nothing or a file")
+    if path.suffix == ".zarr" and path.exists() and not (path / LIMITS / "zarr.json").is_file():
+        raise OutputError(path, "something else than an atlas is there, expected nothing or an older atlas")
 
 
 def _require_room(atlas: Atlas) -> None:

@@ -168,6 +168,23 @@ def test_full_disk(tripod: Tripod, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert not (tmp_path / "atlas.nc").exists()
 
 
+def test_an_older_atlas_gives_way_and_nothing_else_does(tripod: Tripod, tmp_path: Path) -> None:
+    (tmp_path / "folder.nc").mkdir()
+    (tmp_path / "file.zarr").write_text("kept")
+    (tmp_path / "other.zarr").mkdir()
+    (tmp_path / "other.zarr" / "data").write_text("kept")
+    before = digest(tmp_path)
+    for name in ("folder.nc", "file.zarr", "other.zarr"):
+        with pytest.raises(OutputError, match=rf"{name}: .* is there, expected nothing or"):
+            compute_atlas(make(tripod, tmp_path / name))
+    assert digest(tmp_path) == before
+    for name in ("atlas.nc", "atlas.zarr"):
+        for shape in ((5, 5, 5), (3, 4, 5)):
+            path = compute_atlas(make(tripod, tmp_path / name, shape))
+        with open_atlas(path) as dataset:
+            assert dataset.sizes["theta_y"] == 4
+
+
 @pytest.mark.parametrize(("suffix", "gigabytes"), [(".nc", "578"), (".zarr", "289")])
 def test_no_room_on_the_disk(tripod: Tripod, tmp_path: Path, suffix: str, gigabytes: str) -> None:
     """10^9 poses of 36 numbers and one byte; refused before anything is written, and not one block is listed."""
