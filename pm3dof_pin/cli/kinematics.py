@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.options import Config, Height, Json, ThetaX, ThetaY, finite_number, load_tripod, pose_of
-from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,7 +42,7 @@ def ik(theta_x: ThetaX, theta_y: ThetaY, z_e: Height, as_json: Json = False, con
         "spherical_swing_rad": angles[:, 2],
     }
     rows = [
-        [str(leg + 1), f"{u[leg]:.9f}", *(f"{math.degrees(angle):.3f}" for angle in angles[leg])]
+        [str(leg + 1), fixed(u[leg], 9), *(fixed(math.degrees(angle), 3) for angle in angles[leg])]
         for leg in range(tripod.leg_count)
     ]
     header = ["leg", "u [m]", "universal 1 [deg]", "universal 2 [deg]", "spherical [deg]"]
@@ -94,7 +94,7 @@ def fk(
         result["assembly_modes"] = [
             _pose_result(mode, float(left)) for mode, left in zip(poses, residuals, strict=True)
         ]
-    rows = [[f"{math.degrees(x):.9f}", f"{math.degrees(y):.9f}", f"{z:.12f}"] for x, y, z in poses]
+    rows = [[fixed(math.degrees(x), 9), fixed(math.degrees(y), 9), fixed(z, 12)] for x, y, z in poses]
     print_result(result, table_lines(["theta_x [deg]", "theta_y [deg]", "z_e [m]"], rows), as_json=as_json)
     if not reached:
         message("pm3dof: the machine's own assembly mode does not exist at these travels, or is not reached from home")
