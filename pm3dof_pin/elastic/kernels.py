@@ -6,10 +6,12 @@ import math
 
 import numba
 
+from pm3dof_pin.kernel_cache import KEEP
+
 _LOST = 1e-14  # a pivot that falls below this times its diagonal entry is rounding
 
 
-@numba.guvectorize(["void(float64[:,:], float64[:,:])"], "(d,d)->(d,d)", nopython=True, cache=True)
+@numba.guvectorize(["void(float64[:,:], float64[:,:])"], "(d,d)->(d,d)", nopython=True, cache=KEEP)
 def inverse_definite(matrix, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a symmetric positive definite matrix, exactly symmetric, by Cholesky's method in place.
 

@@ -10,6 +10,8 @@ import math
 import numba
 import numpy as np
 
+from pm3dof_pin.kernel_cache import KEEP
+
 CLEAR = 1e-3
 """A pivot above this times the size of the equations is independent of those before it without a doubt."""
 
@@ -20,7 +22,7 @@ _SHARE = 0.1  # of the longest column's length, which is enough for a pivot: an 
 _SUMS = {"reassoc", "contract", "nsz"}  # sums in any order, to be done several terms at a time; NaN stays NaN
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+@numba.njit(cache=KEEP, nogil=True, error_model="numpy", fastmath=_SUMS)
 def _product(x, y):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(x.shape[0]):
@@ -28,7 +30,7 @@ def _product(x, y):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+@numba.njit(cache=KEEP, nogil=True, error_model="numpy", fastmath=_SUMS)
 def _triangularise(a, first, stop, row, rows, limit, share, order, squares):  # type: ignore[no-untyped-def]
     """Householder's elimination with column pivoting of columns first .. stop - 1 in rows row .. rows - 1.
 
@@ -72,7 +74,7 @@ def _triangularise(a, first, stop, row, rows, limit, share, order, squares):  # 
     return count, least
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_SUMS)
+@numba.njit(cache=KEEP, nogil=True, error_model="numpy", fastmath=_SUMS)
 def _condense(a, passive, root, first_of_block, factors, place, b, order, squares, compliance):  # type: ignore[no-untyped-def]
     """Compute the compliance of one configuration; return False if a rank is in doubt or the frame is free.
 
@@ -131,7 +133,7 @@ def _condense(a, passive, root, first_of_block, factors, place, b, order, square
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=KEEP, nogil=True, error_model="numpy")
 def condense_all(  # type: ignore[no-untyped-def]
     closures, frames, indices, passive, scale, units, root, first_of_block, factors, place, compliances
 ):

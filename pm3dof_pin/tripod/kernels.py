@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
+from pm3dof_pin.kernel_cache import KEEP
 from pm3dof_pin.tripod.limit_kinds import Limit
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -45,7 +46,7 @@ _HEIGHT = int(Limit.HEIGHT)
 
 
 def _scalar(function: _Function) -> _Function:
-    compiled: _Function = numba.njit(cache=True, error_model="numpy")(function)
+    compiled: _Function = numba.njit(cache=KEEP, error_model="numpy")(function)
     return compiled
 
 
@@ -55,7 +56,7 @@ def _gufunc(signature: str, layout: str) -> Callable[[_Function], Any]:
     def decorate(function: _Function) -> Any:
         @functools.cache
         def compiled() -> Any:
-            return numba.guvectorize([signature], layout, nopython=True, cache=True)(function)
+            return numba.guvectorize([signature], layout, nopython=True, cache=KEEP)(function)
 
         @functools.wraps(function)
         def call(*arrays: Any, **keywords: Any) -> Any:

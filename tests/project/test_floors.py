@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 
 # From the ground up. The rooms of one floor may use each other, in one direction.
 FLOORS = (
-    ("exceptions", "files"),
+    ("exceptions", "files", "kernel_cache"),
     ("description",),
     ("mechanism",),
     ("workspace", "tripod", "elastic", "dynamics", "calibration"),
