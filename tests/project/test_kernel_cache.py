@@ -7,7 +7,9 @@ import sys
 
 PROGRAM = """
 from numba.core import caching
-caching._CacheImpl._locator_classes = []  # as where no folder can be written
+for entry in list(vars(caching).values()):  # as where no folder can be written
+    if hasattr(entry, "_locator_classes"):
+        entry._locator_classes = []
 import pm3dof_pin as pm
 from pm3dof_pin.elastic.indices import compliance
 tripod = pm.Tripod.load()
