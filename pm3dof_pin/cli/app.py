@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from typing import Annotated
 
@@ -83,6 +84,8 @@ def main() -> None:
 
     Those of the package, and what the machine it runs on refuses: memory, and a full disk behind standard output.
     """
+    # the matrices here are small: threads inside BLAS only get in each other's way, and in that of other programs
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # which fonts it looks for is no news for a user
     try:
         app()
