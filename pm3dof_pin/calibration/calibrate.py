@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify
+from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, measured_residuals
 from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH
+from pm3dof_pin.calibration.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.calibration.pseudo_error import (
     InputScale,
     PseudoErrorModel,
-    PseudoErrors,
     control_inverse,
     pseudo_errors,
 )
@@ -36,6 +35,8 @@ LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
 
 _FOLDS = 5
+_SAME = 1e-9  # [m, rad], commands that differ by less are one pose
+_FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     if "lm" in how.method:
         compensation = replace(compensation, values=identification.values, covariance=identification.covariance)
     trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
-    _check_seen(measurements[trusted], nominal[trusted], how.eta)
+    _check_seen(measurements[trusted], nominal[trusted], how)
     if how.method != "lm":
         compensation = _learned(compensation, measurements[trusted], nominal[trusted], how)
     unexplained = _unexplained(compensation, measurements[trusted], nominal[trusted])
@@ -138,41 +139,64 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
 
 
 def held_out_errors(calibration: Calibration) -> HeldOut:
-    """Judge a calibration by cross-validation: the same method, shown four fifths of the measurements at a time.
+    """Judge a calibration by cross-validation: the same method, shown four fifths of the poses at a time.
+
+    Measurements at the same commands, of several targets or repeated, are hidden together.
 
     Args:
         calibration: what to judge.
 
     Raises:
-        InvalidValueError: too few measurements.
+        InvalidValueError: too few poses.
     """
     measurements, how = calibration.measurements, calibration.options
     errors = calibration.compensation.errors
-    rows = np.setdiff1d(np.arange(len(measurements)), calibration.identification.outliers)
-    if len(rows) <= LEAST_POSES:
-        raise InvalidValueError("measurements", f"{len(rows)} poses", f"more than {LEAST_POSES} for a cross-validation")
+    rows, poses = _trusted_poses(calibration)
+    count = len(np.unique(poses))
+    if count <= LEAST_POSES:
+        raise InvalidValueError("measurements", f"{count} poses", f"more than {LEAST_POSES} for a cross-validation")
     nominal = forward_poses(errors.mechanism, measurements.commands)
-    true = pseudo_errors(measurements[rows], nominal[rows], how.eta)
-    predicted = np.zeros_like(true.deviations)
-    folds = np.random.default_rng(how.seed).permutation(np.arange(len(rows)) % min(_FOLDS, len(rows)))
+    predicted = np.zeros((len(rows), nominal.commands.shape[1]))
+    folds = np.random.default_rng(how.seed).permutation(np.arange(count) % min(_FOLDS, count))[poses]
     for fold in range(int(folds.max()) + 1):
         shown, hidden = rows[folds != fold], rows[folds == fold]
         part = _quiet(measurements[shown], errors, how)
         conditions = {name: values[hidden] for name, values in measurements.conditions.items()}
         predicted[folds == fold] = part.deviations(nominal[hidden], conditions)
-    return _judged(rows, measurements[rows], true, true.deviations - predicted, how.eta)
+    return _judged(rows, measurements[rows], nominal[rows], predicted, how.eta)
+
+
+def can_be_judged(calibration: Calibration) -> bool:
+    """Tell whether there are enough poses for :func:`held_out_errors`, each part of them with enough to learn from."""
+    return len(np.unique(_trusted_poses(calibration)[1])) > LEAST_POSES + 1
+
+
+def _trusted_poses(calibration: Calibration) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the measurements that are no outliers, and the number of the pose of each, in order of appearance."""
+    measurements = calibration.measurements
+    rows = np.setdiff1d(np.arange(len(measurements)), calibration.identification.outliers)
+    places = np.round(measurements.commands[rows] / _SAME)
+    _, first, poses = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return rows, np.argsort(np.argsort(first))[poses.reshape(-1)]
 
 
 def _judged(
-    rows: NDArray[np.intp], measurements: Measurements, true: PseudoErrors, excess: Array, eta: float
+    rows: NDArray[np.intp], measurements: Measurements, nominal: ToolPoses, predicted: Array, eta: float
 ) -> HeldOut:
-    weights = np.array([1.0, 1.0, 1.0, eta, eta, eta])[: measurements.sigmas.shape[1]]
-    after = true.left + np.einsum("nij,nj->ni", true.control, excess)
+    weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
+    true = pseudo_errors(measurements, nominal, eta)
+    best = true.left
+    if measurements.measured == "pose":
+        best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left
+    corrected = forward_poses(nominal.mechanism, nominal.commands + predicted, nominal.q)
+    after = measured_residuals(measurements, corrected) * weights
+    missed = np.einsum("nij,nj->ni", true.control, true.deviations - predicted)
+    excess = np.einsum("nij,nj->ni", control_inverse(true.control), missed)  # what is not seen is not judged
     return HeldOut(
         rows,
         np.linalg.norm(true.before, axis=1),
         np.linalg.norm(after, axis=1),
-        np.linalg.norm(true.left, axis=1),
+        np.linalg.norm(best, axis=1),
         np.linalg.norm(measurements.sigmas * weights, axis=1),
         np.sqrt(np.mean(excess**2, axis=1)),
     )
@@ -217,9 +241,9 @@ def _unexplained(compensation: Compensation, measurements: Measurements, nominal
     return float(np.sqrt(max(0.0, (np.sum(found.left**2) - expected) / n)))
 
 
-def _check_seen(measurements: Measurements, nominal: ToolPoses, eta: float) -> None:
+def _check_seen(measurements: Measurements, nominal: ToolPoses, how: Options) -> None:
     try:
-        found = pseudo_errors(measurements, nominal, eta)
+        found = pseudo_errors(measurements, nominal, how.eta)
     except ConvergenceError as error:
         raise InvalidValueError(
             "measurements", f"seen where no commands bring the machine ({error})", "poses near those of the commands"
@@ -227,11 +251,10 @@ def _check_seen(measurements: Measurements, nominal: ToolPoses, eta: float) -> N
     seen = int(np.linalg.matrix_rank(control_inverse(found.control)).max())
     drives = found.control.shape[2]
     if seen < drives:
-        logger.warning(
-            "a measurement shows %d of %d motions of the drives: measure poses, or targets off the tool point",
-            seen,
-            drives,
-        )
+        advice = "" if measurements.measured == "pose" else ": measure poses, or targets off the tool point"
+        logger.warning("a measurement shows %d of %d motions of the drives%s", seen, drives, advice)
+    if how.method != "lm" and measurements.points.any():
+        logger.warning("a single target shows no whole pose, so a learned correction is poor: method lm does better")
 
 
 def _warn(identification: Identification) -> None:

@@ -32,6 +32,7 @@ _SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
 _SCALE_SPREAD = 0.4
 _STARTS = ((0.5, 0.5, 0.1), (0.05, 0.05, 0.3))  # c, s, o over the deviations' scale
 _JITTER = 1e-10
+_UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its deviations are 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +169,7 @@ def _noise(variances: Array, logarithms: Array) -> Array:
 
 def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     """Return the logarithms of greatest posterior probability."""
-    scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise)))
+    scale = float(np.sqrt(np.mean(deviations**2) + np.mean(noise))) or _UNSEEN_SCALE
     lengths = np.log([*[_SMOOTH_SCALE] * kernel.count, _OWN_SCALE])
     floor = np.log(_LEAST_AMPLITUDE * scale)
     bounds = [(floor, np.log(_MOST_AMPLITUDE * scale))] * 3 + [(floor, np.log(3.0 * scale))]

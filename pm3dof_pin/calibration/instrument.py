@@ -59,8 +59,10 @@ class Instrument:
             radius: radius of the circle [m].
 
         Raises:
-            InvalidValueError: fewer than 3 targets, or a size that is not positive.
+            InvalidValueError: fewer than 3 targets, or a size or noise that is not positive.
         """
+        if not (np.isfinite(sigma) and sigma > 0.0):
+            raise InvalidValueError("noise of a target", sigma, "a positive number of metres")
         if count < 3 or not radius > 0.0:
             raise InvalidValueError("targets", f"{count} at {radius} m", "at least 3 at a positive radius")
         return cls("pose", sigma / np.sqrt(count), sigma / (radius * np.sqrt(count / 2.0)))

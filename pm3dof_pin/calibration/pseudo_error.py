@@ -27,13 +27,15 @@ from pm3dof_pin.mechanism.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-_SEEN = 0.02
+SEEN = 0.02
 """Deviations that move what is seen by less than this part of the most effective ones count as unseen: they stay 0. On
-the tripod positions of the tool point alone show its height only; both tilts turn it on the spot."""
+the tripod positions of the tool point alone show its height only; both tilts turn it on the spot. Near a singular pose
+an arm has such directions even where whole poses are measured."""
 
 _INVERSION_STEPS = 3  # each leaves about a thousandth of the error
 _SHORTER = (0.25, 0.25, 0.25, 0.0, 1.0)  # what a step that leads away is multiplied by, one trial after the other
 _ROUNDING = 1e-12  # [m]
+_SAME = 1e-9
 
 
 class PseudoErrorModel(Protocol):
@@ -84,6 +86,20 @@ class InputScale:
         first = len(self.centre) - len(self.conditions)
         return dict(zip(self.conditions, self.centre[first:].tolist(), strict=True))
 
+    def beyond(self, conditions: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Return the range measured of each condition that is outside it, by name.
+
+        Args:
+            conditions: one number each.
+        """
+        first = len(self.centre) - len(self.conditions)
+        ranges = zip(self.conditions, self.centre[first:], self.half_range[first:], strict=True)
+        return {
+            name: (float(centre - half), float(centre + half))
+            for name, centre, half in ranges
+            if name in conditions and abs(conditions[name] - centre) > half * (1.0 + _SAME)
+        }
+
     def scaled(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
         """Return inputs, shape=(n, number of inputs).
 
@@ -126,22 +142,26 @@ def command_jacobians(poses: ToolPoses) -> Array:
     return sensitivities(GeometricErrors(poses.mechanism, ()), poses).commands
 
 
-def control_inverse(control: Array) -> Array:
+def control_inverse(control: Array, seen: float = SEEN) -> Array:
     """Return the pseudo-inverse of tip-weighted motions by the commands, without directions that are not seen.
 
     Args:
         control: shape=(n, 3 or 6, number of actuated joints).
+        seen: see :data:`SEEN`.
     """
-    return np.asarray(np.linalg.pinv(control, rcond=_SEEN))
+    return np.asarray(np.linalg.pinv(control, rcond=seen))
 
 
-def pseudo_errors(measurements: Measurements, model: ToolPoses, eta: float = TIP_LENGTH) -> PseudoErrors:
+def pseudo_errors(
+    measurements: Measurements, model: ToolPoses, eta: float = TIP_LENGTH, *, seen: float = SEEN
+) -> PseudoErrors:
     """Find the joint deviations that explain measurements, by inverting a model's kinematics.
 
     Args:
         measurements: poses, positions or points.
         model: poses of the model, nominal or calibrated, at the commands of the measurements.
         eta: weight of the orientation [m/rad].
+        seen: see :data:`SEEN`.
 
     Raises:
         ConvergenceError: the loops do not close at a deviated command.
@@ -156,11 +176,11 @@ def pseudo_errors(measurements: Measurements, model: ToolPoses, eta: float = TIP
         return np.asarray(measured_rows(measurements, poses, command_jacobians(poses)) * weights[:, None])
 
     def step(poses: ToolPoses) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", control_inverse(control(poses)), residuals(poses)))
+        return np.asarray(np.einsum("nij,nj->ni", control_inverse(control(poses), seen), residuals(poses)))
 
     deviations, poses = _descend(model, measurements.commands, step, residuals)
     reached = control(poses)
-    spread = control_inverse(reached) * (weights * measurements.sigmas)[:, None, :]
+    spread = control_inverse(reached, seen) * (weights * measurements.sigmas)[:, None, :]
     return PseudoErrors(deviations, spread @ np.swapaxes(spread, 1, 2), residuals(model), residuals(poses), reached)
 
 

@@ -27,7 +27,8 @@ class WorkspaceErrors:
         coordinates: their values, shape=(points,) each [m, rad].
         before: tip error with the commands of the description, shape=(points, points) [m].
         after: tip error expected with corrected commands [m].
-        floor: part of `before` that no command corrects, as the calibrated model has it [m]; 0 without parameters.
+        floor: part of `before` that no command corrects, as the calibrated model has it [m]; None without parameters,
+            which alone tell it.
     """
 
     names: tuple[str, str]
@@ -35,7 +36,7 @@ class WorkspaceErrors:
     coordinates: tuple[Array, Array]
     before: Array
     after: Array
-    floor: Array
+    floor: Array | None
 
 
 def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors:
@@ -63,17 +64,20 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
         name: float(values.mean()) for name, values in calibration.measurements.conditions.items()
     }
     seen = compensation.poses(poses, conditions).transforms
-    nearest = nearest_commands(poses, seen, compensation.eta).transforms
     columns = {
         "before": tip_error(pose_difference(poses.transforms, seen), compensation.eta),
         "after": compensation.predicted_error(poses, conditions),
-        "floor": tip_error(pose_difference(nearest, seen), compensation.eta),
     }
+    if compensation.values is not None:
+        nearest = nearest_commands(poses, seen, compensation.eta).transforms
+        columns["floor"] = tip_error(pose_difference(nearest, seen), compensation.eta)
     places = [np.rint((poses.coordinates(joints)[:, k] - axes[k][0]) / np.ptp(axes[k]) * (points - 1)) for k in (0, 1)]
-    fields = {}
+    fields: dict[str, Array] = {}
     for name, values in columns.items():
         field = np.full((points, points), np.nan)
         field[places[0].astype(int), places[1].astype(int)] = values
         fields[name] = field
     units = (mechanism.single_joint(joints[0]).unit, mechanism.single_joint(joints[1]).unit)
-    return WorkspaceErrors((joints[0], joints[1]), units, (axes[0], axes[1]), **fields)
+    return WorkspaceErrors(
+        (joints[0], joints[1]), units, (axes[0], axes[1]), fields["before"], fields["after"], fields.get("floor")
+    )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
+from pm3dof_pin.calibration.calibrate import Options, calibrate, can_be_judged, held_out_errors
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.measurements import Measurements
@@ -16,6 +16,7 @@ from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands
 from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.calibration.worlds import World
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.mechanism import Mechanism
 from pm3dof_pin.tripod import Tripod
 from pm3dof_pin.tripod.kinematics import inverse_kinematics, placement
 
@@ -238,3 +239,37 @@ def test_positions_of_the_tool_point_correct_its_height(
 
     assert height_error(commands) < 0.2 * height_error(wanted.commands)
     assert "shows 1 of 3 motions of the drives" in caplog.text
+
+
+def test_what_positions_do_not_show_is_not_judged(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    """Parameters predict tilts that positions of the tool point do not show; that is no excess over the best."""
+    positions = replace(measured, rotations=None, sigmas=measured.sigmas[:, :3])
+    whole = held_out_errors(calibrate(measured, tripod_errors, Options("lm"))).excess
+    seen = held_out_errors(calibrate(positions, tripod_errors, Options("lm"))).excess
+    assert seen.mean() < 2.0 * whole.mean()
+
+
+def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    """Measured twice, a pose may not be predicted from its own copy: judged are as many as there are poses."""
+    twice = measured[[*range(5), *range(5)]]
+    assert not can_be_judged(calibrate(twice, tripod_errors, Options("lm")))
+    once = held_out_errors(calibrate(measured[:12], tripod_errors, Options("lm", loss="squares")))
+    again = held_out_errors(calibrate(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
+    np.testing.assert_allclose(again.after[:12], again.after[12:], rtol=1e-9)
+    assert again.after.mean() > 0.8 * once.after.mean()
+
+
+def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Mechanism) -> None:
+    """Six drives undo everything but where the wrist is straight: those poses are few of many, and none is enormous."""
+    errors = GeometricErrors(serial_arm)
+    generator = np.random.default_rng(0)
+    arm = World.random("geometry", errors, generator)
+    commands = generator.uniform(-2.0, 2.0, (40, 6))
+    commands[::8, 4] = 1e-3  # straight
+    found = calibrate(arm.measure(commands, generator), errors, Options("lm"))
+    held_out = held_out_errors(found)
+    assert np.median(held_out.floor) < 1e-6
+    assert np.median(held_out.after) < 2.0 * np.median(held_out.noise)
+    assert np.all(held_out.after < 1.1 * held_out.before)
+    assert np.median(held_out.excess) < 3e-4
+    assert held_out.excess.max() < 0.03

@@ -206,3 +206,22 @@ def test_stored_models_answer_the_same(kind: type, samples: tuple[np.ndarray, ..
     again = kind.from_data(json.loads(text))
     np.testing.assert_array_equal(again.deviations(others), first.deviations(others))
     np.testing.assert_array_equal(again.uncertainties(others), first.uncertainties(others))
+
+
+def test_a_drive_that_no_measurement_shows_stays_where_it_is(
+    samples: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """A gripper does not move the tool: its deviations and their noise are exact zeros."""
+    inputs, deviations, others = samples
+    idle, noise = deviations.copy(), np.full_like(deviations, NOISE**2)
+    idle[:, 1], noise[:, 1] = 0.0, 0.0
+    process = GaussianProcess.fit(inputs, idle, noise)
+    assert np.abs(process.deviations(others)[:, 1]).max() < 1e-15
+    assert process.uncertainties(others)[:, 1].max() < 1e-8
+    assert np.sqrt(np.mean((process.deviations(others) - smooth(others))[:, [0, 2]] ** 2)) < NOISE
+
+
+def test_conditions_beyond_those_measured_are_told() -> None:
+    scale = InputScale(("temperature_screws_K", "load_tool_N"), np.array([0.0, 4.0, 25.0]), np.array([1.0, 4.0, 25.0]))
+    assert scale.beyond({"temperature_screws_K": 8.0, "load_tool_N": 0.0}) == {}
+    assert scale.beyond({"temperature_screws_K": 293.0}) == {"temperature_screws_K": (0.0, 8.0)}
