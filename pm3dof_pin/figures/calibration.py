@@ -100,24 +100,25 @@ def residuals_picture(found: Identification) -> Figure:
         axes.minorticks_off()
         axes.set_xlabel("line of the file")
         axes.set_ylabel("residual [sigma]")
-        axes.legend()
+        figure.legend(loc="outside upper center", ncols=3)
     return figure
 
 
 def workspace_picture(errors: WorkspaceErrors) -> Figure:
-    """Draw the maps of the tip error before and after, and of the floor; the last two have one scale of colours.
+    """Draw the maps of the tip error before and after, and of the floor if it is known; these two have one scale.
 
     Args:
         errors: errors over two motion coordinates.
     """
-    panels = (("as described", errors.before), ("corrected, expected", errors.after), ("floor", errors.floor))
+    after = (errors.after,) if errors.floor is None else (errors.after, errors.floor)
+    levels = [_levels(errors.before), *[_levels(*after)] * len(after)]
+    panels = list(zip(("as described", "corrected, expected", "floor"), (errors.before, *after), levels, strict=False))
     with house_style():
         figure = new_figure(len(panels) * _PANEL, 3.0)
         figure.set_layout_engine("constrained", wspace=0.06)
         row: Any = figure.subplots(1, len(panels), sharex=True, sharey=True)
-        after = _levels(errors.after, errors.floor)
-        for axes, (title, field), levels in zip(row, panels, (_levels(errors.before), after, after), strict=True):
-            _draw_map(axes, errors, field, title, levels)
+        for axes, (title, field, steps) in zip(row, panels, strict=True):
+            _draw_map(axes, errors, field, title, steps)
             figure.colorbar(axes.collections[0], ax=axes, label="tip error [µm]")
         row[0].set_ylabel(_axis_label(errors, 1))
     return figure

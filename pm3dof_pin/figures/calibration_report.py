@@ -29,6 +29,10 @@ table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em;
 td:not(:first-child), th:not(:first-child) { text-align: right; } img { max-width: 100%; }
 """
 
+_NO_FLOOR = (
+    "What no command corrects is not drawn: only identified parameters tell where it is. Both maps lack it, but for "
+    "its mean, which the second has."
+)
 _METHODS = {
     "lm": "geometric parameters by least squares",
     "nn": "a neural network on the joint variables",
@@ -59,10 +63,11 @@ def report_as_html(
         *_accuracy(calibration, held_out),
     ]
     if maps is not None:
+        floor = "The floor is what no command corrects." if maps.floor is not None else _NO_FLOOR
         parts += [
             "<h2>Over the workspace</h2>",
-            "<p>As the calibration knows the machine, the other motion coordinates in the middle of their ranges. The "
-            "floor is what no command corrects: it is known from identified parameters only.</p>",
+            "<p>As the calibration knows the machine, the other motion coordinates in the middle of their ranges. "
+            f"{floor}</p>",
             _image(workspace_picture(maps), "maps of the tip error before and after"),
         ]
     if calibration.compensation.values is not None:
@@ -99,7 +104,7 @@ def _data(calibration: Calibration) -> list[str]:
 def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     heading = "<h2>Accuracy on poses it was not shown</h2>"
     if held_out is None:
-        return [heading, "<p>Not known: too few measurements for a cross-validation.</p>"]
+        return [heading, "<p>Not known: too few poses for a cross-validation.</p>"]
     units = sorted(set(command_units(calibration.compensation.errors.mechanism)))
     joint_unit = ", ".join(f"µ{unit}" for unit in units)
     rows = [
@@ -112,7 +117,7 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     return [
         heading,
-        "<p>Cross-validation: each fifth of the measurements is predicted from the others. Tip errors in µm, as "
+        "<p>Cross-validation: each fifth of the poses is predicted from the others. Tip errors in µm, as "
         "measured, so noise is in all of them. The floor is left with the best possible commands: with fewer drives "
         "than a pose has freedoms, commands cannot correct everything. The last line compares commands.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),

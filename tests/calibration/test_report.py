@@ -121,6 +121,7 @@ def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
     assert maps.names == ("platform_x_joint", "platform_y_joint")
     assert 5 < inside.sum() < 49
     np.testing.assert_array_equal(inside, np.isfinite(maps.after))
+    assert maps.floor is not None
     assert np.all(maps.floor[inside] <= maps.before[inside])
     assert np.nanmean(maps.after) < 0.6 * np.nanmean(maps.before)
 
@@ -150,3 +151,12 @@ def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration,
     (target / "compensation.json").write_text(json.dumps(data))
     with pytest.raises(DescriptionError, match="expected those of format 1"):
         read_compensation(target)
+
+
+def test_without_parameters_no_floor_is_drawn(calibration: Calibration, tripod_errors: GeometricErrors) -> None:
+    learned = calibrate(calibration.measurements, tripod_errors, Options("gp"))
+    maps = workspace_errors(learned, 7)
+    assert maps.floor is None
+    page = report_as_html(learned, "pm3dof", None, maps)
+    assert "What no command corrects is not drawn" in page
+    assert "The floor is what no command corrects" not in page
