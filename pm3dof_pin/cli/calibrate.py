@@ -105,17 +105,16 @@ def _parameters(robot: str) -> GeometricErrors:
 
     from pm3dof_pin.calibration.geometry import GeometricErrors
     from pm3dof_pin.calibration.reachable_poses import reachable_poses
-    from pm3dof_pin.calibration.sensitivity import closable
+    from pm3dof_pin.cli.closing_errors import closing_errors
 
     errors = GeometricErrors.load(robot)
-    return closable(errors, reachable_poses(errors.mechanism, 20, np.random.default_rng(0)))
+    return closing_errors(errors, reachable_poses(errors.mechanism, 20, np.random.default_rng(0)))
 
 
 def _held_out(calibration: Calibration) -> HeldOut | None:
-    from pm3dof_pin.calibration.calibrate import LEAST_POSES, held_out_errors
+    from pm3dof_pin.calibration.calibrate import can_be_judged, held_out_errors
 
-    trusted = len(calibration.measurements) - len(calibration.identification.outliers)
-    return held_out_errors(calibration) if trusted > LEAST_POSES + 1 else None
+    return held_out_errors(calibration) if can_be_judged(calibration) else None
 
 
 def _maps(calibration: Calibration) -> WorkspaceErrors | None:
@@ -130,19 +129,19 @@ def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:
     lines = [f"{len(measurements)} measurements, method {summary['method']}"]
     held_out = summary.get("held_out")
     if held_out is None:
-        return [*lines, "too few measurements for a cross-validation"]
+        return [*lines, "too few poses for a cross-validation"]
     names = {
         "tip_error_before_m": "as described",
         "tip_error_after_m": "corrected",
         "tip_error_floor_m": "best commands (floor)",
         "tip_noise_m": "measurement noise",
         "excess_joint_error_m": "corrected minus best commands",
-        "excess_joint_error_rad": "corrected minus best commands [urad]",
-        "excess_joint_error_m_rad": "corrected minus best commands [um, urad]",
+        "excess_joint_error_rad": "corrected minus best commands [µrad]",
+        "excess_joint_error_m_rad": "corrected minus best commands [µm, µrad]",
     }
     rows = [
         [text, *(f"{1e6 * number:.1f}" for number in held_out[key].values())]
         for key, text in names.items()
         if key in held_out
     ]
-    return [*lines, *table_lines(["held-out poses, tip error [um]", "mean", "95 %", "max"], rows)]
+    return [*lines, *table_lines(["held-out poses, tip error [µm]", "mean", "95 %", "max"], rows)]

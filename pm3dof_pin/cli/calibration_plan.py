@@ -47,6 +47,10 @@ def calibration_plan(
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
     ] = 0.0,
+    distance: Annotated[
+        float,
+        typer.Option(min=0.0, help="Least distance of two poses: rms of their commands' differences over the ranges."),
+    ] = 0.05,
     prior: Annotated[
         float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
     ] = 3.0,
@@ -65,15 +69,16 @@ def calibration_plan(
     from pm3dof_pin.calibration.plan_file import write_plan
     from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
     from pm3dof_pin.calibration.reachable_poses import reachable_poses
-    from pm3dof_pin.calibration.sensitivity import closable
+    from pm3dof_pin.cli.closing_errors import closing_errors
 
     errors = GeometricErrors.load(robot)
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
         choices = reachable_poses(errors.mechanism, candidates, generator, margin=margin)
         tests = reachable_poses(errors.mechanism, min(candidates, 300), generator)
+        fitting = closing_errors(errors, choices[:20])
         instrument = Instrument("position" if positions else "pose")
-        problem = PlanningProblem(closable(errors, choices[:20]), choices, tests, instrument=instrument, prior=prior)
+        problem = PlanningProblem(fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior)
         progress(1, 3)
         plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
         progress(2, 3)
@@ -104,12 +109,15 @@ def _draw(problem: PlanningProblem, minimum: int, path: Path) -> Path:
 
 
 def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[Any, float]) -> dict[str, Any]:
+    from pm3dof_pin.calibration.measurements import command_units
+
     known = plan.identifiability
+    units = sorted(set(command_units(problem.errors.mechanism)))
     return {
         "robot": problem.errors.mechanism.name,
         "strategy": plan.strategy,
         "poses": len(plan.indices),
-        "commands": plan.poses.commands + problem.errors.command_offsets,
+        "_".join(["commands", *units]): plan.poses.commands + problem.errors.command_offsets,
         "predicted_tip_rms_m": plan.predicted_tip_rms,
         "tip_rms_before_m": problem.predicted_tip_rms([]),
         "predicted_tip_rms_by_strategy_m": predicted,

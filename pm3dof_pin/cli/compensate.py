@@ -42,6 +42,12 @@ def compensate(
         raise InvalidValueError("--condition", name, f"one of {', '.join(usual) or 'none, it knows none'}")
     for name in sorted(set(usual) - set(given)):
         message(f"pm3dof: {name} is not given: {usual[name]:.4g}, the middle of those measured, is taken")
+    if compensation.inputs is not None:
+        for name, (least, most) in compensation.inputs.beyond(given).items():
+            message(
+                f"pm3dof: {name} = {given[name]:.4g} is outside what was measured, {least:.4g} .. {most:.4g}: "
+                "the correction is a guess there"
+            )
     tripod, pose = load_tripod(None), pose_of(theta_x, theta_y, z_e)
     inverse_kinematics(tripod, pose)  # raises where the pose is out of reach
     home = compensation.errors.mechanism.home.tool_placement.translation[2]
@@ -52,13 +58,14 @@ def compensate(
         "u_nominal_m": answer.nominal_commands[0],
         "predicted_error_m": answer.predicted_error[0],
         "deviation_m": answer.deviations[0],
+        "conditions": usual | given,
     }
     rows = [
         [f"u{k}", f"{u:.9f}", f"{nominal:.9f}", f"{1e6 * (u - nominal):.2f}"]
         for k, (u, nominal) in enumerate(zip(answer.commands[0], answer.nominal_commands[0], strict=True), start=1)
     ]
-    lines = table_lines(["drive", "command [m]", "nominal [m]", "difference [um]"], rows)
-    lines.append(f"tip error to be expected: {1e6 * answer.predicted_error[0]:.1f} um")
+    lines = table_lines(["drive", "command [m]", "nominal [m]", "difference [µm]"], rows)
+    lines.append(f"tip error to be expected: {1e6 * answer.predicted_error[0]:.1f} µm")
     print_result(result, lines, as_json=as_json)
     stop_on_broken_limits(broken)
 

@@ -73,7 +73,7 @@ def error_map(
             from pm3dof_pin.figures.style import save_figure
 
             files.append(save_figure(error_ranking(ranking), out / "error_ranking.png"))
-        result |= _summary(mapped) | {"ranking": [share.__dict__ for share in ranking]}
+        result |= _summary(mapped) | {"ranking": [_plain(share) for share in ranking]}
         if target is not None:
             result["allocation"] = _allocation(mapped, target)
     print_result(result | {"files": [str(file) for file in files]}, _lines(result), as_json=as_json)
@@ -119,15 +119,10 @@ def _sampled(errors: GeometricErrors, samples: int, eta: float, uniform: bool) -
 
     from pm3dof_pin.calibration.error_map import error_map as compute
     from pm3dof_pin.calibration.reachable_poses import reachable_poses
-    from pm3dof_pin.calibration.sensitivity import closable
+    from pm3dof_pin.cli.closing_errors import closing_errors
 
     poses = reachable_poses(errors.mechanism, samples, np.random.default_rng(0))
-    fitting = closable(errors, poses)
-    if len(fitting) < len(errors):
-        dropped = [name for name in errors.names if name not in fitting.names]
-        some = ", ".join(dropped[:SHOWN]) + (" ..." if len(dropped) > SHOWN else "")
-        message(f"{len(dropped)} parameters are left out, as the loops cannot close with them: {some}")
-    return compute(fitting, poses, eta=eta, distribution="uniform" if uniform else "normal")
+    return compute(closing_errors(errors, poses), poses, eta=eta, distribution="uniform" if uniform else "normal")
 
 
 def _summary(mapped: ErrorMap) -> dict[str, Any]:
@@ -159,6 +154,10 @@ def _allocation(mapped: ErrorMap, target: float) -> dict[str, Any]:
     }
 
 
+def _plain(share: ParameterShare) -> dict[str, Any]:
+    return {"tip_rms_m" if name == "tip_rms" else name: value for name, value in share.__dict__.items()}
+
+
 def _write_ranking(ranking: list[ParameterShare], path: Path) -> Path:
     from pm3dof_pin.files import write_text_atomically
 
@@ -187,7 +186,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
         [
             share["name"],
             share["group"],
-            f"{1e6 * share['tip_rms']:.1f}",
+            f"{1e6 * share['tip_rms_m']:.1f}",
             f"{share['share']:.1%}",
             f"{share['uncompensable_share']:.1%}",
         ]

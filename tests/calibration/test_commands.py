@@ -93,6 +93,9 @@ def test_conditions(place: Path) -> None:
     assert np.all(np.array(cold) - warm > 5e-6)
     usual = run("compensate", *pose, cwd=place)
     assert "temperature_screws_K is not given" in usual.stderr
+    kelvin = run("compensate", *pose, "--condition", "temperature_screws_K=293", "--json", cwd=place)
+    assert "temperature_screws_K = 293 is outside what was measured" in kelvin.stderr
+    assert json.loads(kelvin.stdout)["conditions"] == {"temperature_screws_K": 293.0}
     wrong = run("compensate", *pose, "--condition", "wind=3", cwd=place)
     assert wrong.returncode == 1
     assert "expected one of temperature_screws_K" in wrong.stderr
@@ -155,3 +158,13 @@ def test_another_robot(place: Path) -> None:
     assert held_out["tip_error_after_m"]["mean"] < 0.3 * held_out["tip_error_before_m"]["mean"]
     assert math.isfinite(result["noise_factor"])
     assert run("compensate", "0", "0", "0.1", "--calibration", "hexapod", cwd=place).returncode == 1
+
+
+def test_parameters_with_which_loops_cannot_close_are_named(place: Path) -> None:
+    plan = ("--robot", "three_rps", "--poses", "4", "--candidates", "30", "--strategy", "random", "--out", "three.csv")
+    planned = run("calibration-plan", *plan, cwd=place)
+    assert planned.returncode == 0, planned.stderr
+    crowded = run("calibration-plan", *plan, "--distance", "1.0", cwd=place)
+    assert crowded.returncode == 1
+    assert "at least 1 of the ranges from each other" in crowded.stderr
+    assert "pm3dof: 72 parameters are left out, as the loops cannot close with them: hinge1_left" in planned.stderr

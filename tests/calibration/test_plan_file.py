@@ -63,7 +63,7 @@ def test_the_command(tmp_path: Path) -> None:
     result = json.loads(first.stdout)
     assert (result["identifiable"], result["least_number_of_poses"]) == (34, 9)
     assert result["not_identifiable"] == ["platform_x_joint.rx"]
-    assert len(result["commands"]) == 9
+    assert len(result["commands_m"]) == 9
     predicted = result["predicted_tip_rms_by_strategy_m"]
     assert predicted["d-optimal"] == result["predicted_tip_rms_m"] < predicted["random"]
     assert "34 of 35 parameters identified" in again.stdout

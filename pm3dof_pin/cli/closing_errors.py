@@ -1,0 +1,25 @@
+"""The error parameters with which the loops of a robot close; those left out are named."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pm3dof_pin.cli.output import message
+
+if TYPE_CHECKING:
+    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.calibration.tool_poses import ToolPoses
+
+SHOWN = 10
+
+
+def closing_errors(errors: GeometricErrors, poses: ToolPoses) -> GeometricErrors:
+    """Return the errors with which the loops close at these poses, and say how many are left out."""
+    from pm3dof_pin.calibration.sensitivity import closable
+
+    fitting = closable(errors, poses)
+    if len(fitting) < len(errors):
+        dropped = [name for name in errors.names if name not in fitting.names]
+        some = ", ".join(dropped[:SHOWN]) + (" ..." if len(dropped) > SHOWN else "")
+        message(f"pm3dof: {len(dropped)} parameters are left out, as the loops cannot close with them: {some}")
+    return fitting
