@@ -135,8 +135,7 @@ class Target:
         if self.pose is not None:
             from pm3dof_pin.tripod.kinematics import joint_positions
 
-            positions = joint_positions(load_tripod(None), pose_of(*self.pose))
-            return mechanism.configuration(mechanism.held_positions(mechanism.home.q, positions)[0])
+            return mechanism.at_joint_positions(joint_positions(load_tripod(None), pose_of(*self.pose)))
         named = mechanism.named_configurations
         if self.name is None or (self.name == "home" and not named):
             return mechanism.assemble(mechanism.home)

@@ -259,8 +259,7 @@ def _draw_workspace(viewer: Viewer, tripod: Tripod, quantity: str) -> None:
 def _configurations(mechanism: Mechanism, tripod: Tripod, poses: NDArray[np.float64]) -> list[Configuration]:
     from pm3dof_pin.tripod.kinematics import joint_positions
 
-    positions = [joint_positions(tripod, pose) for pose in poses]
-    return [mechanism.configuration(mechanism.held_positions(mechanism.home.q, held)[0]) for held in positions]
+    return [mechanism.at_joint_positions(joint_positions(tripod, pose)) for pose in poses]
 
 
 def _limits_on_path(tripod: Tripod, poses: NDArray[np.float64]) -> list[str]:

@@ -84,8 +84,9 @@ class Evaluation:
                 positions = joint_positions(self.tripod, self.poses[index])
             except UnreachablePoseError:
                 continue
-            q, _ = model.rigid.held_positions(model.rigid.home.q, positions)
-            frequencies[index] = natural_modes(model, q, count=_MODES).frequencies
+            frequencies[index] = natural_modes(
+                model, model.rigid.at_joint_positions(positions), count=_MODES
+            ).frequencies
         return frequencies
 
 

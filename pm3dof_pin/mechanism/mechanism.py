@@ -246,6 +246,18 @@ class Mechanism:
         """
         return Configuration(self, q)
 
+    def at_joint_positions(self, positions: Mapping[str, ArrayLike]) -> Configuration:
+        """Make the configuration with joints at given coordinates, the others as at home. Nothing is closed.
+
+        Args:
+            positions: coordinates by joint [m, rad]; shape=(joint's nq,) for a joint with several freedoms.
+
+        Raises:
+            JointNotFoundError: a joint is not in the model.
+            InvalidValueError: a coordinate is not finite or of the wrong shape.
+        """
+        return self.configuration(self.held_positions(self.home.q, positions)[0])
+
     def assemble(
         self, guess: Configuration | ArrayLike | None = None, *, held: Mapping[str, ArrayLike] | None = None
     ) -> Configuration:
