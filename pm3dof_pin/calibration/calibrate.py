@@ -234,7 +234,7 @@ def _unexplained(compensation: Compensation, measurements: Measurements, nominal
     """Return the tip error that no command corrects and no parameter explains, root mean square without noise [m]."""
     found = pseudo_errors(measurements, compensation.model_poses(nominal), compensation.eta)
     n, rows = found.left.shape
-    weights = np.array([1.0, 1.0, 1.0, *[compensation.eta] * 3])[:rows]
+    weights = tip_weights(compensation.eta)[:rows]
     noise = (measurements.sigmas * weights) ** 2
     across = np.eye(rows) - found.control @ control_inverse(found.control)
     expected = np.einsum("nii,ni->", across, noise)

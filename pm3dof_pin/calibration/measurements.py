@@ -38,7 +38,6 @@ _BEYOND_LIMITS = 0.2  # of a joint's range
 _FAR_OFF = 0.05  # of the way from the base to the tool: no tolerance explains that
 _TURNED = 0.1  # [rad], likewise
 _THOUSANDFOLD = 300.0
-_TOO_LARGE = "they spread a thousand times as far as the machine moves"
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 
 
@@ -386,7 +385,11 @@ class _Reader:
     def _check_extent(self, expected: Array, positions: Array) -> None:
         seen, wanted = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (positions, expected))
         if seen > _THOUSANDFOLD * wanted:
-            raise MeasurementError(self._path, f"{','.join(POSITION_COLUMNS)} look like millimetres: {_TOO_LARGE}")
+            raise MeasurementError(
+                self._path,
+                f"{','.join(POSITION_COLUMNS)} look like millimetres: "
+                "they spread a thousand times as far as the machine moves",
+            )
 
     def _check_positions(self, expected: Array, positions: Array) -> None:
         size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)

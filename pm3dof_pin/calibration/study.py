@@ -25,7 +25,7 @@ from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
 from pm3dof_pin.calibration.error_map import best_commands
 from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_error
+from pm3dof_pin.calibration.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.calibration.pseudo_error import command_jacobians
 from pm3dof_pin.calibration.reachable_poses import coordinate_ranges, reachable_poses
 from pm3dof_pin.calibration.tool_poses import ToolPoses
@@ -184,7 +184,7 @@ class _Judge:
             self._left = pose_difference(poses.transforms, truth.poses(self.best, surroundings))
         sigmas = instrument.sigmas
         self._noise = float(tip_error(sigmas))
-        weights = np.array([1.0, 1.0, 1.0, TIP_LENGTH, TIP_LENGTH, TIP_LENGTH])
+        weights = tip_weights()
         spread = np.linalg.pinv(self._control * weights[:, None]) * (weights * sigmas)
         self._joint_noise = float(np.sqrt(np.mean(np.sum(spread**2, axis=2))))
 

@@ -63,7 +63,8 @@ class World:
             raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
         if name == "geometry":
             return cls(SimulatedMachine.random(errors, generator, everything=False))
-        machine = SimulatedMachine.random(errors, generator)
+        truth = richer(errors)
+        machine = SimulatedMachine.random(truth, generator, everything=False)
         mechanism = errors.mechanism
         position, angle = _VIBRATION
         machine = replace(machine, vibration=Vibration(np.diag(np.repeat([position, angle], 3) ** 2)))
@@ -72,7 +73,7 @@ class World:
         if set(command_units(mechanism)) != {"m"}:
             return cls(machine)
         # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
-        lengths = {p.place for p in richer(errors).parameters if p.motion == "translation"}
+        lengths = {p.place for p in truth.parameters if p.motion == "translation"}
         links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
