@@ -166,6 +166,26 @@ def assert_closed_and_held(
     return check
 
 
+@pytest.fixture
+def assert_forces_of_the_closed_form(
+    cross_check: CrossCheck,
+    positions_at: Callable[[Sequence[float]], dict[str, float]],
+    actuator_forces: Callable[..., Vector],
+) -> Callable[[Any], None]:
+    """Check the forces of a simulator's own terms for the tripod, at rest and in motion, against the closed form's."""
+
+    def check(simulator: Any) -> None:
+        forces = actuator_forces(
+            lambda positions, rates: simulator.state(Terms, positions, rates),
+            positions_at(cross_check.pose),
+            rates=cross_check.rates,
+            accelerations=cross_check.accelerations,
+        )
+        np.testing.assert_allclose(forces, cross_check.forces, rtol=0, atol=1e-9)
+
+    return check
+
+
 @pytest.fixture(scope="session")
 def actuator_forces() -> Callable[..., Vector]:
     """Solve a tool's equation of motion for the forces of actuators and closures, and return those of the actuators."""

@@ -135,20 +135,9 @@ def test_actuators_and_constraints(
 
 
 def test_forces_are_those_of_the_closed_form(
-    open_robot: Callable[[str], Simulator],
-    cross_check: Any,
-    positions_at: Callable[..., Positions],
-    actuator_forces: Callable[..., np.ndarray],
-    terms: Any,
+    open_robot: Callable[[str], Simulator], assert_forces_of_the_closed_form: Callable[..., None]
 ) -> None:
-    tripod = open_robot("pm3dof")
-    forces = actuator_forces(
-        lambda positions, rates: tripod.state(terms, positions, rates),
-        positions_at(cross_check.pose),
-        rates=cross_check.rates,
-        accelerations=cross_check.accelerations,
-    )
-    np.testing.assert_allclose(forces, cross_check.forces, rtol=0, atol=1e-9)
+    assert_forces_of_the_closed_form(open_robot("pm3dof"))
 
 
 def test_every_robot_is_closed_and_holds_itself_with_our_forces(

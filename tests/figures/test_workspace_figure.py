@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from pathlib import Path
 
@@ -81,24 +80,10 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
     assert np.all(rim > 0.999)
 
 
-def test_a_machine_with_holes_in_its_sections(tripod: Tripod) -> None:
+def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
     """Islands and holes are drawn as points, and no surface is drawn across them."""
-    hollow = Tripod(
-        dataclasses.replace(
-            tripod.parameters,
-            link_length=0.416,
-            platform_radius=0.088,
-            platform_joint_height=-0.083,
-            guide_slope=1.1,
-            slider_home=0.23,
-            slider_stroke=0.036,
-            spherical_limit=1.2,
-            spherical_axis_inclination=1.0,
-            universal_limit=1.32,
-        )
-    )
-    whole = workspace(hollow, 15, 90)
-    figure = workspace_figure(hollow, whole)
+    whole = workspace(hollow_tripod, 15, 90)
+    figure = workspace_figure(hollow_tripod, whole)
     figure.canvas.draw()
     solid = figure.axes[0]
     scattered = sum(not section.star_shaped for section in whole.sections)
