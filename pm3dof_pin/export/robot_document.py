@@ -85,7 +85,7 @@ class RobotDocument:
 
     @cached_property
     def home(self) -> Configuration:
-        """The home configuration, its loops closed if they are not so as described.
+        """The home configuration of the mechanism, of which other tools need that its loops are closed.
 
         Raises:
             ConvergenceError: they cannot be closed near it.
