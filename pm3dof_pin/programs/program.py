@@ -1,0 +1,183 @@
+"""Finished straight-line programs: what the graph hands to the printers, and what is kept on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError
+
+FORMAT = "pm3dof program 1"
+
+
+def _minimum(a: Any, b: Any) -> Any:
+    return np.where((a < b) | np.isnan(a), a, b)
+
+
+def _maximum(a: Any, b: Any) -> Any:
+    return np.where((b < a) | np.isnan(a), a, b)
+
+
+OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    "negative": (1, np.negative),
+    "add": (2, np.add),
+    "subtract": (2, np.subtract),
+    "multiply": (2, np.multiply),
+    "divide": (2, np.divide),
+    "sqrt": (1, np.sqrt),
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "atan2": (2, np.arctan2),
+    "absolute": (1, np.absolute),
+    "minimum": (2, _minimum),
+    "maximum": (2, _maximum),
+    "less": (2, np.less),
+    "and": (2, np.logical_and),
+    "or": (2, np.logical_or),
+    "not": (1, np.logical_not),
+    "select": (3, np.where),
+}
+"""Number of operands and meaning of every operation. `minimum` and `maximum` are NaN where an operand is NaN, and
+the second operand where both are equal; `less` is false where an operand is NaN."""
+
+_NAMES = tuple(OPERATIONS)
+_CODES = {name: code for code, name in enumerate(_NAMES)}
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A straight line of operations on the numbers of one pose.
+
+    Values are numbered: first the inputs, then the parameters, the constants, and one value for every line.
+
+    Attributes:
+        name: name of the printed function, an identifier.
+        inputs: names of the inputs, which every pose has its own of.
+        parameters: names of the parameters, which all poses of a call share.
+        outputs: name and shape of each group of outputs; results stand one group after the other, each in C order.
+        constants: the constants.
+        lines: name of the operation and numbers of its operands; operands come before the line.
+        results: numbers of the values that are output, flat.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outputs: Mapping[str, tuple[int, ...]]
+    constants: tuple[float, ...]
+    lines: tuple[tuple[str, tuple[int, ...]], ...]
+    results: tuple[int, ...]
+
+    def __len__(self) -> int:
+        """Return the number of operations."""
+        return len(self.lines)
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Place of each group among the flat outputs."""
+        places: dict[str, slice] = {}
+        first = 0
+        for name, shape in self.outputs.items():
+            places[name] = slice(first, first + math.prod(shape))
+            first = places[name].stop
+        return places
+
+    def split(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return views of flat outputs, shape=(..., number of outputs), by group: shape=(..., *shape of the group)."""
+        return {
+            name: flat[..., self.slices[name]].reshape(*flat.shape[:-1], *shape) for name, shape in self.outputs.items()
+        }
+
+    @cached_property
+    def first_line(self) -> int:
+        """Number of the value that the first line makes."""
+        return len(self.inputs) + len(self.parameters) + len(self.constants)
+
+    @cached_property
+    def content(self) -> bytes:
+        """The program as bytes, the same for equal programs on every machine; `Program.from_bytes` reads them."""
+        header = {
+            "format": FORMAT,
+            "name": self.name,
+            "inputs": self.inputs,
+            "parameters": self.parameters,
+            "outputs": [[name, list(shape)] for name, shape in self.outputs.items()],
+            "counts": [len(self.constants), len(self.lines), len(self.results)],
+        }
+        operands = np.zeros((len(self.lines), 3), dtype="<i4")
+        for row, (_, numbers) in zip(operands, self.lines, strict=True):
+            row[: len(numbers)] = numbers
+        return b"".join(
+            (
+                json.dumps(header).encode() + b"\n",
+                np.array(self.constants, dtype="<f8").tobytes(),
+                np.array(self.results, dtype="<i4").tobytes(),
+                operands.tobytes(),
+                bytes(_CODES[operation] for operation, _ in self.lines),
+            )
+        )
+
+    @cached_property
+    def key(self) -> str:
+        """Hexadecimal hash of the content."""
+        return hashlib.sha256(self.content).hexdigest()
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> Program:
+        """Read a program from its `content`.
+
+        Raises:
+            InvalidValueError: the bytes are not a program of this version.
+        """
+        try:
+            head, body = content.split(b"\n", 1)
+            header = json.loads(head)
+            if header["format"] != FORMAT:
+                raise ValueError(header["format"])
+            n_constants, n_lines, n_results = header["counts"]
+            ends = np.cumsum([8 * n_constants, 4 * n_results, 12 * n_lines, n_lines])
+            if len(body) != ends[-1]:
+                raise ValueError("length")
+            operands = np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(-1, 3).tolist()
+            return cls(
+                name=header["name"],
+                inputs=tuple(header["inputs"]),
+                parameters=tuple(header["parameters"]),
+                outputs={name: tuple(shape) for name, shape in header["outputs"]},
+                constants=tuple(np.frombuffer(body[: ends[0]], dtype="<f8").tolist()),
+                results=tuple(np.frombuffer(body[ends[0] : ends[1]], dtype="<i4").tolist()),
+                lines=tuple(
+                    (_NAMES[code], tuple(numbers[: OPERATIONS[_NAMES[code]][0]]))
+                    for code, numbers in zip(body[ends[2] :], operands, strict=True)
+                ),
+            )
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
+
+    def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> NDArray[np.float64]:
+        """Run the program with NumPy, one operation after the other: slow, and the reference for the printers.
+
+        Args:
+            inputs: shape=(n, number of inputs).
+            parameters: shape=(number of parameters,).
+
+        Returns:
+            Outputs, shape=(n, number of outputs).
+        """
+        rows = np.asarray(inputs, dtype=float)
+        values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=float), *map(np.float64, self.constants)]
+        with np.errstate(all="ignore"):
+            for operation, operands in self.lines:
+                values.append(OPERATIONS[operation][1](*(values[number] for number in operands)))
+        flat = np.empty((len(rows), len(self.results)))
+        for column, number in enumerate(self.results):
+            flat[:, column] = values[number]
+        return flat
