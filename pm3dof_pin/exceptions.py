@@ -114,6 +114,10 @@ class RigidDirectionError(SingularConfigurationError):
     """A stiffness does not exist: no spring gives in some direction. The message names the directions."""
 
 
+class ProgramError(PM3DofError):
+    """A mechanism has no program, or its program does not agree with Pinocchio. The message says why."""
+
+
 class OutputError(PM3DofError):
     """A file or folder cannot be written. Nothing was left half-written."""
 

@@ -1,0 +1,176 @@
+"""The numbers of a mechanism's geometry: constants and parameters of its programs.
+
+An entry that is exactly 0, 1 or -1 is a constant of the program, and work with it vanishes; every other entry is a
+parameter. Which entries are constants is the *pattern*. One program serves all mechanisms of the same structure and
+pattern; a dense pattern, without constants, serves every mechanism of the structure, with errors in whatever place.
+
+Entries within 1e-15 of 0, 1 or -1 are taken as such: they are the rounding of cos(pi/2) in angles of a URDF. This
+moves a point a metre away by 1e-15 m.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs.graph import Graph, Number
+
+_ROUNDING = 1e-15
+_CONSTANTS = np.array([0.0, 1.0, -1.0])
+
+
+def structure(mechanism: Mechanism) -> str:
+    """Describe what programs depend on besides the geometry: joints, their order and types, closures and tool."""
+    model = mechanism.model
+    joints = [
+        f"{model.names[index]}:{_kind(model.joints[index])}:{model.parents[index]}" for index in range(1, model.njoints)
+    ]
+    loops = [f"{loop.frame_a}~{loop.frame_b}:{loop.type}:{loop.swing_limit is None}" for loop in mechanism.closures]
+    frames = [f"{name}@{model.frames[mechanism.frame_id(name)].parentJoint}" for name in _frame_names(mechanism)]
+    return "|".join([*joints, *loops, *frames])
+
+
+def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float]:
+    """Collect the geometry of a mechanism by name.
+
+    Args:
+        mechanism: the mechanism.
+        frames: frames besides those of the closures and the tool.
+
+    Returns:
+        Entries of the placements of joints and frames and of axes, in a fixed order; rounded as said above.
+    """
+    model = mechanism.model
+    found: dict[str, float] = {}
+    for index in range(1, model.njoints):
+        _add_placement(found, model.names[index], model.jointPlacements[index])
+        _add_joint(found, model.names[index], model.joints[index])
+    for name in dict.fromkeys([*_frame_names(mechanism), *frames]):
+        _add_placement(found, _frame_key(name), model.frames[mechanism.frame_id(name)].placement)
+    return found
+
+
+def values(mechanism: Mechanism, names: Iterable[str], constants: Mapping[str, float] | None = None) -> NDArray[Any]:
+    """Collect the values of a program's parameters.
+
+    Args:
+        mechanism: a mechanism of the program's structure.
+        names: the program's parameters.
+        constants: entries that are constants of the program, to be checked.
+
+    Raises:
+        ProgramError: the mechanism lacks a number, or has another where the program has a constant.
+    """
+    wanted = list(names)
+    found = numbers(mechanism, [name[6:].rpartition("/")[0] for name in wanted if name.startswith("frame/")])
+    for name, constant in (constants or {}).items():
+        if found.get(name) != constant:
+            raise ProgramError(
+                f"{mechanism.name}: {name} is {found.get(name)}, expected {constant}, a constant of the program"
+            )
+    if missing := [name for name in wanted if name not in found]:
+        raise ProgramError(f"{mechanism.name}: no geometry {missing[0]}, expected that of the program's mechanism")
+    return np.array([found[name] for name in wanted])
+
+
+class Geometry:
+    """The geometry of one mechanism, as constants and parameters of a graph.
+
+    Args:
+        graph: the graph.
+        mechanism: the mechanism.
+        frames: frames besides those of the closures and the tool.
+        dense: whether every entry is a parameter.
+    """
+
+    def __init__(self, graph: Graph, mechanism: Mechanism, frames: Iterable[str] = (), *, dense: bool = False) -> None:
+        self._graph = graph
+        self._numbers = numbers(mechanism, frames)
+        self._dense = dense
+        self._known: dict[str, Number | float] = {}
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Entries that are constants of the program."""
+        return {name: entry for name, entry in self._known.items() if isinstance(entry, float)}
+
+    def number(self, owner: str, entry: str) -> Number | float:
+        """Return one entry of the geometry of a joint or frame."""
+        name = f"{owner}/{entry}"
+        if name not in self._known:
+            value = self._numbers[name]
+            is_constant = not self._dense and value in _CONSTANTS
+            self._known[name] = value if is_constant else self._graph.parameter(name, value)
+        return self._known[name]
+
+    def vector(self, owner: str, entry: str) -> NDArray[np.object_]:
+        """Return a vector of the geometry, shape=(3,)."""
+        return np.array([self.number(owner, f"{entry}{k}") for k in range(3)], dtype=object)
+
+    def rotation(self, owner: str) -> NDArray[np.object_]:
+        """Return the rotation of a placement, shape=(3, 3)."""
+        return np.array([[self.number(owner, f"R{i}{j}") for j in range(3)] for i in range(3)], dtype=object)
+
+
+def pattern(mechanism: Mechanism, frames: Iterable[str] = ()) -> str:
+    """Return a hash of which entries are constants, and of which value."""
+    rows = [(name, value) for name, value in numbers(mechanism, frames).items() if value in _CONSTANTS]
+    return hashlib.sha256(repr(rows).encode()).hexdigest()
+
+
+def _frame_key(name: str) -> str:
+    return f"frame/{name}"
+
+
+def _frame_names(mechanism: Mechanism) -> list[str]:
+    names = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
+    return list(dict.fromkeys([*names, *([mechanism.tool_frame] if mechanism.tool_frame is not None else [])]))
+
+
+def _add_placement(found: dict[str, float], owner: str, placement: pin.SE3) -> None:
+    for i in range(3):
+        for j in range(3):
+            found[f"{owner}/R{i}{j}"] = _rounded(placement.rotation[i, j])
+    for k in range(3):
+        found[f"{owner}/p{k}"] = _rounded(placement.translation[k])
+
+
+def _add_joint(found: dict[str, float], owner: str, model_joint: Any) -> None:
+    joint = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
+    axes = {entry: getattr(joint, entry) for entry in ("axis", "axis1", "axis2") if hasattr(joint, entry)}
+    if model_joint.shortname() == "JointModelRevoluteUnboundedUnaligned":
+        axes["axis"] = _unbounded_axis(joint)
+    for entry, axis in axes.items():
+        for k, number in enumerate(axis):
+            found[f"{owner}/{entry}{k}"] = _rounded(number)
+    if hasattr(joint, "jointPlacements"):
+        for k, (part, placement) in enumerate(zip(joint.joints, joint.jointPlacements, strict=True)):
+            _add_placement(found, f"{owner}[{k}]", placement)
+            _add_joint(found, f"{owner}[{k}]", part)
+
+
+def _unbounded_axis(joint: Any) -> NDArray[Any]:
+    """Return the axis, which Pinocchio's bindings show only in the joint's motion subspace."""
+    data, q = joint.createData(), np.zeros(joint.idx_q + 2)
+    q[joint.idx_q] = 1.0
+    joint.calc(data, q)
+    return np.asarray(data.S).reshape(6)[3:]
+
+
+def _kind(model_joint: Any) -> str:
+    joint = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
+    if hasattr(joint, "jointPlacements"):
+        return f"Composite({','.join(_kind(part) for part in joint.joints)})"
+    return str(model_joint.shortname())
+
+
+def _rounded(number: float) -> float:
+    nearest = _CONSTANTS[np.abs(_CONSTANTS - number).argmin()]
+    return float(nearest if abs(number - nearest) <= _ROUNDING else number)

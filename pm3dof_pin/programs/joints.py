@@ -1,0 +1,330 @@
+"""Joints on recorded numbers: displacement, screws and step of every joint type of Pinocchio's URDF and MJCF readers.
+
+Joints with several degrees of freedom that are nothing but a chain of simple ones (universal, translation, spherical
+ZYX, composite) are taken as that chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.programs.geometry import Geometry
+from pm3dof_pin.programs.graph import Number, cos, sin, sqrt
+
+Scalar: TypeAlias = "Number | float"
+Objects = NDArray[np.object_]
+
+_AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+
+
+def is_zero(number: Scalar) -> bool:
+    """Tell whether a number is known to be 0 while tracing."""
+    return number.is_zero if isinstance(number, Number) else number == 0.0
+
+
+def objects(numbers: Any) -> Objects:
+    """Return numbers as an array of objects."""
+    return np.array(numbers, dtype=object)
+
+
+def cross(a: Sequence[Scalar] | Objects, b: Sequence[Scalar] | Objects) -> Objects:
+    """Return the cross product of two vectors."""
+    return objects([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A placement in the world.
+
+    Attributes:
+        rotation: shape=(3, 3).
+        translation: shape=(3,) [m].
+    """
+
+    rotation: Objects
+    translation: Objects
+
+    def __mul__(self, other: Placement) -> Placement:
+        return Placement(self.rotation @ other.rotation, self.translation + self.rotation @ other.translation)
+
+
+@dataclass(frozen=True, eq=False)
+class Screw:
+    """A column of the joint Jacobian: the motion at unit rate of one entry of v, in world axes.
+
+    Attributes:
+        angular: angular velocity, shape=(3,).
+        linear: velocity of the point, shape=(3,).
+        point: a point of the moving body, shape=(3,) [m].
+    """
+
+    angular: Objects
+    linear: Objects
+    point: Objects
+
+    def velocity(self, point: Objects) -> Objects:
+        """Return the velocity of a point of the moving body, shape=(3,)."""
+        if all(is_zero(entry) for entry in self.angular):
+            return self.linear
+        return objects(self.linear + cross(self.angular, point - self.point))
+
+
+_NO_MOTION = objects([0.0, 0.0, 0.0])
+_NO_ROTATION = objects(np.eye(3).tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Revolute:
+    """A joint that turns about an axis.
+
+    Attributes:
+        axis: unit vector.
+    """
+
+    axis: Objects
+    nq = 1
+    nv = 1
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        return Placement(_rotation(self.axis, cos(q[0]), sin(q[0])), _NO_MOTION)
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+        return [Screw(moving.rotation @ self.axis, _NO_MOTION, moving.translation)]
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        return objects(q + v)
+
+
+@dataclass(frozen=True, eq=False)
+class Continuous(Revolute):
+    """A joint that turns about an axis without end: q is the cosine and the sine of its angle."""
+
+    nq = 2
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        return Placement(_rotation(self.axis, q[0], q[1]), _NO_MOTION)
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        return q if is_zero(v[0]) else _normalised(objects([q[0] - q[1] * v[0], q[1] + q[0] * v[0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class Prismatic:
+    """A joint that slides along an axis.
+
+    Attributes:
+        axis: unit vector.
+    """
+
+    axis: Objects
+    nq = 1
+    nv = 1
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        return Placement(_NO_ROTATION, self.axis * q[0])
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+        return [Screw(_NO_MOTION, moving.rotation @ self.axis, moving.translation)]
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        return objects(q + v)
+
+
+class Spherical:
+    """A ball joint: q is a quaternion (x, y, z, w), v the angular velocity in axes of the moving body."""
+
+    nq = 4
+    nv = 3
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        x, y, z, w = q
+        return Placement(
+            objects(
+                [
+                    [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+                    [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+                    [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+                ]
+            ),
+            _NO_MOTION,
+        )
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+        return [Screw(axis, _NO_MOTION, moving.translation) for axis in moving.rotation.T]
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        if all(is_zero(rate) for rate in v):
+            return q
+        half = v * 0.5
+        vector = q[:3] + half * q[3] + cross(q[:3], half)
+        return _normalised(objects([*vector, q[3] - q[:3] @ half]))
+
+
+class FreeFlyer:
+    """No joint at all: q is a position and a quaternion, v the twist in axes of the moving body."""
+
+    nq = 7
+    nv = 6
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        return Placement(Spherical().displacement(q[3:]).rotation, q[:3])
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+        slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in moving.rotation.T]
+        return slides + Spherical().screws(moving)
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        turned = Spherical().step(q[3:], v[3:])
+        return objects([*(q[:3] + self.displacement(q).rotation @ v[:3]), *turned])
+
+
+class Planar:
+    """A joint in the plane: q is x, y and cosine and sine of the angle, v the twist in axes of the moving body."""
+
+    nq = 4
+    nv = 3
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+        return Placement(_rotation(objects(_AXES["Z"]), q[2], q[3]), objects([q[0], q[1], 0.0]))
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+        x, y, z = moving.rotation.T
+        slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in (x, y)]
+        return [*slides, Screw(z, _NO_MOTION, moving.translation)]
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+        turned = Continuous(objects(_AXES["Z"])).step(q[2:], v[2:])
+        return objects([q[0] + q[2] * v[0] - q[3] * v[1], q[1] + q[3] * v[0] + q[2] * v[1], *turned])
+
+
+Joint: TypeAlias = "Revolute | Prismatic | Spherical | FreeFlyer | Planar"
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A simple joint in the chain that makes up one of Pinocchio's joints.
+
+    Attributes:
+        placement: where it is fixed on the body before it.
+        joint: the simple joint.
+        q_index: its first index in q.
+        v_index: its first index in v.
+    """
+
+    placement: Placement
+    joint: Joint
+    q_index: int
+    v_index: int
+
+
+def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[Link]:
+    """Yield the chain of simple joints that one of Pinocchio's joints is.
+
+    Args:
+        model: the tree.
+        index: the joint.
+        geometry: the model's numbers.
+
+    Raises:
+        ProgramError: there is no program for joints of this type.
+    """
+    name = model.names[index]
+    first = _placement(geometry, name)
+    yield from _links(name, model.joints[index], first, geometry)
+
+
+def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) -> Iterator[Link]:
+    kind = model_joint.shortname().removeprefix("JointModel")
+    concrete = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
+    if kind == "Composite":
+        for k, part in enumerate(concrete.joints):
+            part_name = f"{name}[{k}]"
+            part_placement = _placement(geometry, part_name)
+            yield from _links(part_name, part, first * part_placement if k == 0 else part_placement, geometry)
+        return
+    q_index, v_index = model_joint.idx_q, model_joint.idx_v
+    here = Placement(_NO_ROTATION, _NO_MOTION)
+    for k, joint in enumerate(_simple_joints(name, kind, geometry)):
+        yield Link(first if k == 0 else here, joint, q_index, v_index)
+        q_index, v_index = q_index + joint.nq, v_index + joint.nv
+
+
+def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
+    x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
+    if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
+        axis = objects(_AXES[kind[1]])
+        return [Revolute(axis) if kind[0] == "R" else Prismatic(axis)]
+    if len(kind) == 4 and kind[:3] == "RUB" and kind[3] in _AXES:
+        return [Continuous(objects(_AXES[kind[3]]))]
+    match kind:
+        case "RevoluteUnaligned":
+            return [Revolute(geometry.vector(name, "axis"))]
+        case "PrismaticUnaligned":
+            return [Prismatic(geometry.vector(name, "axis"))]
+        case "RevoluteUnboundedUnaligned":
+            return [Continuous(geometry.vector(name, "axis"))]
+        case "Universal":
+            return [Revolute(geometry.vector(name, "axis1")), Revolute(geometry.vector(name, "axis2"))]
+        case "SphericalZYX":
+            return [Revolute(z), Revolute(y), Revolute(x)]
+        case "Translation":
+            return [Prismatic(x), Prismatic(y), Prismatic(z)]
+        case "Spherical":
+            return [Spherical()]
+        case "Planar":
+            return [Planar()]
+        case "FreeFlyer":
+            return [FreeFlyer()]
+    raise ProgramError(f"joint '{name}': there is no program for joints of type {kind}")
+
+
+def _placement(geometry: Geometry, name: str) -> Placement:
+    return Placement(geometry.rotation(name), geometry.vector(name, "p"))
+
+
+def _rotation(axis: Objects, c: Scalar, s: Scalar) -> Objects:
+    """Return the rotation about an axis by the angle with this cosine and sine (Rodrigues)."""
+    x, y, z = axis
+    one = 1.0 - c
+    return objects(
+        [
+            [_diagonal(x, c), x * y * one - z * s, x * z * one + y * s],
+            [x * y * one + z * s, _diagonal(y, c), y * z * one - x * s],
+            [x * z * one - y * s, y * z * one + x * s, _diagonal(z, c)],
+        ]
+    )
+
+
+def _diagonal(entry: Scalar, c: Scalar) -> Scalar:
+    if isinstance(entry, float) and abs(entry) == 1.0:
+        return 1.0
+    return c + entry * entry * (1.0 - c)
+
+
+def _normalised(numbers: Objects) -> Objects:
+    length = sqrt(numbers @ numbers)
+    return objects(numbers / length)

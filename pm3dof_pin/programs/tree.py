@@ -1,0 +1,115 @@
+"""The tree of a mechanism on recorded numbers: placements of joints and frames, and screws of the joint Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs.geometry import Geometry
+from pm3dof_pin.programs.graph import Graph
+from pm3dof_pin.programs.joints import Link, Objects, Placement, Scalar, Screw, chain, is_zero, objects
+
+
+class Tree:
+    """Placements and screws of a mechanism at q, from Pinocchio's model.
+
+    Inputs `q[0]`, `q[1]`, ... are added to the graph, and the geometry's parameters as they are used.
+
+    Args:
+        graph: the graph to record in.
+        mechanism: the mechanism.
+        samples: closed configurations, shape=(s, nq). About eight near home, but not home alone: a singular one
+            misleads the choice of columns.
+        frames: frames whose placements are wanted, besides those of the closures and the tool.
+        dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
+
+    Attributes:
+        mechanism: the mechanism.
+        q: the inputs, shape=(nq,).
+        geometry: constants and parameters.
+        screws: columns of the joint Jacobian, one for each entry of v.
+        links: the chains of simple joints, joint after joint.
+
+    Raises:
+        ProgramError: the model has a joint of a type for which there is no program.
+        InvalidValueError: samples of another shape.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        mechanism: Mechanism,
+        samples: ArrayLike,
+        frames: Iterable[str] = (),
+        *,
+        dense: bool = False,
+    ) -> None:
+        model, rows = mechanism.model, np.array(samples, dtype=float)
+        if rows.ndim != 2 or rows.shape[1] != model.nq:
+            raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {model.nq})")
+        self.mechanism = mechanism
+        self.q: Objects = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
+        self.geometry = Geometry(graph, mechanism, frames, dense=dense)
+        self.links: list[Link] = []
+        screws: dict[int, Screw] = {}
+        self._bodies = [Placement(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
+        self._supports: list[tuple[int, ...]] = [()]
+        for index in range(1, model.njoints):
+            body, joint = self._bodies[model.parents[index]], model.joints[index]
+            for link in chain(model, index, self.geometry):
+                body = body * link.placement * link.joint.displacement(self._coordinates(link))
+                screws |= enumerate(link.joint.screws(body), link.v_index)
+                self.links.append(link)
+            self._bodies.append(body)
+            self._supports.append((*self._supports[model.parents[index]], *range(joint.idx_v, joint.idx_v + joint.nv)))
+        self.screws = [screws[k] for k in range(model.nv)]
+
+    def body(self, joint: int) -> Placement:
+        """Return the placement of the body that a joint moves, by Pinocchio's index of the joint."""
+        return self._bodies[joint]
+
+    def frame(self, name: str) -> Placement:
+        """Return the placement of a frame in the world.
+
+        Raises:
+            FrameNotFoundError: the model has no such frame.
+        """
+        frame = self.mechanism.model.frames[self.mechanism.frame_id(name)]
+        owner = f"frame/{name}"
+        fixed = Placement(self.geometry.rotation(owner), self.geometry.vector(owner, "p"))
+        return self.body(frame.parentJoint) * fixed
+
+    def support(self, name: str) -> tuple[int, ...]:
+        """Return the entries of v that move a frame, from the base to the frame."""
+        joint: int = self.mechanism.model.frames[self.mechanism.frame_id(name)].parentJoint
+        return self._supports[joint]
+
+    def jacobian(self, name: str) -> Objects:
+        """Return the Jacobian of a frame's origin, shape=(6, nv): twist [v; omega] in world axes."""
+        columns = objects(np.zeros((6, len(self.screws))).tolist())
+        point = self.frame(name).translation
+        for k in self.support(name):
+            columns[:3, k] = self.screws[k].velocity(point)
+            columns[3:, k] = self.screws[k].angular
+        return columns
+
+    def step(self, velocities: dict[int, Scalar]) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order.
+
+        Args:
+            velocities: entries of the tangent vector by their index in v; the others are 0.
+        """
+        moved = self.q.copy()
+        for link in self.links:
+            joint = link.joint
+            v = objects([velocities.get(link.v_index + k, 0.0) for k in range(joint.nv)])
+            if not all(is_zero(entry) for entry in v):
+                moved[link.q_index : link.q_index + joint.nq] = joint.step(self._coordinates(link), v)
+        return moved
+
+    def _coordinates(self, link: Link) -> Objects:
+        return self.q[link.q_index : link.q_index + link.joint.nq]
