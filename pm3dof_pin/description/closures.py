@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import msgspec
+
+from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent, Unit
+from pm3dof_pin.description.schema import Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
 ClosureType = Literal["3d", "6d"]
-
-_KEYS = {
-    "closed_loop",
-    "type",
-    "name_mot",
-    "joint_name",
-    "joint_type",
-    "tool_frame",
-    "motion_coordinates",
-    "closure_limits",
-    "springs",
-}
 
 
 @dataclass(frozen=True)
@@ -56,7 +48,12 @@ class ClosuresFile:
         actuated_joints: names of the actuated joints (`name_mot`), in their order.
         tool_frame: frame whose pose, twist and stiffness are meant by "the tool", or None.
         motion_coordinates: joints whose rates are the platform's independent motions; empty if there are none such.
-        springs: the entries of `springs`, unread.
+        springs: raw spring entries, not yet parsed.
+        joint_types: type that replaces that of the URDF, by joint (`joint_name`, `joint_type`): SPHERICAL, FIXED or
+            UJOINT_XY (any two axes).
+        commands: what the counters of the drives show; empty if nothing is declared.
+        coordinates: the numbers the tool is placed with; empty if nothing is declared.
+        limit_groups: names of kinds of limits; empty if nothing is declared.
     """
 
     path: Path
@@ -65,6 +62,47 @@ class ClosuresFile:
     tool_frame: str | None
     motion_coordinates: tuple[str, ...]
     springs: tuple[Mapping[str, Any], ...]
+    joint_types: Mapping[str, str]
+    commands: tuple[Command, ...]
+    coordinates: tuple[Coordinate, ...]
+    limit_groups: tuple[LimitGroup, ...]
+
+
+class _SwingLimit(Schema):
+    swing_rad: Annotated[float, msgspec.Meta(gt=0.0, le=math.pi)]
+
+
+class _Command(Schema):
+    name: Name
+    joint: Name
+    unit: Unit
+    offset: float = 0.0
+    scale: float = 1.0
+
+
+class _Coordinate(Schema):
+    name: Name
+    unit: Unit
+    joint: Name | None = None
+    tool: ToolComponent | None = None
+    offset: float = 0.0
+    scale: float = 1.0
+    range: tuple[float, float] | None = None
+
+
+class _File(Schema):
+    closed_loop: list[tuple[Name, Name]] | None = None
+    type: list[Literal["3d", "3D", "6d", "6D"]] | None = None
+    name_mot: list[Name] | None = None
+    joint_name: list[Name] | None = None
+    joint_type: list[Name] | None = None
+    tool_frame: Name | None = None
+    motion_coordinates: list[Name] | None = None
+    closure_limits: list[_SwingLimit | None] | None = None
+    springs: list[dict[str, Any]] | None = None
+    commands: list[_Command] | None = None
+    coordinates: list[_Coordinate] | None = None
+    limit_groups: dict[Name, list[Name | int]] | None = None
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
@@ -77,61 +115,92 @@ def read_closures(path: Path | str) -> ClosuresFile:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
     """
     path = Path(path)
-    data = read_mapping(path)
-    for key in data:
-        if key not in _KEYS:
-            raise DescriptionError(path, str(key), f"unknown key, expected some of {', '.join(sorted(_KEYS))}")
-    springs = data.get("springs") or []
-    if not isinstance(springs, list) or not all(isinstance(spring, dict) for spring in springs):
-        raise DescriptionError(path, "springs", "expected a list of mappings")
+    file = checked(read_mapping(path), _File, path)
+    closures, commands = _closures(path, file), _commands(path, file)
+    for key in ("name_mot", "motion_coordinates", "joint_name"):
+        _require_unique(path, key, getattr(file, key) or ())
+    for key in ("commands", "coordinates"):
+        _require_unique(path, key, [entry.name for entry in getattr(file, key) or ()])
     return ClosuresFile(
         path=path,
-        closures=_loop_closures(path, data),
-        actuated_joints=_names(path, data, "name_mot"),
-        tool_frame=_optional_name(path, data, "tool_frame"),
-        motion_coordinates=_names(path, data, "motion_coordinates"),
-        springs=tuple(springs),
+        closures=closures,
+        actuated_joints=tuple(file.name_mot or [command.joint for command in commands]),
+        tool_frame=file.tool_frame,
+        motion_coordinates=tuple(file.motion_coordinates or ()),
+        springs=tuple(file.springs or ()),
+        joint_types=dict(_pairs(path, "joint_name", file.joint_name, "joint_type", file.joint_type)),
+        commands=commands,
+        coordinates=tuple(_coordinate(path, k, entry) for k, entry in enumerate(file.coordinates or ())),
+        limit_groups=tuple(
+            _limit_group(path, name, members, closures) for name, members in (file.limit_groups or {}).items()
+        ),
     )
 
 
-def _loop_closures(path: Path, data: Mapping[str, Any]) -> tuple[LoopClosure, ...]:
-    pairs = data.get("closed_loop") or []
-    types = data.get("type") or []
-    limits = data.get("closure_limits") or [None] * len(pairs)
-    for key, entries in (("closed_loop", pairs), ("type", types), ("closure_limits", limits)):
-        if not isinstance(entries, list) or len(entries) != len(pairs):
-            raise DescriptionError(path, key, f"expected a list with one entry for each of {len(pairs)} closures")
-    closures = []
-    for index, (pair, kind, limit) in enumerate(zip(pairs, types, limits, strict=True)):
-        if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(frame, str) for frame in pair):
-            raise DescriptionError(path, f"closed_loop[{index}]", f"expected two frame names, not {pair}")
-        if str(kind).lower() not in ("3d", "6d"):
-            raise DescriptionError(path, f"type[{index}]", f"expected '3d' or '6d', not '{kind}'")
-        closure_type: ClosureType = "3d" if str(kind).lower() == "3d" else "6d"
-        closures.append(LoopClosure(pair[0], pair[1], closure_type, _swing_limit(path, index, limit)))
-    return tuple(closures)
+def _closures(path: Path, file: _File) -> tuple[LoopClosure, ...]:
+    loops = list(_pairs(path, "closed_loop", file.closed_loop, "type", file.type))
+    limits = [None] * len(loops) if file.closure_limits is None else file.closure_limits
+    limited = _pairs(path, "closed_loop", loops, "closure_limits", limits)
+    return tuple(
+        LoopClosure(frame_a, frame_b, "3d" if kind in ("3d", "3D") else "6d", limit and limit.swing_rad)
+        for ((frame_a, frame_b), kind), limit in limited
+    )
 
 
-def _swing_limit(path: Path, index: int, limit: Any) -> float | None:
-    if limit is None:
-        return None
-    angle = limit.get("swing_rad") if isinstance(limit, dict) else None
-    if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle <= math.pi:
-        raise DescriptionError(path, f"closure_limits[{index}]", "expected {swing_rad: an angle in (0, pi]} or null")
-    return float(angle)
+def _commands(path: Path, file: _File) -> tuple[Command, ...]:
+    for k, entry in enumerate(file.commands or ()):
+        if not entry.scale:
+            raise DescriptionError(path, f"commands[{k}].scale", "expected a number other than zero")
+    commands = tuple(Command(c.name, c.joint, c.unit, c.offset, c.scale) for c in file.commands or ())
+    if commands and file.name_mot and [command.joint for command in commands] != file.name_mot:
+        raise DescriptionError(
+            path, "commands", f"expected one for each joint of name_mot, in its order: {', '.join(file.name_mot)}"
+        )
+    return commands
 
 
-def _names(path: Path, data: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    names = data.get(key) or []
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise DescriptionError(path, key, "expected a list of names")
-    if len(set(names)) != len(names):
-        raise DescriptionError(path, key, "names a joint twice")
-    return tuple(names)
+def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
+    place = f"coordinates[{index}]"
+    lower, upper = entry.range or (None, None)
+    if (entry.joint is None) == (entry.tool is None):
+        raise DescriptionError(path, place, "expected either 'joint' or 'tool'")
+    if entry.tool and ((entry.tool in ("x", "y", "z")) != (entry.unit == "m") or entry.offset or entry.scale != 1.0):
+        raise DescriptionError(path, place, f"expected 'tool: {entry.tool}' with its unit, no offset and no scale")
+    if not entry.scale:
+        raise DescriptionError(path, f"{place}.scale", "expected a number other than zero")
+    if lower is not None and upper is not None and not lower < upper:
+        raise DescriptionError(path, f"{place}.range", f"expected [least, greatest], not [{lower}, {upper}]")
+    return Coordinate(
+        entry.name, entry.unit, entry.joint, entry.tool, entry.offset, entry.scale, lower=lower, upper=upper
+    )
 
 
-def _optional_name(path: Path, data: Mapping[str, Any], key: str) -> str | None:
-    name = data.get(key)
-    if name is not None and not isinstance(name, str):
-        raise DescriptionError(path, key, f"expected a frame name, not {name}")
-    return name
+def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: Sequence[LoopClosure]) -> LimitGroup:
+    """Sort the members into joints and closures, the latter given as "frame_a-frame_b" or by position."""
+    positions = {f"{closure.frame_a}-{closure.frame_b}": k for k, closure in enumerate(closures)}
+    positions |= {str(k): k for k in range(len(closures))}
+    for member in members:
+        if isinstance(member, int) and str(member) not in positions:
+            raise DescriptionError(
+                path, f"limit_groups.{name}", f"expected closures 0 .. {len(closures) - 1}, not {member}"
+            )
+    return LimitGroup(
+        name,
+        tuple(str(member) for member in members if str(member) not in positions),
+        tuple(positions[str(member)] for member in members if str(member) in positions),
+    )
+
+
+def _pairs(path: Path, key: str, entries: Sequence[Any] | None, other: str, others: Sequence[Any] | None) -> Any:
+    """Pair the entries of two lists of one length."""
+    entries, others = entries or (), others or ()
+    if len(entries) != len(others):
+        raise DescriptionError(
+            path, other, f"expected one entry for each of the {len(entries)} entries of {key}, not {len(others)}"
+        )
+    return zip(entries, others, strict=True)
+
+
+def _require_unique(path: Path, key: str, names: Sequence[str]) -> None:
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DescriptionError(path, key, f"'{twice}' stands there twice, expected every name once")

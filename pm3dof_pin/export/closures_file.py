@@ -20,17 +20,29 @@ _HEADER = """\
 """
 _TOOL = "\n# Frame of the tool\n"
 _MOTIONS = "\n# Joints whose rates are the platform's independent motions\n"
+_COMMANDS = """
+# What the counter of a drive shows: scale (1 if not given) times the joint's coordinate, plus offset (0 if not given)
+"""
+_COORDINATES = """
+# The numbers that place the tool: a joint's coordinate, scaled and shifted in the same way, or a component (tool:) of
+# the tool's pose in the base, x, y, z, rx, ry, rz with R = Rx(rx) Ry(ry) Rz(rz)
+"""
+_GROUPS = "\n# Names for kinds of limits: their joints, and their closures as frame_a-frame_b\n"
 _LIMITS = "\n# Greatest angle between the z axes of the two frames of a closure [rad]\n"
 _SPRINGS = "\n# What gives: m, N, rad; matrices in the order x, y, z, rx, ry, rz, in the axes of `at`\n"
-_NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b"}
+_TAGS = ("closure", "actuated", "tool", "motion", "coordinate", "limits", "spring")
+_NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b", "command", "tool", "limits"}
 
 
 def closures_text(xacro: Path, config: Path) -> str:
     """Expand the xacro of a closures file and write it as YAML.
 
     Its root element holds, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if there
-    is such a limit; `<actuated joint=>`; `<tool frame=>`; `<motion joint=>`; `<spring>` with the keys of its type as
-    attributes (a matrix as its numbers, row after row) or, if they are mappings, as children.
+    is such a limit and `limits=` if it belongs to a group of limits; `<actuated joint=>`, with `command=`, the name of
+    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`; `<motion joint=>`;
+    `<coordinate>` with its keys as attributes, and its range as `lower=` and `upper=`; `<limits name= joint=>` for a
+    joint in a group of limits; `<spring>` with the keys of its type as attributes (a matrix as its numbers, row after
+    row) or, if they are mappings, as children.
 
     Args:
         xacro: the file.
@@ -58,8 +70,8 @@ class _FormError(Exception):
 
 def _text(root: ElementTree.Element) -> str:
     for element in root:
-        if element.tag not in ("closure", "actuated", "tool", "motion", "spring"):
-            raise _FormError(element, "expected closure, actuated, tool, motion or spring")
+        if element.tag not in _TAGS:
+            raise _FormError(element, f"expected {', '.join(_TAGS[:-1])} or {_TAGS[-1]}")
     loops = root.findall("closure")
     text = _HEADER
     text += f"closed_loop: {_list(_list([_entry(loop, 'frame_a'), _entry(loop, 'frame_b')]) for loop in loops)}\n"
@@ -70,11 +82,44 @@ def _text(root: ElementTree.Element) -> str:
         text += f"{_TOOL}tool_frame: {_entry(tool, 'frame')}\n"
     if motions := [_entry(element, "joint") for element in root.findall("motion")]:
         text += f"{_MOTIONS}motion_coordinates: {_list(motions)}\n"
+    if commands := [element for element in root.findall("actuated") if "command" in element.attrib]:
+        text += _COMMANDS + _block("commands", map(_command, commands))
+    if coordinates := root.findall("coordinate"):
+        text += _COORDINATES + _block("coordinates", map(_coordinate, coordinates))
+    if groups := _limit_groups(root):
+        text += f"{_GROUPS}limit_groups:\n" + "".join(f"  {name}: {_list(of)}\n" for name, of in groups.items())
     if any("swing_rad" in loop.attrib for loop in loops):
-        text += f"{_LIMITS}closure_limits:\n" + "".join(f"  - {_limit(loop)}\n" for loop in loops)
+        text += _LIMITS + _block("closure_limits", map(_limit, loops))
     if springs := root.findall("spring"):
-        text += f"{_SPRINGS}springs:\n" + "".join(f"  - {_spring(spring)}\n" for spring in springs)
+        text += _SPRINGS + _block("springs", map(_spring, springs))
     return text
+
+
+def _block(key: str, entries: Iterable[str]) -> str:
+    return f"{key}:\n" + "".join(f"  - {entry}\n" for entry in entries)
+
+
+def _command(drive: ElementTree.Element) -> str:
+    keys = ("command", "joint", "unit", *(key for key in ("offset", "scale") if key in drive.attrib))
+    return _mapping({"name" if key == "command" else key: _entry(drive, key) for key in keys})
+
+
+def _coordinate(element: ElementTree.Element) -> str:
+    entries = {key: _entry(element, key) for key in element.attrib if key not in ("lower", "upper")}
+    if {"lower", "upper"} & set(element.attrib):
+        entries["range"] = _list([_entry(element, "lower"), _entry(element, "upper")])
+    return _mapping(entries)
+
+
+def _limit_groups(root: ElementTree.Element) -> dict[str, list[str]]:
+    groups: dict[str, list[str]] = {}
+    for element in root:
+        if element.tag == "limits":
+            groups.setdefault(_entry(element, "name"), []).append(_entry(element, "joint"))
+        elif "limits" in element.attrib:
+            closure = f"{_entry(element, 'frame_a')}-{_entry(element, 'frame_b')}"
+            groups.setdefault(_entry(element, "limits"), []).append(closure)
+    return groups
 
 
 def _limit(loop: ElementTree.Element) -> str:
@@ -104,6 +149,8 @@ def _entry(element: ElementTree.Element, key: str) -> str:
         raise _FormError(element, f"expected the attribute '{key}'")
     if key == "closure":
         return element.attrib[key]
+    if key not in element.attrib:
+        raise _FormError(element, f"expected the attribute '{key}'")
     numbers = _numbers(element, key)
     return numbers[0] if len(numbers) == 1 else _list(numbers)
 

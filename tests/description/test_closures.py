@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure, read_closures
+from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -16,6 +17,9 @@ closed_loop: [[tip_a, socket_a], [tip_b, socket_b]]
 type: ['3d', '6D']
 name_mot: [motor_a]
 """
+
+COMMAND = "name_mot: [motor_a]\ncommands: [{{name: u1, joint: motor_a, {}}}]\n"
+COORDINATE = "coordinates: [{{name: a, {}}}]\n"
 
 
 def _write(folder: Path, text: str) -> Path:
@@ -35,13 +39,44 @@ def test_the_closures_of_the_chapters_machine() -> None:
 
 
 def test_the_existing_convention_is_read_as_it_is(tmp_path: Path) -> None:
-    text = TWO_LOOPS + "joint_name: [hip]\njoint_type: [SPHERICAL]\n"
+    text = TWO_LOOPS + "joint_name: [hip, knee]\njoint_type: [SPHERICAL, UJOINT_XY]\n"
     closures = read_closures(_write(tmp_path, text))
     assert closures.closures == (LoopClosure("tip_a", "socket_a", "3d"), LoopClosure("tip_b", "socket_b", "6d"))
     assert closures.actuated_joints == ("motor_a",)
     assert closures.tool_frame is None
     assert closures.motion_coordinates == ()
     assert closures.springs == ()
+    assert closures.joint_types == {"hip": "SPHERICAL", "knee": "UJOINT_XY"}
+    assert (closures.commands, closures.coordinates, closures.limit_groups) == ((), (), ())
+
+
+def test_what_the_drives_count_and_the_tool_is_placed_with(tmp_path: Path) -> None:
+    text = (
+        TWO_LOOPS
+        + """
+commands: [{name: u1, joint: motor_a, unit: m, offset: 1e-3, scale: -1}]
+coordinates:
+  - {name: height, joint: lift, unit: m, offset: 0.3, range: [0.1, 0.5]}
+  - {name: tilt, tool: rx, unit: rad}
+limit_groups: {knees: [knee_a, knee_b], balls: [tip_a-socket_a, 1], mixed: [hip, tip_b-socket_b]}
+"""
+    )
+    closures = read_closures(_write(tmp_path, text))
+    assert closures.commands == (Command("u1", "motor_a", "m", offset=0.001, scale=-1.0),)
+    assert closures.coordinates == (
+        Coordinate("height", "m", joint="lift", offset=0.3, lower=0.1, upper=0.5),
+        Coordinate("tilt", "rad", tool="rx"),
+    )
+    assert closures.limit_groups == (
+        LimitGroup("knees", joints=("knee_a", "knee_b")),
+        LimitGroup("balls", closures=(0, 1)),
+        LimitGroup("mixed", joints=("hip",), closures=(1,)),
+    )
+
+
+def test_drives_may_be_named_by_their_commands_alone(tmp_path: Path) -> None:
+    text = "commands: [{name: u1, joint: elbow, unit: rad}]\n"
+    assert read_closures(_write(tmp_path, text)).actuated_joints == ("elbow",)
 
 
 def test_a_limit_may_be_given_for_some_closures_only(tmp_path: Path) -> None:
@@ -59,19 +94,43 @@ def test_a_robot_without_loops_is_a_robot(tmp_path: Path) -> None:
     ("text", "element", "said"),
     [
         (TWO_LOOPS + "name_motor: [a]\n", "name_motor", "unknown key, expected some of closed_loop"),
-        ("closed_loop: [[a, b], [c, d]]\ntype: ['3d']\n", "type", "one entry for each of 2 closures"),
-        ("closed_loop: [[a, b, c]]\ntype: ['3d']\n", "closed_loop[0]", "expected two frame names"),
-        ("closed_loop: [[a, 1]]\ntype: ['3d']\n", "closed_loop[0]", "expected two frame names"),
-        ("closed_loop: [[a, b]]\ntype: ['2d']\n", "type[0]", "expected '3d' or '6d', not '2d'"),
-        (TWO_LOOPS + "closure_limits: [null]\n", "closure_limits", "one entry for each of 2 closures"),
-        (TWO_LOOPS + "closure_limits: [0.5, null]\n", "closure_limits[0]", "expected {swing_rad"),
-        (TWO_LOOPS + "closure_limits: [{swing_rad: -1}, null]\n", "closure_limits[0]", "expected {swing_rad"),
-        (TWO_LOOPS + "closure_limits: [{swing_rad: .nan}, null]\n", "closure_limits[0]", "expected {swing_rad"),
-        ("name_mot: motor\n", "name_mot", "expected a list of names"),
-        ("name_mot: [motor, motor]\n", "name_mot", "names a joint twice"),
-        (TWO_LOOPS + "tool_frame: 3\n", "tool_frame", "expected a frame name"),
-        (TWO_LOOPS + "springs: stiff\n", "springs", "expected a list of mappings"),
+        ("closed_loop: [[a, b], [c, d]]\ntype: ['3d']\n", "type", "one entry for each of the 2 entries of closed_loop"),
+        ("closed_loop: [[a, b, c]]\ntype: ['3d']\n", "closed_loop[0]", "expected a list of length 2"),
+        ("closed_loop: [[a, 1]]\ntype: ['3d']\n", "closed_loop[0][1]", "expected text, not 1"),
+        ("closed_loop: [[a, b]]\ntype: ['2d']\n", "type[0]", "expected one of 3d, 3D, 6d, 6D, not 2d"),
+        (TWO_LOOPS + "closure_limits: [null]\n", "closure_limits", "one entry for each of the 2 entries"),
+        (TWO_LOOPS + "closure_limits: [0.5, null]\n", "closure_limits[0]", "expected a mapping, not 0.5"),
+        (TWO_LOOPS + "closure_limits: [{swing: 1}, null]\n", "closure_limits[0].swing", "expected some of swing_rad"),
+        (TWO_LOOPS + "closure_limits: [{swing_rad: -1}, null]\n", "closure_limits[0].swing_rad", "a number > 0.0"),
+        (TWO_LOOPS + "closure_limits: [{swing_rad: .nan}, null]\n", "closure_limits[0].swing_rad", "not nan"),
+        (TWO_LOOPS + "closure_limits: [{swing_rad: 3.2}, null]\n", "closure_limits[0].swing_rad", "<= 3.14"),
+        ("name_mot: motor\n", "name_mot", "expected a list, not motor"),
+        ("name_mot: [motor, motor]\n", "name_mot", "'motor' stands there twice"),
+        ("joint_name: [hip]\n", "joint_type", "one entry for each of the 1 entries of joint_name, not 0"),
+        (TWO_LOOPS + "tool_frame: 3\n", "tool_frame", "expected text, not 3"),
+        (TWO_LOOPS + "springs: stiff\n", "springs", "expected a list, not stiff"),
+        (TWO_LOOPS + "springs: [stiff]\n", "springs[0]", "expected a mapping, not stiff"),
+        (TWO_LOOPS + "3: 4\n", "file", "expected names as keys"),
         ("closed_loop: [[a, b]\ntype: x\n", "line 2", "expected YAML"),
+        (COMMAND.format("unit: mm"), "commands[0].unit", "expected one of m, rad, not mm"),
+        (COMMAND.format("offset: 1.0"), "commands[0].unit", "is missing"),
+        (COMMAND.format("unit: m, offset: true"), "commands[0].offset", "expected a number, not True"),
+        (COMMAND.format("unit: m, offset: .nan"), "commands[0].offset", "expected a finite number, not nan"),
+        (COMMAND.format("unit: m, offset: nan"), "commands[0].offset", "expected a finite number, not nan"),
+        (COMMAND.format("unit: m, scale: 0"), "commands[0].scale", "other than zero"),
+        (COMMAND.format("unit: m, zero: 1"), "commands[0].zero", "unknown key, expected some of joint, name, offset"),
+        (COMMAND.replace("[motor_a]", "[motor_b]").format("unit: m"), "commands", "in its order: motor_b"),
+        (COORDINATE.format("unit: m"), "coordinates[0]", "either 'joint' or 'tool'"),
+        (COORDINATE.format("unit: m, tool: x, joint: lift"), "coordinates[0]", "either 'joint' or 'tool'"),
+        (COORDINATE.format("unit: m, tool: a"), "coordinates[0].tool", "expected one of x, y, z, rx, ry, rz, not a"),
+        (COORDINATE.format("unit: m, tool: rx"), "coordinates[0]", "with its unit"),
+        (COORDINATE.format("unit: m, tool: x, range: [1]"), "coordinates[0].range", "a list of length 2"),
+        (COORDINATE.format("unit: m, tool: x, range: [1, a]"), "coordinates[0].range[1]", "expected a number, not a"),
+        (COORDINATE.format("unit: m, tool: x, range: [2, 1]"), "coordinates[0].range", "[least, greatest]"),
+        (TWO_LOOPS + "coordinates: [3]\n", "coordinates[0]", "expected a mapping, not 3"),
+        (TWO_LOOPS + "limit_groups: {knees: knee}\n", "limit_groups.knees", "expected a list, not knee"),
+        (TWO_LOOPS + "limit_groups: {a: [knee], b: [0.5]}\n", "limit_groups.b[0]", "a whole number or text, not 0.5"),
+        (TWO_LOOPS + "limit_groups: {balls: [2]}\n", "limit_groups.balls", "expected closures 0 .. 1, not 2"),
     ],
 )
 def test_a_wrong_entry_is_named(tmp_path: Path, text: str, element: str, said: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure, read_closures
+from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
 from pm3dof_pin.elastic import BeamSpring, CantileverSpring, JointSpring, read_springs
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.closures_file import closures_text
@@ -25,9 +26,12 @@ def _text(tmp_path: Path, content: str) -> str:
 def test_what_is_said_arrives(tmp_path: Path) -> None:
     content = f"""
         <tool frame="hand"/><motion joint="lift"/>
-        <closure frame_a="a" frame_b="b" type="3d"/>
+        <limits name="reach_of_arm" joint="motor"/><limits name="all" joint="lift"/>
+        <coordinate name="height" joint="lift" unit="m" offset="0.2" lower="-1" upper="1e-3"/>
+        <coordinate name="rx" tool="rx" unit="rad"/>
+        <closure frame_a="a" frame_b="b" type="3d" limits="all"/>
         <closure frame_a="c" frame_b="d" type="6d" swing_rad="${{radians(60)}}"/>
-        <actuated joint="motor"/>
+        <actuated joint="motor" command="u1" unit="rad" offset="${{radians(90)}}" scale="-2"/>
         <spring name="7" type="joint" joint="motor" stiffness="1e-05" unit="N/m"/>
         <spring name="box" type="beam" at="b" matrix="{" ".join(map(repr, MATRIX.ravel().tolist()))}"/>
         <spring name="rod" type="cantilever" at="d" axis="0 1 0" bending_stiffness="2" torsional_stiffness="1e+22"
@@ -41,6 +45,12 @@ def test_what_is_said_arrives(tmp_path: Path) -> None:
         ("lift",),
         ("motor",),
     )
+    assert closures.commands == (Command("u1", "motor", "rad", offset=np.pi / 2.0, scale=-2.0),)
+    assert closures.coordinates == (
+        Coordinate("height", "m", joint="lift", offset=0.2, lower=-1.0, upper=1e-3),
+        Coordinate("rx", "rad", tool="rx"),
+    )
+    assert closures.limit_groups == (LimitGroup("reach_of_arm", ("motor",)), LimitGroup("all", ("lift",), (0,)))
     motor, box, rod = read_springs(closures.springs, path)
     assert isinstance(motor, JointSpring)
     assert motor.name == "7"
@@ -64,8 +74,9 @@ def test_a_robot_without_loops_or_springs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("<loop/>", "<loop>: expected closure, actuated, tool, motion or spring"),
+        ("<loop/>", "<loop>: expected closure, actuated, tool, motion, coordinate, limits or spring"),
         ("<closure frame_a='a' type='3d'/>", "<closure>: expected the attribute 'frame_b'"),
+        ("<coordinate name='a' unit='m' lower='1'/>", "<coordinate name='a'>: expected the attribute 'upper'"),
         ("<actuated/>", "<actuated>: expected the attribute 'joint'"),
         (
             "<spring name='s' type='beam' at='a' matrix='1 2 3'/>",

@@ -1,0 +1,73 @@
+"""The numbers people and drives speak of: commands, coordinates, and names for kinds of limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+Unit: TypeAlias = Literal["m", "rad"]
+ToolComponent: TypeAlias = Literal["x", "y", "z", "rx", "ry", "rz"]
+
+TOOL_COMPONENTS: tuple[ToolComponent, ...] = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the counter of a drive shows: scale times the joint's coordinate plus offset.
+
+    Attributes:
+        name: its name.
+        joint: the actuated joint.
+        unit: "m" or "rad".
+        offset: what the counter shows where the joint's coordinate is zero [unit].
+        scale: counter units per unit of the joint's coordinate, not zero.
+    """
+
+    name: str
+    joint: str
+    unit: Unit
+    offset: float = 0.0
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One of the independent numbers that a person places the tool with.
+
+    It is scale times the coordinate of a joint plus offset, or a component of the tool's placement in the base: its
+    position x, y, z, or an angle of R = Rx(rx) Ry(ry) Rz(rz).
+
+    Attributes:
+        name: its name.
+        unit: "m" or "rad".
+        joint: the joint, or None.
+        tool: the component of the tool's placement, or None.
+        offset: its value where the joint's coordinate is zero [unit].
+        scale: its change per unit of the joint's coordinate.
+        lower: least value of the declared range, or None.
+        upper: greatest value of the declared range, or None.
+    """
+
+    name: str
+    unit: Unit
+    joint: str | None = None
+    tool: ToolComponent | None = None
+    offset: float = 0.0
+    scale: float = 1.0
+    lower: float | None = None
+    upper: float | None = None
+
+
+@dataclass(frozen=True)
+class LimitGroup:
+    """A name for several limits of one kind.
+
+    Attributes:
+        name: its name.
+        joints: joints whose ranges belong to it.
+        closures: positions of the closures whose swing limits belong to it.
+    """
+
+    name: str
+    joints: tuple[str, ...] = ()
+    closures: tuple[int, ...] = ()
