@@ -11,13 +11,22 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.error_map import error_map
-    from pm3dof_pin.calibration.geometry import GeometricErrors
     from pm3dof_pin.calibration.planning import PlanningProblem
-    from pm3dof_pin.calibration.reachable_poses import reachable_poses
-    from pm3dof_pin.calibration.sensitivity import sensitivities
-    from pm3dof_pin.calibration.simulated_machine import SimulatedMachine
-    from pm3dof_pin.calibration.tool_poses import forward_poses
+    from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness, global_index
+    from pm3dof_pin.chapter.design_derivatives import design_derivatives
+    from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, direct_kinematics
+    from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions
+    from pm3dof_pin.chapter.kinematics import (
+        actuation_jacobian,
+        inverse_kinematics,
+        joint_positions,
+        link_jacobian,
+        passive_joint_angles,
+        placement,
+    )
+    from pm3dof_pin.chapter.limits import Limit, LimitViolation, broken_limits, limit_violations
+    from pm3dof_pin.chapter.table_8_3 import table_8_3
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.description.parameters import TripodParameters
     from pm3dof_pin.description.robots import find_robot, robot_names
     from pm3dof_pin.dynamics import holding_forces, inverse_dynamics, natural_modes
@@ -29,26 +38,19 @@ if TYPE_CHECKING:
         loaded_equilibrium,
     )
     from pm3dof_pin.elastic.shares import ranking, shares
+    from pm3dof_pin.errors.error_map import error_map
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.errors.sensitivity import sensitivities
     from pm3dof_pin.exceptions import PM3DofError
+    from pm3dof_pin.kinematics.mobility import instantaneous_mobility
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.kinematics.singularity import singularities
     from pm3dof_pin.maps.atlas import Atlas, AtlasGrid, compute_atlas, open_atlas
     from pm3dof_pin.maps.grid import PolarGrid, RectangularGrid
     from pm3dof_pin.maps.section import stiffness_section
-    from pm3dof_pin.maps.table_8_3 import table_8_3
-    from pm3dof_pin.mechanism import Configuration, Mechanism, instantaneous_mobility, singularities
-    from pm3dof_pin.tripod.chapter_stiffness import chapter_stiffness, global_index
-    from pm3dof_pin.tripod.design_derivatives import design_derivatives
-    from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics
-    from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions
-    from pm3dof_pin.tripod.kinematics import (
-        actuation_jacobian,
-        inverse_kinematics,
-        joint_positions,
-        link_jacobian,
-        passive_joint_angles,
-        placement,
-    )
-    from pm3dof_pin.tripod.limits import Limit, LimitViolation, broken_limits, limit_violations
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.mechanism.configuration import Configuration
+    from pm3dof_pin.simulation.simulated_machine import SimulatedMachine
     from pm3dof_pin.viewer.viewer import Viewer
 
 _HOMES = {
@@ -56,54 +58,54 @@ _HOMES = {
     "AtlasGrid": "maps.atlas",
     "Configuration": "mechanism",
     "ElasticModel": "elastic",
-    "GeometricErrors": "calibration.geometry",
-    "Limit": "tripod.limits",
-    "LimitViolation": "tripod.limits",
-    "Mechanism": "mechanism",
+    "GeometricErrors": "errors.error_parameters",
+    "Limit": "chapter.limits",
+    "LimitViolation": "chapter.limits",
+    "Robot": "mechanism",
     "PM3DofError": "exceptions",
     "PlanningProblem": "calibration.planning",
     "PolarGrid": "maps.grid",
     "RectangularGrid": "maps.grid",
-    "SimulatedMachine": "calibration.simulated_machine",
-    "Tripod": "tripod.tripod",
+    "SimulatedMachine": "simulation.simulated_machine",
+    "Tripod": "chapter.tripod",
     "TripodParameters": "description.parameters",
     "Viewer": "viewer.viewer",
-    "actuation_jacobian": "tripod.kinematics",
-    "all_assembly_modes": "tripod.direct_kinematics",
-    "broken_limits": "tripod.limits",
+    "actuation_jacobian": "chapter.kinematics",
+    "all_assembly_modes": "chapter.direct_kinematics",
+    "broken_limits": "chapter.limits",
     "buckling_load": "elastic",
     "cartesian_compliance": "elastic",
-    "chapter_stiffness": "tripod.chapter_stiffness",
+    "chapter_stiffness": "chapter.chapter_stiffness",
     "compliance_over": "elastic",
     "compute_atlas": "maps.atlas",
-    "design_derivatives": "tripod.design_derivatives",
-    "direct_kinematics": "tripod.direct_kinematics",
-    "elastic_stiffness": "tripod.elastic_stiffness",
-    "error_map": "calibration.error_map",
+    "design_derivatives": "chapter.design_derivatives",
+    "direct_kinematics": "chapter.direct_kinematics",
+    "elastic_stiffness": "chapter.elastic_stiffness",
+    "error_map": "errors.error_map",
     "find_robot": "description.robots",
-    "forward_poses": "calibration.tool_poses",
-    "global_index": "tripod.chapter_stiffness",
+    "forward_poses": "kinematics.tool_poses",
+    "global_index": "chapter.chapter_stiffness",
     "holding_forces": "dynamics",
     "instantaneous_mobility": "mechanism",
     "inverse_dynamics": "dynamics",
-    "inverse_kinematics": "tripod.kinematics",
-    "joint_positions": "tripod.kinematics",
-    "limit_violations": "tripod.limits",
-    "link_jacobian": "tripod.kinematics",
+    "inverse_kinematics": "chapter.kinematics",
+    "joint_positions": "chapter.kinematics",
+    "limit_violations": "chapter.limits",
+    "link_jacobian": "chapter.kinematics",
     "loaded_equilibrium": "elastic",
     "natural_modes": "dynamics",
     "open_atlas": "maps.atlas",
-    "passive_joint_angles": "tripod.kinematics",
-    "placement": "tripod.kinematics",
+    "passive_joint_angles": "chapter.kinematics",
+    "placement": "chapter.kinematics",
     "ranking": "elastic.shares",
-    "reachable_poses": "calibration.reachable_poses",
+    "reachable_poses": "kinematics.reachable_poses",
     "robot_names": "description.robots",
-    "sensitivities": "calibration.sensitivity",
+    "sensitivities": "errors.sensitivity",
     "shares": "elastic.shares",
     "singularities": "mechanism",
-    "spring_contributions": "tripod.elastic_stiffness",
+    "spring_contributions": "chapter.elastic_stiffness",
     "stiffness_section": "maps.section",
-    "table_8_3": "maps.table_8_3",
+    "table_8_3": "chapter.table_8_3",
 }
 
 __all__ = [
@@ -114,11 +116,11 @@ __all__ = [
     "GeometricErrors",
     "Limit",
     "LimitViolation",
-    "Mechanism",
     "PM3DofError",
     "PlanningProblem",
     "PolarGrid",
     "RectangularGrid",
+    "Robot",
     "SimulatedMachine",
     "Tripod",
     "TripodParameters",

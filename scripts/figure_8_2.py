@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.maps.boundary import workspace_boundary
-from pm3dof_pin.maps.printed_ranges import compare_printed_ranges
 from pm3dof_pin.maps.storage import write_csv
-from pm3dof_pin.tripod import Tripod
 from pm3dof_pin.workspace import workspace
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

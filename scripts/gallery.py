@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.springs import JointSpring
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import joint_positions
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import Quantity
 
@@ -51,7 +51,7 @@ def main() -> None:
         print(viewer.save_picture(folder / "viewer_workspace.png", **SIZE))
 
     for robot in ("hexapod", "three_rps"):
-        with Viewer(Mechanism.load(robot)) as viewer:
+        with Viewer(Robot.load(robot)) as viewer:
             model = ElasticModel(viewer.mechanism)
             draw_ellipsoids(viewer, model, "stiffness")
             draw_forces(viewer)
@@ -68,11 +68,11 @@ def main() -> None:
 @contextmanager
 def tripod_at(theta_x: float, theta_y: float, z_e: float) -> Iterator[tuple[Viewer, ElasticModel]]:
     """Angles in degrees, the height in metres."""
-    mechanism, tripod = Mechanism.load("pm3dof"), Tripod.load()
+    mechanism, tripod = Robot.load("pm3dof"), Tripod.load()
     pose = np.array([np.radians(theta_x), np.radians(theta_y), z_e])
     positions = joint_positions(tripod, pose)
     with Viewer(mechanism, tripod=tripod) as viewer:
-        viewer.display([positions[name] for name in mechanism.coordinate_names])
+        viewer.display([positions[name] for name in mechanism.q_names])
         yield viewer, ElasticModel(mechanism)
 
 
@@ -82,7 +82,7 @@ def serial_arm() -> Iterator[tuple[Viewer, ElasticModel]]:
     import example_robot_data
 
     arm = example_robot_data.load("ur5")
-    mechanism = Mechanism(arm.model, tool_frame="ee_link")
+    mechanism = Robot(arm.model, tool_frame="ee_link")
     stiffness = (4e4, 4e4, 2e4, 1e4, 1e4, 1e4)
     springs = [
         JointSpring(name, name, k, "N m/rad") for name, k in zip(mechanism.actuated_joints, stiffness, strict=True)

@@ -6,9 +6,9 @@ import csv
 import io
 from pathlib import Path
 
+from pm3dof_pin.chapter.table_8_3 import table_8_3
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 from pm3dof_pin.files import write_text_atomically
-from pm3dof_pin.maps.table_8_3 import table_8_3
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 

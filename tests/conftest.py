@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 if TYPE_CHECKING:
-    from pm3dof_pin.mechanism import Mechanism
-    from pm3dof_pin.tripod import Tripod
+    from pm3dof_pin.chapter import Tripod
+    from pm3dof_pin.kinematics.robot import Robot
 
 
 @pytest.fixture(scope="session")
 def tripod() -> Tripod:
     """The chapter's machine in closed form."""
-    from pm3dof_pin.tripod import Tripod
+    from pm3dof_pin.chapter import Tripod
 
     return Tripod.load()
 
@@ -31,7 +31,7 @@ def hollow_tripod(tripod: Tripod) -> Tripod:
 
     Long links, a short stroke and joints under the platform: tilted, it reaches lower than level.
     """
-    from pm3dof_pin.tripod import Tripod
+    from pm3dof_pin.chapter import Tripod
 
     return Tripod(
         dataclasses.replace(
@@ -50,17 +50,17 @@ def hollow_tripod(tripod: Tripod) -> Tripod:
 
 
 @pytest.fixture(scope="session")
-def mechanism() -> Mechanism:
+def mechanism() -> Robot:
     """The chapter's machine from its URDF and closures file."""
-    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.kinematics.robot import Robot
 
-    return Mechanism.load("pm3dof")
+    return Robot.load("pm3dof")
 
 
 @pytest.fixture(scope="session")
 def reachable_poses(tripod: Tripod) -> np.ndarray:
     """10,000 random poses within every joint limit, shape=(10000, 3) [rad, rad, m]."""
-    from pm3dof_pin.tripod.limits import broken_limits
+    from pm3dof_pin.chapter.limits import broken_limits
 
     generator = np.random.default_rng(20100801)
     lowest, highest = np.array([-0.8, -0.8, 0.38]), np.array([0.8, 0.8, 0.6])

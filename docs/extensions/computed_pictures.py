@@ -7,13 +7,13 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.util.typing import ExtensionMetadata
 
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.cli.stiffness_map import PICTURES
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.maps.grid import RectangularGrid
 from pm3dof_pin.maps.section import section_outline, stiffness_section
-from pm3dof_pin.tripod.tripod import Tripod
 from pm3dof_pin.workspace import workspace
 
 

@@ -14,9 +14,9 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import ExtensionMetadata
 
+from pm3dof_pin.chapter.table_8_3 import TableRow, table_8_3
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.parameters import Quantity, TripodParameters
-from pm3dof_pin.maps.table_8_3 import TableRow, table_8_3
-from pm3dof_pin.tripod.tripod import Tripod
 
 _GREEK = re.compile(r"(?<![a-zA-Z\\])(alpha|beta|gamma|theta)(?![a-zA-Z])")
 _AXES = {

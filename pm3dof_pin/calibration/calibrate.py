@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, measured_residuals
 from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.calibration.pseudo_error import (
     InputScale,
     PseudoErrorModel,
     control_inverse,
     pseudo_errors,
 )
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
@@ -126,7 +126,7 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     how = options or Options()
     identification = identify(measurements, errors, prior=how.prior, loss=how.loss)
     _warn(identification)
-    nominal = forward_poses(errors.mechanism, measurements.commands)
+    nominal = errors.mechanism.forward(measurements.commands)
     compensation = Compensation(errors, eta=how.eta)
     if "lm" in how.method:
         compensation = replace(compensation, values=identification.values, covariance=identification.covariance)
@@ -155,7 +155,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     count = len(np.unique(poses))
     if count <= LEAST_POSES:
         raise InvalidValueError("measurements", f"{count} poses", f"more than {LEAST_POSES} for a cross-validation")
-    nominal = forward_poses(errors.mechanism, measurements.commands)
+    nominal = errors.mechanism.forward(measurements.commands)
     predicted = np.zeros((len(rows), nominal.commands.shape[1]))
     folds = np.random.default_rng(how.seed).permutation(np.arange(count) % min(_FOLDS, count))[poses]
     for fold in range(int(folds.max()) + 1):
@@ -181,14 +181,14 @@ def _trusted_poses(calibration: Calibration) -> tuple[NDArray[np.intp], NDArray[
 
 
 def _judged(
-    rows: NDArray[np.intp], measurements: Measurements, nominal: ToolPoses, predicted: Array, eta: float
+    rows: NDArray[np.intp], measurements: Measurements, nominal: Poses, predicted: Array, eta: float
 ) -> HeldOut:
     weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
     true = pseudo_errors(measurements, nominal, eta)
     best = true.left
     if measurements.measured == "pose":
         best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left
-    corrected = forward_poses(nominal.mechanism, nominal.commands + predicted, nominal.q)
+    corrected = nominal.robot.forward(nominal.commands + predicted, guess=nominal.q)
     after = measured_residuals(measurements, corrected) * weights
     missed = np.einsum("nij,nj->ni", true.control, true.deviations - predicted)
     excess = np.einsum("nij,nj->ni", control_inverse(true.control), missed)  # what is not seen is not judged
@@ -210,16 +210,16 @@ def _quiet(measurements: Measurements, errors: GeometricErrors, how: Options) ->
         compensation = replace(compensation, values=found.values, covariance=found.covariance)
     if how.method == "lm":
         return compensation
-    return _learned(compensation, measurements, forward_poses(errors.mechanism, measurements.commands), how)
+    return _learned(compensation, measurements, errors.mechanism.forward(measurements.commands), how)
 
 
-def _learned(compensation: Compensation, measurements: Measurements, nominal: ToolPoses, how: Options) -> Compensation:
+def _learned(compensation: Compensation, measurements: Measurements, nominal: Poses, how: Options) -> Compensation:
     if len(measurements) < LEAST_POSES:
         raise InvalidValueError(
             "measurements", f"{len(measurements)} poses", f"at least {LEAST_POSES} to learn a pseudo-error from"
         )
     found = pseudo_errors(measurements, compensation.model_poses(nominal), how.eta)
-    scale = InputScale.of(nominal.mechanism, measurements)
+    scale = InputScale.of(nominal.robot, measurements)
     inputs = scale.scaled(measurements.commands, measurements.conditions)
     noise = np.einsum("nii->ni", found.covariances)
     learned: PseudoErrorModel
@@ -230,7 +230,7 @@ def _learned(compensation: Compensation, measurements: Measurements, nominal: To
     return replace(compensation, learned=learned, inputs=scale)
 
 
-def _unexplained(compensation: Compensation, measurements: Measurements, nominal: ToolPoses) -> float:
+def _unexplained(compensation: Compensation, measurements: Measurements, nominal: Poses) -> float:
     """Return the tip error that no command corrects and no parameter explains, root mean square without noise [m]."""
     found = pseudo_errors(measurements, compensation.model_poses(nominal), compensation.eta)
     n, rows = found.left.shape
@@ -241,7 +241,7 @@ def _unexplained(compensation: Compensation, measurements: Measurements, nominal
     return float(np.sqrt(max(0.0, (np.sum(found.left**2) - expected) / n)))
 
 
-def _check_seen(measurements: Measurements, nominal: ToolPoses, how: Options) -> None:
+def _check_seen(measurements: Measurements, nominal: Poses, how: Options) -> None:
     try:
         found = pseudo_errors(measurements, nominal, how.eta)
     except ConvergenceError as error:

@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import write_text_atomically
-from pm3dof_pin.mechanism.assembly import assemble
-from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.robot import Robot
 
 logger = logging.getLogger(__name__)
 
@@ -86,14 +86,14 @@ def write_calibrated_robot(
     return write_text_atomically(target, text)
 
 
-def _closed_again(srdf: Path, calibrated: Mechanism) -> str:
+def _closed_again(srdf: Path, calibrated: Robot) -> str:
     """Return an SRDF whose named configurations are those of the calibrated machine at the same commands."""
     tree = ElementTree.parse(srdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
     for state in tree.getroot().findall("group_state"):
         name = state.get("name", "")
         described = calibrated.configuration(calibrated.named_configurations[name])
         commands = dict(zip(calibrated.actuated_joints, described.actuated_positions, strict=True))
-        result = assemble(calibrated, described, held=commands)
+        result = assemble(calibrated, described, joints=commands)
         if not result.converged:
             logger.warning("named configuration '%s' is left out: its loops do not close any more", name)
             tree.getroot().remove(state)

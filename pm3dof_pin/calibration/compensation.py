@@ -12,17 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel, command_jacobians, nearest_commands
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses, poses_at
-from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, UnreachablePoseError
-from pm3dof_pin.mechanism.arrays import finite_array, frozen
-
-Array = NDArray[np.float64]
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13
@@ -69,11 +68,11 @@ class Compensation:
     eta: float = TIP_LENGTH
     unexplained: float = 0.0
 
-    def model_poses(self, nominal: ToolPoses) -> ToolPoses:
+    def model_poses(self, nominal: Poses) -> Poses:
         """Return the model's poses, nominal or calibrated, at the commands of nominal ones."""
         if self.values is None:
             return nominal
-        return forward_poses(self.errors.apply(self.values), nominal.commands, nominal.q)
+        return self.errors.apply(self.values).forward(nominal.commands, guess=nominal.q)
 
     def learned_deviations(self, commands: Array, conditions: Mapping[str, Array | float] | None = None) -> Array:
         """Return the learned du, shape=(n, number of actuated joints) [m, rad]; 0 without a learned model."""
@@ -81,7 +80,7 @@ class Compensation:
             return np.zeros_like(commands)
         return self.learned.deviations(self.inputs.scaled(commands, conditions or {}))
 
-    def poses(self, nominal: ToolPoses, conditions: Mapping[str, Array | float] | None = None) -> ToolPoses:
+    def poses(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Poses:
         """Predict where the machine is at the commands of nominal poses.
 
         Args:
@@ -95,9 +94,9 @@ class Compensation:
         if self.learned is None:
             return model
         deviated = model.commands + self.learned_deviations(nominal.commands, conditions)
-        return forward_poses(model.mechanism, deviated, model.q)
+        return model.robot.forward(deviated, guess=model.q)
 
-    def corrected(self, nominal: ToolPoses, conditions: Mapping[str, Array | float] | None = None) -> Array:
+    def corrected(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
         """Return the commands for wanted poses that the nominal mechanism reaches.
 
         Args:
@@ -142,32 +141,23 @@ class Compensation:
             InvalidValueError: values of a wrong shape, or a condition is missing.
         """
         mechanism = self.errors.mechanism
-        if not mechanism.motion_coordinates:
-            raise DescriptionError(mechanism.name, "motion_coordinates", "is missing, expected names of joints")
-        try:
-            nominal = poses_at(mechanism, mechanism.motion_coordinates, values)
-        except ConvergenceError as error:
-            raise UnreachablePoseError(
-                f"{mechanism.name} does not reach {np.asarray(values).tolist()}: {error}"
-            ) from error
-        return self._compensated(nominal, conditions)
+        return self._compensated(mechanism.solve(values), conditions)
 
-    def predicted_error(self, nominal: ToolPoses, conditions: Mapping[str, Array | float] | None = None) -> Array:
+    def predicted_error(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
         """Return the tip error to be expected at wanted poses after correction, shape=(n,) [m]."""
         return self._predicted_error(nominal, self._nearest(nominal), conditions)
 
-    def _nominal(self, poses: ArrayLike) -> ToolPoses:
+    def _nominal(self, poses: ArrayLike) -> Poses:
         array = np.asarray(poses, dtype=float)
         wanted = finite_array("poses", np.atleast_3d(array).reshape(-1, 4, 4), (array.size // 16, 4, 4))
         mechanism = self.errors.mechanism
-        starts = np.array([mechanism.inverse_geometry(pose).q for pose in wanted])
-        nominal = ToolPoses(mechanism, starts)
+        nominal = mechanism.reach(wanted)
         missed = tip_error(pose_difference(wanted, nominal.transforms), self.eta)
         if np.any(missed > _MEETS):
             raise UnreachablePoseError(f"{mechanism.name} misses a wanted pose by {missed.max():.3g} m")
         return nominal
 
-    def _nearest(self, nominal: ToolPoses) -> ToolPoses:
+    def _nearest(self, nominal: Poses) -> Poses:
         if self.values is None:
             return nominal
         return nearest_commands(self.model_poses(nominal), nominal.transforms, self.eta)
@@ -182,18 +172,17 @@ class Compensation:
                 return corrected
         raise ConvergenceError("iterating the corrected command", change, "m or rad", _MAX_ITERATIONS)
 
-    def _compensated(self, nominal: ToolPoses, conditions: Mapping[str, Array | float] | None) -> Compensated:
+    def _compensated(self, nominal: Poses, conditions: Mapping[str, Array | float] | None) -> Compensated:
         nearest = self._nearest(nominal)
         commands = self._corrected(nearest.commands, conditions)
-        offsets = self.errors.command_offsets
         return Compensated(
-            frozen(commands + offsets),
-            frozen(nominal.commands + offsets),
+            frozen(commands),
+            frozen(np.array(nominal.commands)),
             frozen(self.deviations(nominal, conditions)),
             frozen(self._predicted_error(nominal, nearest, conditions)),
         )
 
-    def deviations(self, nominal: ToolPoses, conditions: Mapping[str, Array | float] | None = None) -> Array:
+    def deviations(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
         """Predict the pseudo-error of the nominal machine at its own commands, the du of Fig. 8.6.
 
         Args:
@@ -208,9 +197,7 @@ class Compensation:
         seen = self.poses(nominal, conditions).transforms
         return nearest_commands(nominal, seen, self.eta).commands - nominal.commands
 
-    def _predicted_error(
-        self, nominal: ToolPoses, nearest: ToolPoses, conditions: Mapping[str, Array | float] | None
-    ) -> Array:
+    def _predicted_error(self, nominal: Poses, nearest: Poses, conditions: Mapping[str, Array | float] | None) -> Array:
         squares = tip_error(pose_difference(nominal.transforms, nearest.transforms), self.eta) ** 2
         weights = tip_weights(self.eta)
         if self.values is not None and self.covariance is not None:

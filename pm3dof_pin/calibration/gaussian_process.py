@@ -19,11 +19,9 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import ConvergenceError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 _LEAST_AMPLITUDE = 1e-4  # of the deviations' scale
 _MOST_AMPLITUDE = 30.0

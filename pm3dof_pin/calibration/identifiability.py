@@ -16,15 +16,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.arrays import frozen
-from pm3dof_pin.mechanism.freedoms import RankDecision
-
-Array = NDArray[np.float64]
+from pm3dof_pin.kinematics.freedoms import RankDecision
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.typing import Array
 
 RANK_TOLERANCE = 1e-11
 """Singular values of the scaled regressor below this times the greatest count as zero."""
@@ -33,7 +32,7 @@ _SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are le
 _ZERO = 1e-9
 
 
-def scaled_regressor(errors: GeometricErrors, poses: ToolPoses, instrument: Instrument | None = None) -> Array:
+def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Array:
     """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters).
 
     Args:
@@ -128,9 +127,7 @@ def identifiability(names: Sequence[str], tolerances: ArrayLike, regressor: Arra
     )
 
 
-def identifiability_of(
-    errors: GeometricErrors, poses: ToolPoses, instrument: Instrument | None = None
-) -> Identifiability:
+def identifiability_of(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Identifiability:
     """Judge what measurements at some poses identify; see :func:`identifiability` and :func:`scaled_regressor`."""
     return identifiability(errors.names, errors.tolerances, scaled_regressor(errors, poses, instrument))
 

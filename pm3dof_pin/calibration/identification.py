@@ -1,7 +1,7 @@
 """Geometric parameters out of measurements: weighted, robust, regularised nonlinear least squares.
 
 Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2, with r_k what measurement k lacks of the closed-loop forward
-kinematics, in units of its noise. Gauss-Newton on the exact Jacobians of :mod:`pm3dof_pin.calibration.sensitivity`; in
+kinematics, in units of its noise. Gauss-Newton on the exact Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in
 each step the robust linear problem is solved to its end by reweighting (P. Holland and R. Welsch, 1977): first with
 Huber's weights, which have one minimum, then from there with Tukey's, which leave gross outliers no say.
 """
@@ -16,18 +16,17 @@ import numpy as np
 import pinocchio as pin
 import scipy.linalg
 import scipy.stats
-from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, identifiability
 from pm3dof_pin.calibration.measurements import Measurements
-from pm3dof_pin.calibration.pose_error import pose_difference
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.mechanism.arrays import frozen
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
 
-Array = NDArray[np.float64]
 Loss = Literal["squares", "huber", "tukey"]
 
 PRIOR = 3.0
@@ -74,7 +73,7 @@ class Identification:
     covariance: Array
     prior: float
     measurements: Measurements
-    poses: ToolPoses
+    poses: Poses
     residuals: Array
     weights: Array
     noise_factor: float
@@ -131,7 +130,7 @@ def identify(
         )
     if not prior > 0.0:
         raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
-    nominal = forward_poses(errors.mechanism, measurements.commands)
+    nominal = errors.mechanism.forward(measurements.commands)
     x, previous = np.zeros(len(errors)), np.inf
     for step in range(1, _MAX_STEPS + 1):
         linear = _linearised(measurements, errors, x, nominal, prior)
@@ -146,7 +145,7 @@ def identify(
     )
 
 
-def measured_residuals(measurements: Measurements, poses: ToolPoses) -> Array:
+def measured_residuals(measurements: Measurements, poses: Poses) -> Array:
     """Return what was measured minus what a machine does, shape=(n, 3 or 6) [m, rad].
 
     Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
@@ -165,7 +164,7 @@ def measured_residuals(measurements: Measurements, poses: ToolPoses) -> Array:
     return np.concatenate([positions, pose_difference(poses.transforms, seen)[:, 3:]], axis=1)
 
 
-def measured_rows(measurements: Measurements, poses: ToolPoses, tool_motions: Array) -> Array:
+def measured_rows(measurements: Measurements, poses: Poses, tool_motions: Array) -> Array:
     """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, 3 or 6, k).
 
     Args:
@@ -266,10 +265,10 @@ class _Linearised:
 
 
 def _linearised(
-    measurements: Measurements, errors: GeometricErrors, x: Array, nominal: ToolPoses, prior: float
+    measurements: Measurements, errors: GeometricErrors, x: Array, nominal: Poses, prior: float
 ) -> _Linearised:
     values = x * errors.tolerances
-    poses = forward_poses(errors.apply(values), measurements.commands, nominal.q)
+    poses = errors.apply(values).forward(measurements.commands, guess=nominal.q)
     residuals = measured_residuals(measurements, poses) / measurements.sigmas
     rows = measured_rows(measurements, poses, sensitivities(errors, poses, values).errors)
     return _Linearised(residuals, rows / measurements.sigmas[:, :, None] * errors.tolerances, x, prior)
@@ -279,14 +278,14 @@ def _result(
     measurements: Measurements,
     errors: GeometricErrors,
     x: Array,
-    nominal: ToolPoses,
+    nominal: Poses,
     prior: float,
     fit: _Fit,
     steps: int,
 ) -> Identification:
     linear = _linearised(measurements, errors, x, nominal, prior)
     values = x * errors.tolerances
-    poses = forward_poses(errors.apply(values), measurements.commands, nominal.q)
+    poses = errors.apply(values).forward(measurements.commands, guess=nominal.q)
     squares = linear.squares(x)
     bound = scipy.stats.chi2.isf(_FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
     return Identification(

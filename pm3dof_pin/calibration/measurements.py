@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument, Measured
-from pm3dof_pin.calibration.pose_error import quaternion, rotation_vector
 from pm3dof_pin.calibration.registration import Registration, register
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, MeasurementError, lines_in_words
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import quaternion, rotation_vector
+from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError, lines_in_words
 from pm3dof_pin.files import write_text_atomically
-from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument, Measured
+from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
@@ -137,21 +137,20 @@ class Measurements:
         )
 
 
-def command_columns(mechanism: Mechanism) -> tuple[str, ...]:
+def command_columns(mechanism: Robot) -> tuple[str, ...]:
     """Return the columns of the commands: u1_m, u2_m ... for drives that slide, u1_rad ... for those that turn."""
     return tuple(f"u{k}_{unit}" for k, unit in enumerate(command_units(mechanism), start=1))
 
 
-def command_units(mechanism: Mechanism) -> tuple[str, ...]:
+def command_units(mechanism: Robot) -> tuple[str, ...]:
     """Return the unit of each actuated joint, "m" or "rad"."""
-    return tuple(mechanism.single_joint(name).unit for name in mechanism.actuated_joints)
+    return tuple(command.unit for command in mechanism.commands)
 
 
 def measurements_as_text(measurements: Measurements, errors: GeometricErrors) -> str:
     """Return measurements as CSV, every digit kept; see :func:`read_measurements`."""
     n, columns = len(measurements), dict[str, Array]()
-    commands = measurements.commands + errors.command_offsets
-    columns |= dict(zip(command_columns(errors.mechanism), commands.T, strict=True))
+    columns |= dict(zip(command_columns(errors.mechanism), measurements.commands.T, strict=True))
     columns |= dict(zip(POSITION_COLUMNS, measurements.positions.T, strict=True))
     if measurements.rotations is not None:
         columns |= dict(zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True))
@@ -236,7 +235,7 @@ class _Reader:
         self._leave_out_incomplete_rows()
 
     def commands(self) -> Array:
-        commands = self._columns(self._own) - self._errors.command_offsets
+        commands = self._columns(self._own)
         self._check_commands(commands)
         return commands
 
@@ -353,8 +352,7 @@ class _Reader:
 
     def _check_commands(self, commands: Array) -> None:
         mechanism = self._errors.mechanism
-        indices = [mechanism.single_joint(name).q_index for name in mechanism.actuated_joints]
-        lower, upper = mechanism.lower_limits[indices], mechanism.upper_limits[indices]
+        lower, upper = np.array([mechanism.range_of(command) for command in mechanism.command_coordinates]).T
         slack = np.where(np.isfinite(upper - lower), _BEYOND_LIMITS * (upper - lower), 0.0)
         for k, name in enumerate(self._own):
             unit = name.rsplit("_", 1)[1]
@@ -366,20 +364,18 @@ class _Reader:
             bad = ~within(commands[:, k])
             if not bad.any():
                 continue
-            raw = commands[:, k] + self._errors.command_offsets[k]
             factor, other = (1e-3, "millimetres") if unit == "m" else (np.pi / 180.0, "degrees")
-            scaled = within(factor * raw - self._errors.command_offsets[k])
+            scaled = within(factor * commands[:, k])
             lines = self._lines_where(bad)
-            start, end = (limit + self._errors.command_offsets[k] for limit in (lower[k], upper[k]))
-            problem = f"{name} is far outside the joint's limits {start:.6g} .. {end:.6g} {unit}"
+            problem = f"{name} is far outside the joint's limits {lower[k]:.6g} .. {upper[k]:.6g} {unit}"
             if np.mean(scaled[bad]) > 0.5:
                 problem += f": these look like {other}"
             raise MeasurementError(self._path, problem, lines)
 
-    def _nominal_poses(self, commands: Array) -> ToolPoses:
+    def _nominal_poses(self, commands: Array) -> Poses:
         try:
-            return forward_poses(self._errors.mechanism, commands)
-        except ConvergenceError as error:
+            return self._errors.mechanism.forward(commands)
+        except UnreachablePoseError as error:
             raise MeasurementError(self._path, f"commands that the machine cannot take: {error}") from error
 
     def _check_extent(self, expected: Array, positions: Array) -> None:
@@ -409,7 +405,7 @@ class _Reader:
             lines = self._lines_where(far)
             self._warn(f"positions are more than {_FAR_OFF * size:.2g} m from where the machine can be", lines)
 
-    def _check_rotations(self, nominal: ToolPoses, rotations: Array) -> None:
+    def _check_rotations(self, nominal: Poses, rotations: Array) -> None:
         """Look for the usual mistakes: another order of a quaternion's numbers, the inverse rotation, other axes."""
 
         def angles(seen: Array) -> Array:

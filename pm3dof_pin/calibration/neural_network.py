@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import MissingPackageError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 _HIDDEN = 10
 _MEMBERS = 5

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.measurements import command_columns
 from pm3dof_pin.calibration.planning import Plan
-from pm3dof_pin.calibration.pose_error import quaternion
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.files import write_text_atomically
 
 NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
@@ -34,7 +34,7 @@ def write_plan(errors: GeometricErrors, plan: Plan, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    commands = plan.poses.commands + errors.command_offsets
+    commands = plan.poses.commands
     rows = np.concatenate([commands, plan.poses.positions, quaternion(plan.poses.rotations)], axis=1)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")

@@ -20,22 +20,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.calibration.error_map import ErrorMap, error_map
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
     ObservabilityIndices,
     identifiability,
     scaled_regressor,
 )
-from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH
-from pm3dof_pin.calibration.reachable_poses import coordinate_ranges, reachable_poses
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.errors.error_map import ErrorMap, error_map
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.typing import Array, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Strategy = Literal["d-optimal", "tip-optimal", "least-sensitive", "random"]
 STRATEGIES: tuple[Strategy, ...] = ("d-optimal", "tip-optimal", "least-sensitive", "random")
 
@@ -67,7 +66,7 @@ class Plan:
 
     strategy: Strategy
     indices: Indices
-    poses: ToolPoses
+    poses: Poses
     predicted_tip_rms: float
     identifiability: Identifiability
 
@@ -97,8 +96,8 @@ class PlanningProblem:
     def __init__(
         self,
         errors: GeometricErrors,
-        candidates: ToolPoses,
-        test_poses: ToolPoses | None = None,
+        candidates: Poses,
+        test_poses: Poses | None = None,
         *,
         instrument: Instrument | None = None,
         eta: float = TIP_LENGTH,
@@ -115,7 +114,7 @@ class PlanningProblem:
         tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
         effects = (tests.weighted * errors.tolerances).reshape(-1, len(errors))
         self._tip = effects.T @ effects / len(tests.poses)
-        lower, upper = coordinate_ranges(errors.mechanism, errors.mechanism.actuated_joints)
+        lower, upper = coordinate_ranges(errors.mechanism, errors.mechanism.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
         self._min_distance = min_distance
         self._prior = np.eye(len(errors)) / prior**2

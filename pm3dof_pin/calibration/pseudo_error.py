@@ -12,20 +12,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.error_map import best_commands
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import measured_residuals, measured_rows
 from pm3dof_pin.calibration.measurements import Measurements
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_weights
-from pm3dof_pin.calibration.reachable_poses import coordinate_ranges
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_map import best_commands
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array
 
 SEEN = 0.02
 """Deviations that move what is seen by less than this part of the most effective ones count as unseen: they stay 0. On
@@ -73,9 +71,9 @@ class InputScale:
     half_range: Array
 
     @classmethod
-    def of(cls, mechanism: Mechanism, measurements: Measurements) -> InputScale:
+    def of(cls, mechanism: Robot, measurements: Measurements) -> InputScale:
         """Scale commands by the joints' limits, conditions by what was measured; constant conditions are left out."""
-        lower, upper = coordinate_ranges(mechanism, mechanism.actuated_joints)
+        lower, upper = coordinate_ranges(mechanism, mechanism.command_coordinates)
         varied = {name: values for name, values in measurements.conditions.items() if np.ptp(values) > 0.0}
         least = np.array([*lower, *(values.min() for values in varied.values())])
         most = np.array([*upper, *(values.max() for values in varied.values())])
@@ -137,9 +135,9 @@ class PseudoErrors:
     control: Array
 
 
-def command_jacobians(poses: ToolPoses) -> Array:
+def command_jacobians(poses: Poses) -> Array:
     """Return how commands move the tool, shape=(n, 6, number of actuated joints)."""
-    return sensitivities(GeometricErrors(poses.mechanism, ()), poses).commands
+    return sensitivities(GeometricErrors(poses.robot, ()), poses).commands
 
 
 def control_inverse(control: Array, seen: float = SEEN) -> Array:
@@ -153,7 +151,7 @@ def control_inverse(control: Array, seen: float = SEEN) -> Array:
 
 
 def pseudo_errors(
-    measurements: Measurements, model: ToolPoses, eta: float = TIP_LENGTH, *, seen: float = SEEN
+    measurements: Measurements, model: Poses, eta: float = TIP_LENGTH, *, seen: float = SEEN
 ) -> PseudoErrors:
     """Find the joint deviations that explain measurements, by inverting a model's kinematics.
 
@@ -169,13 +167,13 @@ def pseudo_errors(
     """
     weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
 
-    def residuals(poses: ToolPoses) -> Array:
+    def residuals(poses: Poses) -> Array:
         return np.asarray(measured_residuals(measurements, poses) * weights)
 
-    def control(poses: ToolPoses) -> Array:
+    def control(poses: Poses) -> Array:
         return np.asarray(measured_rows(measurements, poses, command_jacobians(poses)) * weights[:, None])
 
-    def step(poses: ToolPoses) -> Array:
+    def step(poses: Poses) -> Array:
         return np.asarray(np.einsum("nij,nj->ni", control_inverse(control(poses), seen), residuals(poses)))
 
     deviations, poses = _descend(model, measurements.commands, step, residuals)
@@ -184,7 +182,7 @@ def pseudo_errors(
     return PseudoErrors(deviations, spread @ np.swapaxes(spread, 1, 2), residuals(model), residuals(poses), reached)
 
 
-def nearest_commands(poses: ToolPoses, wanted: Array, eta: float = TIP_LENGTH) -> ToolPoses:
+def nearest_commands(poses: Poses, wanted: Array, eta: float = TIP_LENGTH) -> Poses:
     """Return the poses of a mechanism that come nearest to wanted ones, in the tip-weighted sense.
 
     Args:
@@ -196,18 +194,18 @@ def nearest_commands(poses: ToolPoses, wanted: Array, eta: float = TIP_LENGTH) -
         ConvergenceError: the loops do not close at a command.
     """
 
-    def residuals(poses: ToolPoses) -> Array:
+    def residuals(poses: Poses) -> Array:
         return pose_difference(wanted, poses.transforms) * tip_weights(eta)
 
-    def step(poses: ToolPoses) -> Array:
+    def step(poses: Poses) -> Array:
         return best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
 
     return _descend(poses, poses.commands, step, residuals)[1]
 
 
 def _descend(
-    poses: ToolPoses, commands: Array, step: Callable[[ToolPoses], Array], residuals: Callable[[ToolPoses], Array]
-) -> tuple[Array, ToolPoses]:
+    poses: Poses, commands: Array, step: Callable[[Poses], Array], residuals: Callable[[Poses], Array]
+) -> tuple[Array, Poses]:
     """Take Gauss-Newton steps in the commands; where one leads away, as near a singularity, a shorter one or none.
 
     Args:
@@ -226,7 +224,7 @@ def _descend(
     for _ in range(_INVERSION_STEPS):
         move = step(poses)
         for factor in _SHORTER:
-            trial = forward_poses(poses.mechanism, commands + deviations + move, poses.q)
+            trial = poses.robot.forward(commands + deviations + move, guess=poses.q)
             found = np.linalg.norm(residuals(trial), axis=1)
             farther = found > left + _ROUNDING
             if not farther.any():

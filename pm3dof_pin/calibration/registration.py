@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 _FAR = 5.0  # times the median distance
 _MAX_ROUNDS = 20

@@ -19,24 +19,22 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
 from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.measurements import Measurements, command_units, write_measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pose_error import quaternion
 from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel
 from pm3dof_pin.calibration.registration import Registration
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import replace_directory, write_text_atomically
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 SUMMARY = "calibration.yaml"
 COMPENSATION = "compensation.json"

@@ -4,7 +4,7 @@ For each seed a machine is drawn and measured at random poses; every method is s
 commands the machine to poses that it has not seen: held-out ones all over the workspace, and an outer shell of it. The
 errors there are the machine's own, without measurement noise, beside those with the best possible commands (the floor).
 
-Worlds: everything that :class:`~pm3dof_pin.calibration.worlds.World` knows; the same, measured in the inner half of the
+Worlds: everything that :class:`~pm3dof_pin.simulation.worlds.World` knows; the same, measured in the inner half of the
 workspace only; and a machine with geometric errors only, on which a learned correction must do no harm.
 """
 
@@ -19,21 +19,20 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
-from pm3dof_pin.calibration.error_map import best_commands
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.calibration.pseudo_error import command_jacobians
-from pm3dof_pin.calibration.reachable_poses import coordinate_ranges, reachable_poses
-from pm3dof_pin.calibration.tool_poses import ToolPoses
-from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.errors.error_map import best_commands
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.simulation.worlds import World
+from pm3dof_pin.typing import Array
 
-Array = NDArray[np.float64]
 StudyWorld = Literal["everything", "inner half", "geometry"]
 STUDY_WORLDS: tuple[StudyWorld, ...] = get_args(StudyWorld)
 TESTS = ("held out", "outer shell")
@@ -172,7 +171,7 @@ class _Judge:
     that commands differ by, the curvature of its motion is worth less than a micrometre.
     """
 
-    def __init__(self, truth: World, poses: ToolPoses, instrument: Instrument, generator: np.random.Generator) -> None:
+    def __init__(self, truth: World, poses: Poses, instrument: Instrument, generator: np.random.Generator) -> None:
         self.conditions: dict[str, Array | float] = {}
         surroundings = truth.conditions(len(poses), generator)
         self.conditions |= surroundings
@@ -229,7 +228,7 @@ def _spread(values: Array) -> tuple[float, float, float]:
     return float(values.mean()), float(np.percentile(values, 95.0)), float(values.max())
 
 
-def _test_poses(errors: GeometricErrors, plan: StudyPlan, generator: np.random.Generator) -> dict[str, ToolPoses]:
+def _test_poses(errors: GeometricErrors, plan: StudyPlan, generator: np.random.Generator) -> dict[str, Poses]:
     mechanism = errors.mechanism
     everywhere = reachable_poses(mechanism, plan.test_poses, generator)
     pool = reachable_poses(mechanism, _POOL * plan.shell_poses, generator)
@@ -247,13 +246,12 @@ def _training(errors: GeometricErrors, plan: StudyPlan, world: str, generator: n
     return pool.commands[np.flatnonzero(distances <= np.quantile(distances, _INNER))[:count]]
 
 
-def _distances(poses: ToolPoses) -> Array:
+def _distances(poses: Poses) -> Array:
     """Return how far poses are from the middle of the workspace: root mean square over the motions' ranges."""
-    mechanism = poses.mechanism
-    joints = mechanism.motion_coordinates or mechanism.actuated_joints
-    lower, upper = coordinate_ranges(mechanism, joints)
+    mechanism = poses.robot
+    lower, upper = coordinate_ranges(mechanism, mechanism.coordinates)
     middle = 0.5 * (lower + upper)
-    return np.asarray(np.sqrt(np.mean(((poses.coordinates(joints) - middle) / (upper - lower)) ** 2, axis=1)))
+    return np.asarray(np.sqrt(np.mean(((poses.coordinates - middle) / (upper - lower)) ** 2, axis=1)))
 
 
 def _claim(folder: Path, plan: StudyPlan) -> None:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
 from pm3dof_pin.calibration.pseudo_error import nearest_commands
-from pm3dof_pin.calibration.reachable_poses import coordinate_ranges
-from pm3dof_pin.calibration.tool_poses import poses_at
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import DescriptionError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
+from pm3dof_pin.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +48,14 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
     """
     compensation = calibration.compensation
     mechanism = compensation.errors.mechanism
-    joints = mechanism.motion_coordinates
-    if len(joints) < 2:
-        raise DescriptionError(mechanism.name, "motion_coordinates", "expected at least two for a map")
-    lower, upper = coordinate_ranges(mechanism, joints)
+    if len(mechanism.coordinates) < 2:
+        raise DescriptionError(mechanism.name, "coordinates", "expected at least two for a map")
+    lower, upper = coordinate_ranges(mechanism, mechanism.coordinates)
     axes = [np.linspace(lower[k], upper[k], points) for k in range(2)]
     grid = np.tile(0.5 * (lower + upper), (points * points, 1))
     grid[:, :2] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    poses = poses_at(mechanism, joints, grid, unreachable="drop")
-    poses = poses[poses.within_limits()]
+    poses = mechanism.solve(grid, on_failure="nan")
+    poses = poses[poses.within_limits]
     conditions: dict[str, Array | float] = {
         name: float(values.mean()) for name, values in calibration.measurements.conditions.items()
     }
@@ -71,13 +67,18 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
     if compensation.values is not None:
         nearest = nearest_commands(poses, seen, compensation.eta).transforms
         columns["floor"] = tip_error(pose_difference(nearest, seen), compensation.eta)
-    places = [np.rint((poses.coordinates(joints)[:, k] - axes[k][0]) / np.ptp(axes[k]) * (points - 1)) for k in (0, 1)]
+    places = [np.rint((poses.coordinates[:, k] - axes[k][0]) / np.ptp(axes[k]) * (points - 1)) for k in (0, 1)]
     fields: dict[str, Array] = {}
     for name, values in columns.items():
         field = np.full((points, points), np.nan)
         field[places[0].astype(int), places[1].astype(int)] = values
         fields[name] = field
-    units = (mechanism.single_joint(joints[0]).unit, mechanism.single_joint(joints[1]).unit)
+    first, second = mechanism.coordinates[:2]
     return WorkspaceErrors(
-        (joints[0], joints[1]), units, (axes[0], axes[1]), fields["before"], fields["after"], fields.get("floor")
+        (first.name, second.name),
+        (first.unit, second.unit),
+        (axes[0], axes[1]),
+        fields["before"],
+        fields["after"],
+        fields.get("floor"),
     )

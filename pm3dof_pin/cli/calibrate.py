@@ -15,9 +15,9 @@ from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
-    from pm3dof_pin.calibration.geometry import GeometricErrors
     from pm3dof_pin.calibration.measurements import Measurements
     from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
 
 
 class MethodName(StrEnum):
@@ -103,9 +103,9 @@ def _parameters(robot: str) -> GeometricErrors:
     """Load the robot with the error parameters with which its loops close."""
     import numpy as np
 
-    from pm3dof_pin.calibration.geometry import GeometricErrors
-    from pm3dof_pin.calibration.reachable_poses import reachable_poses
     from pm3dof_pin.cli.closing_errors import closing_errors
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
     errors = GeometricErrors.load(robot)
     return closing_errors(errors, reachable_poses(errors.mechanism, 20, np.random.default_rng(0)))

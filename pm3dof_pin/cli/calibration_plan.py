@@ -63,13 +63,13 @@ def calibration_plan(
     """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
     import numpy as np
 
-    from pm3dof_pin.calibration.geometry import GeometricErrors
     from pm3dof_pin.calibration.identifiability import minimum_poses
-    from pm3dof_pin.calibration.instrument import Instrument
     from pm3dof_pin.calibration.plan_file import write_plan
     from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
-    from pm3dof_pin.calibration.reachable_poses import reachable_poses
     from pm3dof_pin.cli.closing_errors import closing_errors
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.simulation.instrument import Instrument
 
     errors = GeometricErrors.load(robot)
     generator = np.random.default_rng(seed)
@@ -117,7 +117,7 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "robot": problem.errors.mechanism.name,
         "strategy": plan.strategy,
         "poses": len(plan.indices),
-        "_".join(["commands", *units]): plan.poses.commands + problem.errors.command_offsets,
+        "_".join(["commands", *units]): plan.poses.commands,
         "predicted_tip_rms_m": plan.predicted_tip_rms,
         "tip_rms_before_m": problem.predicted_tip_rms([]),
         "predicted_tip_rms_by_strategy_m": predicted,

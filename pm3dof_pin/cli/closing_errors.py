@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 from pm3dof_pin.cli.output import message
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.geometry import GeometricErrors
-    from pm3dof_pin.calibration.tool_poses import ToolPoses
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.kinematics.poses import Poses
 
 SHOWN = 10
 
 
-def closing_errors(errors: GeometricErrors, poses: ToolPoses) -> GeometricErrors:
+def closing_errors(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
     """Return the errors with which the loops close at these poses, and say how many are left out."""
-    from pm3dof_pin.calibration.sensitivity import closable
+    from pm3dof_pin.errors.sensitivity import closable
 
     fitting = closable(errors, poses)
     if len(fitting) < len(errors):

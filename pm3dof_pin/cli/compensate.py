@@ -27,9 +27,9 @@ def compensate(
     A pose that breaks a joint limit is still answered, with a message and exit status 1.
     """
     from pm3dof_pin.calibration.results import read_compensation
+    from pm3dof_pin.chapter.kinematics import inverse_kinematics
+    from pm3dof_pin.chapter.limits import limit_violations
     from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.tripod.kinematics import inverse_kinematics
-    from pm3dof_pin.tripod.limits import limit_violations
 
     compensation = read_compensation(calibration)
     if compensation.errors.mechanism.name != THE_TRIPOD:

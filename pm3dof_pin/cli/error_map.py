@@ -15,8 +15,8 @@ from pm3dof_pin.cli.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pm3dof_pin.calibration.error_map import ErrorMap, ParameterShare
-    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
 
 PICTURES = {
     "error_map_tip.png": "tip_rms",
@@ -25,11 +25,13 @@ PICTURES = {
 }
 SHOWN = 10
 
-Robot = Annotated[str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")]
+RobotName = Annotated[
+    str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
+]
 
 
 def error_map(
-    robot: Robot = "pm3dof",
+    robot: RobotName = "pm3dof",
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
     height: Annotated[
         float | None, typer.Option(help="Height z_e of the section [m]; by default that of Table 8.3.")
@@ -55,7 +57,7 @@ def error_map(
     one has 0.1 mm and 0.5 mrad at every joint. The tripod is mapped over a section of its workspace, any other robot is
     judged at random poses.
     """
-    from pm3dof_pin.calibration.geometry import GeometricErrors
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
     from pm3dof_pin.maps.error_section import MOTION_COORDINATES
 
     errors = GeometricErrors.load(robot)
@@ -117,9 +119,9 @@ def _section(
 def _sampled(errors: GeometricErrors, samples: int, eta: float, uniform: bool) -> ErrorMap:
     import numpy as np
 
-    from pm3dof_pin.calibration.error_map import error_map as compute
-    from pm3dof_pin.calibration.reachable_poses import reachable_poses
     from pm3dof_pin.cli.closing_errors import closing_errors
+    from pm3dof_pin.errors.error_map import error_map as compute
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
     poses = reachable_poses(errors.mechanism, samples, np.random.default_rng(0))
     return compute(closing_errors(errors, poses), poses, eta=eta, distribution="uniform" if uniform else "normal")
@@ -144,7 +146,7 @@ def _summary(mapped: ErrorMap) -> dict[str, Any]:
 
 
 def _allocation(mapped: ErrorMap, target: float) -> dict[str, Any]:
-    from pm3dof_pin.calibration.tolerances import equal_contributions, least_cost
+    from pm3dof_pin.errors.tolerances import equal_contributions, least_cost
 
     return {
         "target_m": target,

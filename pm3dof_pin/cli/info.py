@@ -10,20 +10,23 @@ from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
 
 if TYPE_CHECKING:
-    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.kinematics.robot import Robot
 
-Robot = Annotated[str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")]
+RobotName = Annotated[
+    str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
+]
 
 
-def info(robot: Robot = "pm3dof", as_json: Json = False) -> None:
+def info(robot: RobotName = "pm3dof", as_json: Json = False) -> None:
     """What a robot is: files, joints, loop closures, freedoms, home pose; and which robots there are."""
     import numpy as np
 
     from pm3dof_pin.description.robots import find_robot, robot_names
-    from pm3dof_pin.mechanism import Mechanism, instantaneous_mobility
+    from pm3dof_pin.kinematics.mobility import instantaneous_mobility
+    from pm3dof_pin.kinematics.robot import Robot
 
     files = find_robot(robot)
-    mechanism = Mechanism.load(robot)
+    mechanism = Robot.load(robot)
     home = mechanism.home
     mobility = instantaneous_mobility(home)
     result: dict[str, Any] = {
@@ -49,7 +52,7 @@ def info(robot: Robot = "pm3dof", as_json: Json = False) -> None:
     print_result(result, _lines(result, mechanism), as_json=as_json)
 
 
-def _lines(result: dict[str, Any], mechanism: Mechanism) -> list[str]:
+def _lines(result: dict[str, Any], mechanism: Robot) -> list[str]:
     x, y, z = result["home_tool_position_m"]
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
     facts = [
@@ -72,6 +75,6 @@ def _lines(result: dict[str, Any], mechanism: Mechanism) -> list[str]:
             "actuated" if name.partition("[")[0] in mechanism.actuated_joints else "passive",
             *(f"{limits[index]:.4g}" for limits in (mechanism.lower_limits, mechanism.upper_limits)),
         ]
-        for index, name in enumerate(mechanism.coordinate_names)
+        for index, name in enumerate(mechanism.q_names)
     ]
     return facts + table_lines(["joint", "", "lower [m, rad]", "upper [m, rad]"], rows)

@@ -25,8 +25,8 @@ def ik(theta_x: ThetaX, theta_y: ThetaY, z_e: Height, as_json: Json = False, con
     Legs in their order in the description (the chapter's: at -30, 90, -150 degrees). A pose that breaks a joint limit
     is still answered, with a message and exit status 1.
     """
-    from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
-    from pm3dof_pin.tripod.limits import limit_violations
+    from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
+    from pm3dof_pin.chapter.limits import limit_violations
 
     tripod = load_tripod(config)
     pose = pose_of(theta_x, theta_y, z_e)
@@ -63,10 +63,10 @@ def fk(
     """
     import numpy as np
 
+    from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, direct_kinematics, newton
+    from pm3dof_pin.chapter.kinematics import assembly_mode_of
+    from pm3dof_pin.chapter.limits import limit_violations
     from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
-    from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics, newton
-    from pm3dof_pin.tripod.kinematics import assembly_mode_of
-    from pm3dof_pin.tripod.limits import limit_violations
 
     tripod = load_tripod(config)
     if len(u) != tripod.leg_count or not np.all(np.isfinite(u)):

@@ -55,12 +55,12 @@ def measure(
 
     import numpy as np
 
-    from pm3dof_pin.calibration.geometry import GeometricErrors
-    from pm3dof_pin.calibration.instrument import Instrument
     from pm3dof_pin.calibration.measurements import read_commands, write_measurements
-    from pm3dof_pin.calibration.reachable_poses import reachable_poses
-    from pm3dof_pin.calibration.sensitivity import closable
-    from pm3dof_pin.calibration.worlds import World
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.errors.sensitivity import closable
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.simulation.instrument import Instrument
+    from pm3dof_pin.simulation.worlds import World
 
     errors = GeometricErrors.load(robot)
     generator = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from pm3dof_pin.cli.options import (
     OptionalThetaX,
     OptionalThetaY,
     Payload,
-    Robot,
+    RobotName,
     Target,
     payloads_of,
 )
@@ -33,7 +33,7 @@ def modes(
     z_e: OptionalHeight = None,
     count: Annotated[int, typer.Option(min=1, help="Number of modes, from the lowest on.")] = 6,
     payload: Payload = 0.0,
-    robot: Robot = None,
+    robot: RobotName = None,
     configuration: NamedConfiguration = None,
     as_json: Json = False,
 ) -> None:

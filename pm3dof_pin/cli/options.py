@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pm3dof_pin.mechanism import Configuration, Mechanism
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.mechanism.configuration import Configuration
 
 THE_TRIPOD = "pm3dof"
 
@@ -57,7 +58,7 @@ OptionalThetaY = Annotated[
 OptionalHeight = Annotated[
     float | None, typer.Argument(metavar="Z", help="Height z_e of the tool point [m].", parser=finite_number)
 ]
-Robot = Annotated[
+RobotName = Annotated[
     str | None,
     typer.Option("--robot", metavar="NAME|URDF", help="Another robot, by name or by the path of its URDF."),
 ]
@@ -75,7 +76,7 @@ Config = Annotated[
 
 def load_tripod(config: Path | None) -> Tripod:
     """Load the tripod of `--config`, or the chapter's."""
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.chapter.tripod import Tripod
 
     return Tripod.load(config)
 
@@ -87,7 +88,7 @@ def pose_of(theta_x_deg: float, theta_y_deg: float, z_e: float) -> NDArray[np.fl
     return np.array([math.radians(theta_x_deg), math.radians(theta_y_deg), z_e])
 
 
-def payloads_of(mechanism: Mechanism, payload: float) -> dict[str, float]:
+def payloads_of(mechanism: Robot, payload: float) -> dict[str, float]:
     """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
     return {mechanism.model.frames[mechanism.tool_frame_id].name: payload} if payload else {}
 
@@ -128,14 +129,12 @@ class Target:
             )
         return cls(THE_TRIPOD, (theta_x, theta_y, z_e), None)
 
-    def configuration(self, mechanism: Mechanism) -> Configuration:
+    def configuration(self, mechanism: Robot) -> Configuration:
         """Find the assembled configuration of the robot, once it is loaded."""
         from pm3dof_pin.exceptions import InvalidValueError
 
         if self.pose is not None:
-            from pm3dof_pin.tripod.kinematics import joint_positions
-
-            return mechanism.at_joint_positions(joint_positions(load_tripod(None), pose_of(*self.pose)))
+            return mechanism.solve(pose_of(*self.pose)).configuration()
         named = mechanism.named_configurations
         if self.name is None or (self.name == "home" and not named):
             return mechanism.assemble(mechanism.home)
@@ -148,7 +147,7 @@ class Target:
     def broken_limits(self, configuration: Configuration) -> list[str]:
         """Say which joint limits are broken, a line for each."""
         if self.pose is not None:
-            from pm3dof_pin.tripod.limits import limit_violations
+            from pm3dof_pin.chapter.limits import limit_violations
 
             return [str(violation) for violation in limit_violations(load_tripod(None), pose_of(*self.pose))]
         return [

@@ -11,7 +11,7 @@ from pm3dof_pin.cli.options import (
     OptionalThetaX,
     OptionalThetaY,
     Payload,
-    Robot,
+    RobotName,
     Target,
     payloads_of,
 )
@@ -19,7 +19,7 @@ from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, ta
 
 if TYPE_CHECKING:
     from pm3dof_pin.dynamics import ActuatorForces
-    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.kinematics.robot import Robot
 
 
 def statics(
@@ -27,7 +27,7 @@ def statics(
     theta_y: OptionalThetaY = None,
     z_e: OptionalHeight = None,
     payload: Payload = 0.0,
-    robot: Robot = None,
+    robot: RobotName = None,
     configuration: NamedConfiguration = None,
     as_json: Json = False,
 ) -> None:
@@ -38,10 +38,10 @@ def statics(
     joint limit is still answered, with a message and exit status 1.
     """
     from pm3dof_pin.dynamics import holding_forces
-    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.kinematics.robot import Robot
 
     target = Target.of(theta_x, theta_y, z_e, robot, configuration)
-    mechanism = Mechanism.load(target.robot)
+    mechanism = Robot.load(target.robot)
     where = target.configuration(mechanism)
     forces = holding_forces(where, payloads=payloads_of(mechanism, payload))
     broken = target.broken_limits(where)
@@ -51,7 +51,7 @@ def statics(
     stop_on_broken_limits(broken)
 
 
-def _result(mechanism: Mechanism, forces: ActuatorForces) -> dict[str, Any]:
+def _result(mechanism: Robot, forces: ActuatorForces) -> dict[str, Any]:
     slides = [mechanism.single_joint(name).translates for name in mechanism.actuated_joints]
     numbers = list(zip(forces.actuator_forces, slides, strict=True))
     wrenches = [forces.closure_forces[rows] for rows in mechanism.loop_kinematics.rows]

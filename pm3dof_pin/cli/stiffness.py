@@ -16,7 +16,7 @@ from pm3dof_pin.cli.options import (
     OptionalHeight,
     OptionalThetaX,
     OptionalThetaY,
-    Robot,
+    RobotName,
     Target,
     load_tripod,
     pose_of,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.chapter.tripod import Tripod
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _RIGID = 1e-12  # an axis that gives less than this times the softest of its kind gives nothing
@@ -56,7 +56,7 @@ def stiffness(
     model: Annotated[
         Model, typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3.")
     ] = Model.ELASTIC,
-    robot: Robot = None,
+    robot: RobotName = None,
     configuration: NamedConfiguration = None,
     as_json: Json = False,
     config: Config = None,
@@ -71,7 +71,7 @@ def stiffness(
             raise typer.BadParameter("--model chapter and --config are for the tripod at a pose TX TY Z")
         _print_of_robot(target, as_json)
         return
-    from pm3dof_pin.tripod.limits import limit_violations
+    from pm3dof_pin.chapter.limits import limit_violations
 
     tripod = load_tripod(config)
     pose = pose_of(*target.pose)
@@ -99,7 +99,7 @@ def _print_of_robot(target: Target, as_json: bool) -> None:
 
 
 def _print_chapter(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> None:
-    from pm3dof_pin.tripod import chapter_stiffness as chapter
+    from pm3dof_pin.chapter import chapter_stiffness as chapter
 
     diagonal = chapter.chapter_stiffness(tripod, pose)
     index = float(chapter.global_index(diagonal))
@@ -111,8 +111,8 @@ def _print_chapter(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> 
 
 
 def _print_elastic(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> None:
+    from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
     from pm3dof_pin.elastic.indices import compliance
-    from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
 
     matrix = elastic_stiffness(tripod, pose)
     tool = compliance(matrix)

@@ -14,7 +14,7 @@ from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.chapter.tripod import Tripod
 
 LEAST_TO_DRAW = 3
 PICTURES = {
@@ -40,10 +40,10 @@ def stiffness_map(
     config: Config = None,
 ) -> None:
     """Maps of the chapter's stiffness as dataset, spreadsheet and pictures (Figs. 8.3, 8.4), and Table 8.3."""
+    from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.maps.grid import RectangularGrid
     from pm3dof_pin.maps.section import stiffness_section
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
-    from pm3dof_pin.maps.table_8_3 import table_8_3
 
     tripod = load_tripod(config)
     angle = math.radians(tilt)

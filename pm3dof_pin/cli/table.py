@@ -9,12 +9,12 @@ from pm3dof_pin.cli.options import Config, Json, load_tripod
 from pm3dof_pin.cli.output import print_result, table_lines
 
 if TYPE_CHECKING:
-    from pm3dof_pin.maps.table_8_3 import TableRow
+    from pm3dof_pin.chapter.table_8_3 import TableRow
 
 
 def table_8_3(as_json: Json = False, config: Config = None) -> None:
     """Table 8.3, published and computed side by side."""
-    from pm3dof_pin.maps import table_8_3 as table
+    from pm3dof_pin.chapter import table_8_3 as table
 
     rows = table.table_8_3(load_tripod(config))
     print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)

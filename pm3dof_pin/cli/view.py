@@ -18,7 +18,7 @@ from pm3dof_pin.cli.options import (
     OptionalHeight,
     OptionalThetaX,
     OptionalThetaY,
-    Robot,
+    RobotName,
     Target,
     pose_of,
 )
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.indices import OtherMotions
-    from pm3dof_pin.mechanism import Configuration, Mechanism
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.viewer import Viewer
 
 _FRAMES_PER_SECOND = 20
@@ -69,7 +70,7 @@ def view(
     theta_x: OptionalThetaX = None,
     theta_y: OptionalThetaY = None,
     z_e: OptionalHeight = None,
-    robot: Robot = None,
+    robot: RobotName = None,
     configuration: NamedConfiguration = None,
     of: Annotated[Quantity, typer.Option(help="What the ellipsoids show.")] = Quantity.STIFFNESS,
     others: Annotated[
@@ -122,7 +123,7 @@ def view(
     """
     import numpy as np
 
-    from pm3dof_pin.mechanism import Mechanism
+    from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.viewer import Viewer
 
     if path is not None and (theta_x is not None or configuration is not None):
@@ -131,7 +132,7 @@ def view(
         raise typer.BadParameter("--shares: legs are not coloured along a --path")
     nothing = theta_x is None and robot is None and configuration is None
     target = Target.of(theta_x, theta_y, z_e, THE_TRIPOD if nothing else robot, configuration)
-    mechanism = Mechanism.load(target.robot)
+    mechanism = Robot.load(target.robot)
     tripod = _tripod_of(target.robot, mechanism)
     for option, wanted in (("--workspace", workspace), ("--path", path)):
         if wanted is not None and tripod is None:
@@ -199,20 +200,20 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
     message("closed")
 
 
-def _tripod_of(robot: str, mechanism: Mechanism) -> Tripod | None:
+def _tripod_of(robot: str, mechanism: Robot) -> Tripod | None:
     """Return the closed form of a robot of the tripod's family: its parameter file is ../config/<name>.yaml."""
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.description.robots import find_robot
-    from pm3dof_pin.tripod.tripod import Tripod
 
     urdf = find_robot(robot).urdf
     config = urdf.resolve().parent.parent / "config" / f"{urdf.stem}.yaml"
     own = {"platform_x_joint", "platform_y_joint", "passive_slider_joint", "slider1_joint"}
-    if not own <= set(mechanism.coordinate_names) or not config.is_file():
+    if not own <= set(mechanism.q_names) or not config.is_file():
         return None
     return Tripod.load(config)
 
 
-def _elastic_model(mechanism: Mechanism) -> ElasticModel | None:
+def _elastic_model(mechanism: Robot) -> ElasticModel | None:
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
     if not mechanism.springs:
@@ -256,14 +257,13 @@ def _draw_workspace(viewer: Viewer, tripod: Tripod, quantity: str) -> None:
         raise InvalidValueError("--workspace", quantity, error.expected) from error
 
 
-def _configurations(mechanism: Mechanism, tripod: Tripod, poses: NDArray[np.float64]) -> list[Configuration]:
-    from pm3dof_pin.tripod.kinematics import joint_positions
+def _configurations(mechanism: Robot, tripod: Tripod, poses: NDArray[np.float64]) -> list[Configuration]:
 
-    return [mechanism.at_joint_positions(joint_positions(tripod, pose)) for pose in poses]
+    return list(mechanism.solve(poses))
 
 
 def _limits_on_path(tripod: Tripod, poses: NDArray[np.float64]) -> list[str]:
-    from pm3dof_pin.tripod.limits import broken_limits
+    from pm3dof_pin.chapter.limits import broken_limits
 
     frames = int((broken_limits(tripod, poses) != 0).sum())
     return [f"in {frames} of {len(poses)} frames of the path"] if frames else []

@@ -12,7 +12,7 @@ from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from pm3dof_pin.tripod.tripod import Tripod
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.workspace import Workspace
 
 
@@ -48,7 +48,7 @@ def workspace(
 
 
 def _result(tripod: Tripod, space: Workspace) -> dict[str, Any]:
-    from pm3dof_pin.maps.printed_ranges import compare_printed_ranges
+    from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
 
     tilts = dict(zip(("theta_x", "theta_y"), space.tilt_ranges, strict=True))
     return {

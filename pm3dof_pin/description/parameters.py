@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
-
-Vector = NDArray[np.float64]
+from pm3dof_pin.typing import Vector
 
 _SI_UNITS = ("1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3")
 _TO_SI: dict[str, Callable[[float], float]] = {

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.arrays import frozen, listed
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration, singularities
-from pm3dof_pin.mechanism.arrays import Vector, frozen, listed
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms
+from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Vector
 
 BALANCE_TOLERANCE = 1e-9
 """Part of the load on motions that no actuator holds, up to which it counts as rounding."""

@@ -9,15 +9,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen, listed
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE, Freedoms, Restriction
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms, Restriction
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.typing import Matrix, Vector
 
 _CONSISTENT = 1e-9
 

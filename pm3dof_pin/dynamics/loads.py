@@ -9,9 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.mechanism.arrays import Vector, finite_array
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.payloads import Payloads, add_payloads
+from pm3dof_pin.typing import Vector
 
 Wrenches: TypeAlias = Mapping[str, ArrayLike]
 """Wrenches [f; m] on frames, at their origins, world axes, shape=(6,) [N, N m]."""

@@ -6,10 +6,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.dynamics.loads import model_with_payloads
-from pm3dof_pin.mechanism import Configuration, null_space
-from pm3dof_pin.mechanism.arrays import Matrix, finite_array, frozen
+from pm3dof_pin.kinematics.freedoms import null_space
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.typing import Matrix
 
 
 def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:

@@ -16,14 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.typing import Matrix, Vector
 
 _NO_MASS = 1e-13
 """Part of the greatest 1 / omega^2 below which a motion counts as one without mass."""

@@ -7,10 +7,10 @@ import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Vector
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.typing import Vector
 
 
 def holding_forces(

@@ -10,14 +10,15 @@ import scipy.linalg
 import scipy.optimize
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import LoadPath, PathPoint
 from pm3dof_pin.elastic.loaded import EQUILIBRIUM_TOLERANCE, LoadedEquilibrium
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Vector, frozen
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Vector
 
 _PRECISION = 1e-9
 _ASYMMETRY = 1e-6

@@ -23,13 +23,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import frozen, listed
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
-from pm3dof_pin.mechanism import Configuration, RankDecision
-from pm3dof_pin.mechanism.arrays import Matrix, frozen, listed
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, RankDecision
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.springs import (
     AxialSpring,
     CantileverSpring,
@@ -21,10 +22,9 @@ from pm3dof_pin.elastic.springs import (
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
-
-Indices = NDArray[np.intp]
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Indices, Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class ElasticModel:
             one name or are at one joint, or the unit of a joint spring is not that of its joint.
     """
 
-    def __init__(self, mechanism: Mechanism, springs: Iterable[Spring] | None = None) -> None:
+    def __init__(self, mechanism: Robot, springs: Iterable[Spring] | None = None) -> None:
         self.rigid = mechanism
         self.springs = read_springs(mechanism.springs, mechanism.source) if springs is None else tuple(springs)
         if not self.springs:
@@ -108,12 +108,12 @@ class ElasticModel:
 
         Args:
             name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
-            characteristic_length: see :class:`~pm3dof_pin.mechanism.Mechanism` [m].
+            characteristic_length: see :class:`~pm3dof_pin.kinematics.robot.Robot` [m].
 
         Raises:
-            PM3DofError: see :meth:`Mechanism.load <pm3dof_pin.mechanism.Mechanism.load>` and :class:`ElasticModel`.
+            PM3DofError: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>` and :class:`ElasticModel`.
         """
-        return cls(Mechanism.load(name_or_path, characteristic_length=characteristic_length))
+        return cls(Robot.load(name_or_path, characteristic_length=characteristic_length))
 
     def __repr__(self) -> str:
         return f"ElasticModel({self.rigid.name}: {len(self.springs)} springs, {self.mechanism.model.nv} velocities)"
@@ -294,7 +294,7 @@ class ElasticModel:
         return DescriptionError(self.rigid.source, f"spring '{spring}'", expected)
 
 
-def _block(mechanism: Mechanism, spring: Spring, joints: tuple[str, ...] | None) -> SpringBlock:
+def _block(mechanism: Robot, spring: Spring, joints: tuple[str, ...] | None) -> SpringBlock:
     if isinstance(spring, JointSpring):
         joints = (spring.joint,)
     assert joints is not None

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.kernels import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
 
-Array = NDArray[np.float64]
 Motion = Literal["translation", "rotation"]
 OtherMotions = Literal["free", "held"]
 

@@ -18,8 +18,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded_state import LoadedState, find_equilibrium
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix, Vector
 
 _CORRECTIONS = 12
 _SINGULAR = 1e-9

@@ -31,15 +31,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import LoadPath
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError, RigidDirectionError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array, frozen
-from pm3dof_pin.mechanism.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix, Vector
 
 EQUILIBRIUM_TOLERANCE = 1e-10
 """Imbalance that counts as none, as a part of the size of the loads."""

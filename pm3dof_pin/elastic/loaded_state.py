@@ -11,9 +11,9 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loads import AppliedLoads
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.mechanism import Configuration
-from pm3dof_pin.mechanism.arrays import Matrix, Vector
-from pm3dof_pin.mechanism.freedoms import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.kinematics.freedoms import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix, Vector
 
 _IDLE = 1e-9  # stiffness that the loads give to a motion with the springs at rest, as a part of their size
 _CLOSING_STEPS = 20

@@ -9,10 +9,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, finite_array
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads, add_payloads
+from pm3dof_pin.typing import Matrix, Vector
 
 _WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointModelUniversal")
 
@@ -50,7 +52,7 @@ class AppliedLoads:
         DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
     """
 
-    def __init__(self, mechanism: Mechanism, loads: Iterable[tuple[float, Loads]]) -> None:
+    def __init__(self, mechanism: Robot, loads: Iterable[tuple[float, Loads]]) -> None:
         _check_joints(mechanism)
         self._mechanism = mechanism
         self._wrenches: list[tuple[int, Vector]] = []
@@ -127,7 +129,7 @@ class AppliedLoads:
         return wrenches
 
 
-def _weight_model(mechanism: Mechanism, loads: Loads, factor: float) -> pin.Model:
+def _weight_model(mechanism: Robot, loads: Loads, factor: float) -> pin.Model:
     """Return a model of what has weight, in gravity times a factor."""
     model = mechanism.model.copy()
     model.gravity = pin.Motion(factor * mechanism.model.gravity.vector)
@@ -143,7 +145,7 @@ def _static_derivatives(model: pin.Model, data: pin.Data, q: Vector, external: p
     return derivatives
 
 
-def _check_joints(mechanism: Mechanism) -> None:
+def _check_joints(mechanism: Robot) -> None:
     model = mechanism.model
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         if joint.shortname() in _WITHOUT_DERIVATIVES:

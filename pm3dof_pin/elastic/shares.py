@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 
 @dataclass(frozen=True)

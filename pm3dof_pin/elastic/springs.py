@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.typing import Matrix
 
-Matrix = NDArray[np.float64]
 JointSpringUnit = Literal["N/m", "N m/rad"]
 
 _SYMMETRY = 1e-9

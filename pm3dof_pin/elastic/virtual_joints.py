@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
 """Motions of virtual joints in the order of stiffness matrices: along and about the axes."""
@@ -60,13 +60,13 @@ class VirtualJoints:
         v_indices: index in its v of each entry of the rigid mechanism's v, shape=(nv,).
     """
 
-    mechanism: Mechanism
+    mechanism: Robot
     joints: Mapping[str, tuple[str, ...]]
     q_indices: NDArray[np.intp]
     v_indices: NDArray[np.intp]
 
 
-def insert_virtual_joints(mechanism: Mechanism, springs: Sequence[Spring]) -> VirtualJoints:
+def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> VirtualJoints:
     """Put the virtual joints of springs into a mechanism.
 
     Args:
@@ -101,7 +101,7 @@ class _Chain:
         return f"{self.name}.anchor"
 
 
-def _chain(mechanism: Mechanism, spring: AxialSpring | CantileverSpring | BeamSpring | ClosureSpring) -> _Chain:
+def _chain(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSpring | ClosureSpring) -> _Chain:
     if isinstance(spring, AxialSpring):
         return _Chain(spring.name, spring.at, ("z",), _axes_with_z_along(spring.axis))
     if isinstance(spring, CantileverSpring):
@@ -154,7 +154,7 @@ class _Piece:
 class _Builder:
     """Cuts the bodies of a tree into pieces, and grows the new tree out of them, depth first."""
 
-    def __init__(self, mechanism: Mechanism, chains: Sequence[_Chain]) -> None:
+    def __init__(self, mechanism: Robot, chains: Sequence[_Chain]) -> None:
         self._mechanism = mechanism
         self._old: pin.Model = mechanism.model
         self._new = pin.Model()
@@ -351,22 +351,14 @@ class _Builder:
         numbers[indices] = old
         setattr(self._new, name, numbers)
 
-    def _mechanism_of_new_tree(self) -> Mechanism:
+    def _mechanism_of_new_tree(self) -> Robot:
         rigid = self._mechanism
         anchors = {chain.closure: chain.anchor for chain in self._chains}
         closures = [
             replace(closure, frame_a=anchors.get(index, closure.frame_a))
             for index, closure in enumerate(rigid.closures)
         ]
-        return Mechanism(
-            self._new,
-            closures,
-            actuated_joints=rigid.actuated_joints,
-            tool_frame=rigid.tool_frame,
-            motion_coordinates=rigid.motion_coordinates,
-            characteristic_length=rigid.characteristic_length,
-            source=rigid.source,
-        )
+        return rigid.replace(model=self._new, closures=closures, springs=())
 
     def _error(self, chain: _Chain, expected: str) -> DescriptionError:
         return DescriptionError(self._mechanism.source, f"spring '{chain.name}'", expected)

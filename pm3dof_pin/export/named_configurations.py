@@ -11,7 +11,9 @@ from xml.etree import ElementTree
 from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Configuration, Mechanism, assemble
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 _logger = logging.getLogger(__name__)
 
@@ -64,12 +66,12 @@ def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
 
-def _mechanism(name: str, urdf: str, closures: str) -> Mechanism:
+def _mechanism(name: str, urdf: str, closures: str) -> Robot:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.urdf"
         path.write_text(urdf, encoding="utf-8")
         path.with_name(name + CLOSURES_SUFFIX).write_text(closures, encoding="utf-8")
-        return Mechanism.load(path)
+        return Robot.load(path)
 
 
 def _movable_joints(urdf: str) -> list[str]:
@@ -79,11 +81,11 @@ def _movable_joints(urdf: str) -> list[str]:
 
 
 def _complete(
-    xacro: Path, mechanism: Mechanism, states: list[ElementTree.Element], joints: list[str]
+    xacro: Path, mechanism: Robot, states: list[ElementTree.Element], joints: list[str]
 ) -> Iterator[ElementTree.Element]:
     for state in states:
-        held = {joint.get("name", ""): _number(xacro, state, joint) for joint in state.findall("joint")}
-        result = assemble(mechanism, held=held)
+        joint_positions = {joint.get("name", ""): _number(xacro, state, joint) for joint in state.findall("joint")}
+        result = assemble(mechanism, mechanism.home, joints=joint_positions)
         if obstacle := _obstacle(result.configuration) if result.converged else "the loops do not close":
             _logger.warning("no named configuration '%s': %s", state.get("name"), obstacle)
             continue

@@ -16,8 +16,9 @@ from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
 from pm3dof_pin.export.urdf_document import Joint, Link, UrdfDocument, read_urdf
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.mechanism.assembly import CLOSURE_TOLERANCE
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class RobotDocument:
 
     files: RobotFiles
     urdf: UrdfDocument
-    mechanism: Mechanism
+    mechanism: Robot
     allowed_by_srdf: tuple[tuple[str, str], ...]
     meshes: Meshes
 
@@ -145,7 +146,7 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
     files = find_robot(name_or_path)
-    mechanism = Mechanism.load(name_or_path)
+    mechanism = Robot.load(name_or_path)
     urdf = read_urdf(files.urdf)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])

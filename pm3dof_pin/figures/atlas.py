@@ -9,15 +9,14 @@ import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, MaxNLocator
-from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import COLORMAP, house_style, new_figure
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 SECTIONS = 4
 _LEVELS = 16

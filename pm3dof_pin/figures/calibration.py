@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
-from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.calibrate import HeldOut
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 BEFORE, AFTER, FLOOR, NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from pm3dof_pin.calibration.error_map import ParameterShare
+from pm3dof_pin.errors.error_map import ParameterShare
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import house_style, new_figure
 
@@ -18,7 +18,7 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
     """Draw the tip error that each of the most critical parameters causes within its tolerance.
 
     Args:
-        ranking: result of :meth:`ErrorMap.ranking <pm3dof_pin.calibration.error_map.ErrorMap.ranking>`.
+        ranking: result of :meth:`ErrorMap.ranking <pm3dof_pin.errors.error_map.ErrorMap.ranking>`.
         most: number of parameters shown.
 
     Raises:

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.space import towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 _LEVELS = 20
 _ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is looked at from [deg]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 
 def towards_viewer(elevation: float, azimuth: float) -> Array:

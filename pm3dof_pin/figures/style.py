@@ -10,8 +10,8 @@ from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from pm3dof_pin.chapter.limits import Limit
 from pm3dof_pin.files import write_atomically
-from pm3dof_pin.tripod.limits import Limit
 
 COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
 DPI = 200

@@ -14,15 +14,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import NDArray
 
+from pm3dof_pin.chapter.limits import Limit
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
 from pm3dof_pin.figures.style import INK, LIMIT_COLORS, LIMIT_NAMES, house_style, new_figure
-from pm3dof_pin.tripod.limits import Limit
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace import Workspace, WorkspaceSection
-
-Array = NDArray[np.float64]
 
 _OUTLINES = 6  # sections whose outline is drawn
 _DASHES = 36  # pieces of an edge of the printed box

@@ -23,22 +23,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import pm3dof_pin
+from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.maps.grid import RectangularGrid
 from pm3dof_pin.maps.quantities import Evaluation, Quantity, labels, select_quantities
-from pm3dof_pin.tripod.limits import Limit, broken_limits
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
     import zarr
     from distributed import Client
 
-Array = NDArray[np.float64]
 Block = tuple[int, int]  # first index along z_e and along theta_x
 
 DIMS = ("z_e", "theta_x", "theta_y")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pm3dof_pin
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.maps.section import flag_attributes
-from pm3dof_pin.tripod.tripod import Tripod
 from pm3dof_pin.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def workspace_boundary(tripod: Tripod, workspace: Workspace) -> xr.Dataset:
 
     Returns:
         A dataset over `point` with the coordinates theta_x, theta_y [rad] and z_e [m] and the variable
-        `binding_limits`, the sum of the :class:`~pm3dof_pin.tripod.limits.Limit` that end the reachable set there.
+        `binding_limits`, the sum of the :class:`~pm3dof_pin.chapter.limits.Limit` that end the reachable set there.
     """
     import xarray as xr
 

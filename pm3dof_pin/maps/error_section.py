@@ -8,20 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pm3dof_pin
-from pm3dof_pin.calibration.error_map import ErrorMap, error_map
-from pm3dof_pin.calibration.geometry import Distribution, GeometricErrors
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH
-from pm3dof_pin.calibration.tool_poses import poses_at
+from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.errors.error_map import ErrorMap, error_map
+from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
 from pm3dof_pin.maps.section import BROKEN_LIMITS, flag_attributes, section_outline
-from pm3dof_pin.tripod.limits import broken_limits
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 MOTION_COORDINATES = ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
 QUANTITIES = {
@@ -72,10 +71,7 @@ def error_section(
     within = flags == 0
     if not within.any():
         raise UnreachablePoseError(f"no pose of the section z_e = {height:g} m is within the joint limits")
-    coordinates = poses[within] - [0.0, 0.0, tripod.height_home]
-    result = error_map(
-        errors, poses_at(errors.mechanism, MOTION_COORDINATES, coordinates), eta=eta, distribution=distribution
-    )
+    result = error_map(errors, errors.mechanism.solve(poses[within]), eta=eta, distribution=distribution)
     variables = {
         name: (grid.dims, _spread(within, getattr(result, name)), {"units": unit, "long_name": long_name})
         for name, (unit, long_name) in QUANTITIES.items()

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 
 @dataclass(frozen=True, eq=False)

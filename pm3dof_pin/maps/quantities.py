@@ -7,19 +7,17 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pm3dof_pin.chapter import chapter_stiffness as chapter
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
+from pm3dof_pin.chapter.kinematics import inverse_kinematics
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic import indices, shares
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod import chapter_stiffness as chapter
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions
-from pm3dof_pin.tripod.tripod import Tripod
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -81,12 +79,10 @@ class Evaluation:
         frequencies = np.full((*self.poses.shape[:-1], _MODES), np.nan)
         for index in np.ndindex(self.poses.shape[:-1]):
             try:
-                positions = joint_positions(self.tripod, self.poses[index])
+                pose = model.rigid.solve(self.poses[index])
             except UnreachablePoseError:
                 continue
-            frequencies[index] = natural_modes(
-                model, model.rigid.at_joint_positions(positions), count=_MODES
-            ).frequencies
+            frequencies[index] = natural_modes(model, pose.configuration(), count=_MODES).frequencies
         return frequencies
 
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import pm3dof_pin
+from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
+from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
-from pm3dof_pin.tripod.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
-from pm3dof_pin.tripod.limits import Limit, broken_limits
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace import workspace_section
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 BROKEN_LIMITS = "broken_limits"
 
@@ -47,8 +47,8 @@ def stiffness_section(
 
     Returns:
         A dataset over the dimensions of the grid, with z_e in front if several heights are given: `stiffness_<axis>`
-        for the six axes of :data:`~pm3dof_pin.tripod.chapter_stiffness.AXES`, `stiffness_global` (their mean, of mixed
-        units), and `broken_limits`, the sum of the :class:`~pm3dof_pin.tripod.limits.Limit` that a pose breaks. Units,
+        for the six axes of :data:`~pm3dof_pin.chapter.chapter_stiffness.AXES`, `stiffness_global` (their mean, of mixed
+        units), and `broken_limits`, the sum of the :class:`~pm3dof_pin.chapter.limits.Limit` that a pose breaks. Units,
         long names and the meaning of the flags are attributes (CF conventions).
 
     Raises:
@@ -106,7 +106,7 @@ def section_outline(
 
 
 def flag_attributes(long_name: str) -> dict[str, object]:
-    """Return the attributes of a variable that holds sums of :class:`~pm3dof_pin.tripod.limits.Limit`."""
+    """Return the attributes of a variable that holds sums of :class:`~pm3dof_pin.chapter.limits.Limit`."""
     return {
         "long_name": long_name,
         "flag_masks": np.array([int(limit) for limit in Limit], dtype=np.uint8),

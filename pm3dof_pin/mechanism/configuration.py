@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.mechanism.arrays import Matrix, Vector, frozen
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.typing import Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -181,7 +182,7 @@ class Configuration:
         outside = (q < mechanism.lower_limits - tolerance) | (q > mechanism.upper_limits + tolerance)
         violations = [
             LimitViolation(
-                mechanism.coordinate_names[k],
+                mechanism.q_names[k],
                 "joint",
                 float(q[k]),
                 float(mechanism.lower_limits[k]),

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.mechanism.arrays import Matrix, Vector
+from pm3dof_pin.typing import Matrix, Vector
 
 _CLOSED = 1e-13
 """Closure error that counts as none beside rounding [m, rad]."""

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.description.closures import LoopClosure, read_closures
-from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.exceptions import (
-    ConvergenceError,
-    DescriptionError,
-    FrameNotFoundError,
-    InvalidValueError,
-    JointNotFoundError,
-    UnreachablePoseError,
-)
-from pm3dof_pin.mechanism.arrays import Vector, finite_array, frozen
-from pm3dof_pin.mechanism.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, Unit
+from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
-from pm3dof_pin.mechanism.model_files import read_model
+from pm3dof_pin.typing import Vector
 
 _NORM_TOLERANCE = 1e-9
-_HOME = "home"
 
 
 @dataclass(frozen=True)
@@ -52,7 +43,7 @@ class SingleJoint:
     translates: bool
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> Unit:
         """Unit of its coordinate, "m" or "rad"."""
         return "m" if self.translates else "rad"
 
@@ -73,13 +64,7 @@ class SingleJoint:
 class Mechanism:
     """A closed-chain (or serial) mechanism. Not to be changed once made; its arrays are read-only.
 
-    The configurations it finds are geometry: limits of joints and closures are not looked at, so ask
-    :meth:`Configuration.violated_limits`.
-
-    Example:
-        >>> mechanism = Mechanism.load("pm3dof")
-        >>> configuration = mechanism.forward_geometry([0.01, 0.0, 0.0])
-        >>> configuration.tool_placement
+    Data and Jacobians only: :class:`~pm3dof_pin.kinematics.robot.Robot` closes the loops.
 
     Args:
         model: tree of bodies and joints; copied.
@@ -88,7 +73,11 @@ class Mechanism:
             its joints with one freedom driven, one with closures none.
         tool_frame: frame meant by "the tool"; where it is needed and not named, an error says so.
         motion_coordinates: joints, each with one freedom, whose rates are the platform's independent motions.
-        springs: entries of the description's springs, unread.
+        springs: raw spring entries of the description, not yet parsed.
+        commands: what the counters of the drives show, one for each actuated joint in its order; by default the joints'
+            own coordinates.
+        coordinates: the independent numbers that place the tool; by default those of the motion coordinates, or none.
+        limit_groups: names for kinds of limits; limits in none of them are grouped by the names of their joints.
         characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
             are decided [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
@@ -102,12 +91,15 @@ class Mechanism:
         passive_joints: names of all other joints, in the model's order.
         tool_frame: name of the tool frame, or None.
         motion_coordinates: names of the joints that are the motion coordinates; may be empty.
-        springs: entries of the description's springs, unread.
+        springs: raw spring entries of the description, not yet parsed.
+        commands: what the counters of the drives show, in the order of the actuated joints.
+        declared_coordinates: the coordinates that the description declares; may be empty.
+        limit_groups: all limits by kind.
         actuated_indices: indices of the driven joints' rates in v, shape=(number of driven joints,).
         passive_indices: indices of all other rates in v.
         lower_limits: least value of each entry of q, shape=(nq,) [m, rad]; -inf where there is none.
         upper_limits: greatest value of each entry of q, shape=(nq,) [m, rad]; inf where there is none.
-        coordinate_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
+        q_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
         named_configurations: joint configurations by name, each of shape=(nq,).
         characteristic_length: see the argument [m].
         velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
@@ -131,6 +123,9 @@ class Mechanism:
         tool_frame: str | None = None,
         motion_coordinates: Iterable[str] = (),
         springs: Iterable[Mapping[str, Any]] = (),
+        commands: Iterable[Command] = (),
+        coordinates: Iterable[Coordinate] = (),
+        limit_groups: Iterable[LimitGroup] = (),
         characteristic_length: float | None = None,
         source: Path | str | None = None,
     ) -> None:
@@ -147,12 +142,14 @@ class Mechanism:
         self.actuated_joints = self._checked_joints(driven, "name_mot")
         self.passive_joints = tuple(name for name in list(model.names)[1:] if name not in set(self.actuated_joints))
         self.motion_coordinates = self._checked_joints(tuple(motion_coordinates), "motion_coordinates")
+        self.commands = self._checked_commands(tuple(commands))
+        self.declared_coordinates = tuple(coordinates) or self._motion_coordinates()
         self.actuated_indices = self.velocity_indices(self.actuated_joints)
         self.passive_indices = frozen(np.setdiff1d(np.arange(model.nv), self.actuated_indices))
 
         self.lower_limits = frozen(_limits(model, model.lowerPositionLimit, -np.inf))
         self.upper_limits = frozen(_limits(model, model.upperPositionLimit, np.inf))
-        self.coordinate_names = _coordinate_names(model)
+        self.q_names = _coordinate_names(model)
         self.named_configurations: Mapping[str, Vector] = MappingProxyType(
             {entry.key(): frozen(np.array(entry.data())) for entry in model.referenceConfigurations}
         )
@@ -168,33 +165,18 @@ class Mechanism:
         self.characteristic_length = float(length)
         self.velocity_scale = frozen(np.where(_is_translation(self.model), self.characteristic_length, 1.0))
         self.closure_scale = frozen(self._closure_scale())
-
-    @classmethod
-    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> Mechanism:
-        """Load a mechanism from its description.
-
-        Args:
-            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
-            characteristic_length: see :class:`Mechanism` [m].
-
-        Raises:
-            UnknownRobotError: no such robot.
-            DescriptionError: a file is missing, unreadable or not of its form.
-            FrameNotFoundError: the closures file names a frame that the URDF does not have.
-            JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
-        """
-        files = find_robot(name_or_path)
-        closures = read_closures(files.closures)
-        return cls(
-            read_model(files.urdf, files.srdf),
-            closures.closures,
-            actuated_joints=closures.actuated_joints,
-            tool_frame=closures.tool_frame,
-            motion_coordinates=closures.motion_coordinates,
-            springs=closures.springs,
-            characteristic_length=characteristic_length,
-            source=files.closures,
-        )
+        self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
+        self._description: dict[str, Any] = {
+            "actuated_joints": self.actuated_joints,
+            "tool_frame": tool_frame,
+            "motion_coordinates": self.motion_coordinates,
+            "springs": self.springs,
+            "commands": self.commands,
+            "coordinates": self.declared_coordinates,
+            "limit_groups": self.limit_groups,
+            "characteristic_length": self.characteristic_length,
+            "source": self._source,
+        }
 
     @property
     def source(self) -> str:
@@ -203,37 +185,29 @@ class Mechanism:
 
     def __repr__(self) -> str:
         return (
-            f"Mechanism({self.name}: {self.model.njoints - 1} joints, {len(self.actuated_joints)} actuated, "
+            f"{type(self).__name__}({self.name}: {self.model.njoints - 1} joints, "
+            f"{len(self.actuated_joints)} actuated, "
             f"{len(self.closures)} closures, tool {self.tool_frame})"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        keywords = {
-            "actuated_joints": self.actuated_joints,
-            "tool_frame": self.tool_frame,
-            "motion_coordinates": self.motion_coordinates,
-            "springs": self.springs,
-            "characteristic_length": self.characteristic_length,
-            "source": self._source,
-        }
-        return _rebuild, (self.model, self.closures, keywords)
+        return _rebuild, (type(self), self.model, self.closures, self._description)
 
-    @cached_property
-    def home(self) -> Configuration:
-        """The named configuration "home", or else Pinocchio's neutral one, its loops closed if that is possible nearby.
+    def replace(
+        self, *, model: pin.Model | None = None, closures: Iterable[LoopClosure] | None = None, **changes: Any
+    ) -> Self:
+        """Make a mechanism like this one with some things changed.
 
-        The actuated joints stay where they are, if the loops close so. Where no closed configuration is found, it is
-        the one described: ask its :attr:`Configuration.closure_residual`.
+        Args:
+            model: another tree.
+            closures: other loop closures.
+            changes: other keyword arguments of :class:`Mechanism`.
         """
-        described = self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
-        if described.closure_residual <= CLOSURE_TOLERANCE:
-            return described
-        drives = dict(zip(self.actuated_joints, described.actuated_positions, strict=True))
-        for held in (drives, {}):
-            result = assemble(self, described, held=held)
-            if result.converged:
-                return result.configuration
-        return described
+        return type(self)(
+            self.model if model is None else model,
+            self.closures if closures is None else closures,
+            **(self._description | changes),
+        )
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Make the read-only configuration at q.
@@ -245,90 +219,6 @@ class Mechanism:
             InvalidValueError: q has another shape, is not finite, or is not normalised.
         """
         return Configuration(self, q)
-
-    def at_joint_positions(self, positions: Mapping[str, ArrayLike]) -> Configuration:
-        """Make the configuration with joints at given coordinates, the others as at home. Nothing is closed.
-
-        Args:
-            positions: coordinates by joint [m, rad]; shape=(joint's nq,) for a joint with several freedoms.
-
-        Raises:
-            JointNotFoundError: a joint is not in the model.
-            InvalidValueError: a coordinate is not finite or of the wrong shape.
-        """
-        return self.configuration(self.held_positions(self.home.q, positions)[0])
-
-    def assemble(
-        self, guess: Configuration | ArrayLike | None = None, *, held: Mapping[str, ArrayLike] | None = None
-    ) -> Configuration:
-        """Close the loops.
-
-        Args:
-            guess: configuration to start from, one near to which is found; the home configuration by default.
-            held: joints to hold, with their coordinates [m, rad]; shape=(joint's nq,) for one with several freedoms.
-
-        Raises:
-            ConvergenceError: no closed configuration was found.
-            JointNotFoundError: a held joint is not in the model.
-            InvalidValueError: the guess or a held value is not finite or of the wrong shape.
-        """
-        result = assemble(self, guess, held=held)
-        return self._closed(result, "closing the loops", "try a guess nearer to an assembled configuration")
-
-    def forward_geometry(
-        self, actuated_positions: ArrayLike, guess: Configuration | ArrayLike | None = None
-    ) -> Configuration:
-        """Find the configuration that belongs to the actuated joints' coordinates.
-
-        Args:
-            actuated_positions: u, shape=(number of actuated joints,) [m, rad].
-            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
-
-        Raises:
-            ConvergenceError: no closed configuration was found.
-            InvalidValueError: u or the guess is not finite or of the wrong shape.
-        """
-        held = self._named_values("actuated_positions", self.actuated_joints, actuated_positions)
-        result = assemble(self, guess, held=held)
-        return self._closed(
-            result, f"forward geometry at u = {list(held.values())}", "u may be out of reach, or the guess too far away"
-        )
-
-    def inverse_geometry(
-        self, pose: pin.SE3 | ArrayLike, guess: Configuration | ArrayLike | None = None
-    ) -> Configuration:
-        """Find a configuration that brings the tool to a pose.
-
-        Args:
-            pose: placement of the tool frame in the world as a `pin.SE3` or a homogeneous matrix, shape=(4, 4); or its
-                position alone, shape=(3,) [m], the orientation being left free.
-            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
-
-        Raises:
-            UnreachablePoseError: no closed configuration was found with the tool there.
-            DescriptionError: the mechanism has no tool frame.
-            InvalidValueError: the pose or the guess is not finite, of the wrong shape, or the matrix is no placement.
-        """
-        result = assemble(self, guess, pose=pose)
-        return self._reached(result, f"tool pose {_one_line(pose)}")
-
-    def at_motion_coordinates(self, values: ArrayLike, guess: Configuration | ArrayLike | None = None) -> Configuration:
-        """Find the configuration at given values of the motion coordinates.
-
-        Args:
-            values: coordinates of the joints :attr:`motion_coordinates`, in their order [m, rad].
-            guess: configuration to start from, which picks the assembly mode; the home configuration by default.
-
-        Raises:
-            UnreachablePoseError: no closed configuration was found there.
-            DescriptionError: the mechanism has no motion coordinates.
-            InvalidValueError: the values or the guess are not finite or of the wrong shape.
-        """
-        if not self.motion_coordinates:
-            raise DescriptionError(self._source, "motion_coordinates", "is missing, expected names of joints")
-        held = self._named_values("motion coordinates", self.motion_coordinates, values)
-        pose = ", ".join(f"{name} = {value:.9g}" for name, value in held.items())
-        return self._reached(assemble(self, guess, held=held), pose)
 
     @property
     def tool_frame_id(self) -> int:
@@ -409,23 +299,6 @@ class Mechanism:
             free[joint.idx_v : joint.idx_v + joint.nv] = False
         return self.checked_positions(q), np.flatnonzero(free)
 
-    def _named_values(self, what: str, names: tuple[str, ...], values: ArrayLike) -> dict[str, float]:
-        numbers = finite_array(f"{what} ({', '.join(names)})", values, (len(names),))
-        return {name: float(number) for name, number in zip(names, numbers, strict=True)}
-
-    def _closed(self, result: Assembly, task: str, advice: str) -> Configuration:
-        if not result.converged:
-            raise ConvergenceError(task, result.residual, "m or rad", result.steps, advice)
-        return result.configuration
-
-    def _reached(self, result: Assembly, pose: str) -> Configuration:
-        if not result.converged:
-            raise UnreachablePoseError(
-                f"{self.name}: no assembled configuration found at {pose}: residual {result.residual:.3e} m or rad "
-                f"after {result.steps} steps; the pose may be out of reach, or the guess too far away"
-            )
-        return result.configuration
-
     def _constraint(
         self, index: int, loop: LoopClosure
     ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
@@ -446,6 +319,41 @@ class Mechanism:
             if name not in self._single_joints:
                 raise DescriptionError(self._source, element, f"'{name}' has several freedoms, expected one")
         return names
+
+    def _checked_commands(self, commands: tuple[Command, ...]) -> tuple[Command, ...]:
+        """Return a command for every actuated joint, in their order."""
+        declared = {command.joint: command for command in commands}
+        for joint in declared:
+            if joint not in self.actuated_joints:
+                self._require_joint(joint, f"{self._source}: commands")
+                raise DescriptionError(self._source, "commands", f"'{joint}' is not actuated, expected one of name_mot")
+        return tuple(
+            declared.get(name, Command(name, name, self._single_joints[name].unit)) for name in self.actuated_joints
+        )
+
+    def _motion_coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(Coordinate(name, self._single_joints[name].unit, joint=name) for name in self.motion_coordinates)
+
+    def _complete_limit_groups(self, groups: tuple[LimitGroup, ...]) -> tuple[LimitGroup, ...]:
+        """Add groups for limits that are in none, named after their joints or frames without numbers."""
+        joints = {joint for group in groups for joint in group.joints}
+        closures = {index for group in groups for index in group.closures}
+        found: dict[str, LimitGroup] = {}
+
+        def add(name: str, joint: tuple[str, ...] = (), closure: tuple[int, ...] = ()) -> None:
+            kind = re.sub(r"\d+", "", name)
+            known = found.get(kind, LimitGroup(kind))
+            found[kind] = LimitGroup(kind, known.joints + joint, known.closures + closure)
+
+        for name, joint in list(zip(self.model.names, self.model.joints, strict=True))[1:]:
+            positions = slice(joint.idx_q, joint.idx_q + joint.nq)
+            limited = np.isfinite(self.lower_limits[positions]) | np.isfinite(self.upper_limits[positions])
+            if limited.any() and name not in joints:
+                add(name, joint=(name,))
+        for index, loop in enumerate(self.closures):
+            if loop.swing_limit is not None and index not in closures:
+                add(f"{loop.frame_a}-{loop.frame_b}", closure=(index,))
+        return groups + tuple(found.values())
 
     def _require_joint(self, name: str, where: str) -> None:
         if not self.model.existJointName(name):
@@ -475,8 +383,10 @@ class Mechanism:
         return scale
 
 
-def _rebuild(model: pin.Model, closures: Sequence[LoopClosure], keywords: Mapping[str, Any]) -> Mechanism:
-    return Mechanism(model, closures, **keywords)
+def _rebuild(
+    kind: type[Mechanism], model: pin.Model, closures: Sequence[LoopClosure], description: Mapping[str, Any]
+) -> Mechanism:
+    return kind(model, closures, **description)
 
 
 def _frame_ids(model: pin.Model) -> dict[str, int]:
@@ -517,8 +427,3 @@ def _is_translation(model: pin.Model) -> NDArray[np.bool_]:
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     return np.array([not rotation.any() for rotation in data.J.reshape(6, model.nv)[3:].T], dtype=bool)
-
-
-def _one_line(pose: pin.SE3 | ArrayLike) -> str:
-    numbers = pose.homogeneous if isinstance(pose, pin.SE3) else np.asarray(pose)
-    return np.array2string(numbers, separator=", ", precision=6).replace("\n", "")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import pinocchio as pin
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.arrays import finite_array
 
 if TYPE_CHECKING:
     from pm3dof_pin.mechanism.mechanism import Mechanism

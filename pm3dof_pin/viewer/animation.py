@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer.scene import Json
-
-Array = NDArray[np.float64]
 
 
 def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> list[Json]:

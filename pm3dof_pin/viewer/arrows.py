@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.bodies import joint_placements
 from pm3dof_pin.viewer.objects import Colour, Json
 from pm3dof_pin.viewer.scene import Scene
-
-Array = NDArray[np.float64]
 
 COLOUR: Colour = (0.78, 0.07, 0.13)
 

@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.objects import Colour, Json
 
 _logger = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 ROOT = "/robot"
 

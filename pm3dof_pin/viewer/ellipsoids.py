@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
 from pm3dof_pin.elastic.kernels import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism.arrays import finite_array
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Scene
 
-Array = NDArray[np.float64]
 Quantity = Literal["stiffness", "compliance"]
 
 UNITS: dict[tuple[Quantity, Motion], str] = {

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import ClosureSpring, JointSpring, Spring
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 
-def spring_joint(mechanism: Mechanism, spring: Spring) -> int:
+def spring_joint(mechanism: Robot, spring: Spring) -> int:
     """Return the joint that moves the body a spring stands for.
 
     A joint spring stands for the body behind its joint, a spring before a frame or joint for the body that carries it,
@@ -73,7 +73,7 @@ def leg_numbers(model: ElasticModel) -> dict[int, int]:
     return {joint: order.index(springs) for joint, springs in legs(model).items()}
 
 
-def _chain(mechanism: Mechanism, joint: int) -> list[int]:
+def _chain(mechanism: Robot, joint: int) -> list[int]:
     """Return a joint and those that carry it, down to the base, which is left out."""
     chain = []
     while joint > 0:

@@ -15,14 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, labels, select_quantities
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.scene import Scene
 from pm3dof_pin.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 _WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
 _TOOL_COLOUR = (0.13, 0.15, 0.18)

@@ -9,24 +9,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pm3dof_pin.chapter.chapter_stiffness import spring_table
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions
+from pm3dof_pin.chapter.kinematics import joint_positions
+from pm3dof_pin.chapter.limits import limit_violations
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.tripod.chapter_stiffness import spring_table
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions
-from pm3dof_pin.tripod.kinematics import joint_positions
-from pm3dof_pin.tripod.limits import limit_violations
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.arrows import joint_axis
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import Quantity
 from pm3dof_pin.viewer.panel import outside_limits
 from pm3dof_pin.viewer.scene import Json, Scene, column_major
-
-Array = NDArray[np.float64]
 
 SLIDERS = ("theta_x [deg]", "theta_y [deg]", "z_e [m]")
 
@@ -48,7 +47,7 @@ class Sliders:
         InvalidValueError: they are not one machine.
     """
 
-    def __init__(self, tripod: Tripod, mechanism: Mechanism) -> None:
+    def __init__(self, tripod: Tripod, mechanism: Robot) -> None:
         require_same_machine(tripod, mechanism)
         self._tripod = tripod
         self._mechanism = mechanism
@@ -194,7 +193,7 @@ class Sliders:
         return bool(abs(described - moving) <= _SAME * described)
 
 
-def require_same_machine(tripod: Tripod, mechanism: Mechanism) -> None:
+def require_same_machine(tripod: Tripod, mechanism: Robot) -> None:
     """Check that a closed form and a mechanism are one machine.
 
     Raises:
@@ -203,16 +202,16 @@ def require_same_machine(tripod: Tripod, mechanism: Mechanism) -> None:
     tilt = 0.3 * tripod.parameters.universal_limit
     for pose in (tripod.home, np.array([tilt, -tilt, tripod.height_home])):
         positions = joint_positions(tripod, pose)
-        if set(positions) != set(mechanism.coordinate_names):
+        if set(positions) != set(mechanism.q_names):
             raise InvalidValueError("tripod", tripod.parameters.name, f"the tripod that {mechanism} is: joints differ")
-        q = np.array([positions[name] for name in mechanism.coordinate_names])
+        q = np.array([positions[name] for name in mechanism.q_names])
         residual = mechanism.configuration(q).closure_residual
         if residual > _CLOSED:
             expected = f"the tripod that {mechanism} is: its loops stay open by {residual:.1e} m"
             raise InvalidValueError("tripod", tripod.parameters.name, expected)
 
 
-def _joints(mechanism: Mechanism) -> list[Json]:
+def _joints(mechanism: Robot) -> list[Json]:
     model = mechanism.model
     joints: list[Json] = [{"name": "universe", "parent": -1, "placement": column_major(np.eye(4))}]
     for joint in range(1, model.njoints):
@@ -229,6 +228,6 @@ def _joints(mechanism: Mechanism) -> list[Json]:
     return joints
 
 
-def _point(mechanism: Mechanism, name: str) -> Json:
+def _point(mechanism: Robot, name: str) -> Json:
     frame = mechanism.model.frames[mechanism.frame_id(name)]
     return {"joint": int(frame.parentJoint), "placement": column_major(frame.placement.homogeneous)}

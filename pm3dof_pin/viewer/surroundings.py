@@ -6,12 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Scene
-
-Array = NDArray[np.float64]
 
 _TOP = [0.985, 0.99, 1.0]
 _BOTTOM = [0.80, 0.84, 0.885]

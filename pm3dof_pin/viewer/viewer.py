@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Configuration, LimitViolation, Mechanism
-from pm3dof_pin.mechanism.arrays import finite_array
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration, LimitViolation
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
 from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
@@ -25,10 +27,9 @@ from pm3dof_pin.viewer.sliders import Sliders, require_same_machine
 from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.tripod.tripod import Tripod
 
-Array = NDArray[np.float64]
 
 _CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
 _NEAR = 1.2  # closeness of the camera: the corners of a box around a machine are mostly empty
@@ -71,7 +72,7 @@ class Viewer(ShownScene):
 
     def __init__(
         self,
-        mechanism: Mechanism,
+        mechanism: Robot,
         *,
         tripod: Tripod | None = None,
         visuals: pin.GeometryModel | Path | str | None = None,

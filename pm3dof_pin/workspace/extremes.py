@@ -6,12 +6,10 @@ Extremes often are corners, where two limits bind, so that the best ray may end 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace.rays import SCAN_STEP, crossings, tilts_at
-
-Array = NDArray[np.float64]
 
 # What the four extremes of a set are greatest in: -theta_x, theta_x, -theta_y, theta_y.
 _OUTWARD = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])

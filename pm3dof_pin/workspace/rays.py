@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.tripod.limits import broken_limits
-from pm3dof_pin.tripod.tripod import Tripod
-
-Array = NDArray[np.float64]
+from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.typing import Array
 
 SCAN_STEP = float(np.radians(1.0))  # distance at which the limits are looked at along a ray [rad]
 BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found [rad]
@@ -29,7 +28,7 @@ class Crossings(NamedTuple):
         rays: index of the ray, shape=(m,).
         radii: radius of the end within the limits, shape=(m,) [rad].
         leaving: whether the ray leaves the reachable set there or enters it, shape=(m,).
-        limits: sums of :class:`~pm3dof_pin.tripod.limits.Limit` broken just across the boundary, shape=(m,).
+        limits: sums of :class:`~pm3dof_pin.chapter.limits.Limit` broken just across the boundary, shape=(m,).
     """
 
     rays: NDArray[np.intp]

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.chapter.limits import Limit
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tripod.limits import Limit
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace.extremes import extreme_tilts, refined_extremes, sampled_extremes, window
 from pm3dof_pin.workspace.rays import SCAN_STEP, crossings, tilts_at
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class WorkspaceSection:
         rays: index of the ray of each boundary point, shape=(m,).
         radii: distance of each boundary point from the level platform, shape=(m,) [rad].
         leaving: whether the ray leaves the reachable set there or enters it, shape=(m,).
-        limits: sums of :class:`~pm3dof_pin.tripod.limits.Limit` broken just across the boundary, shape=(m,).
+        limits: sums of :class:`~pm3dof_pin.chapter.limits.Limit` broken just across the boundary, shape=(m,).
         tilt_ranges: least and greatest theta_x, then theta_y, found between the rays too; NaN if the section is empty,
             shape=(2, 2) [rad].
     """
@@ -115,7 +114,7 @@ def limit_shares(limits: NDArray[np.uint8]) -> dict[Limit, float]:
     """Return the share of each limit in sums of limits; where several bind, each counts in equal parts.
 
     Args:
-        limits: sums of :class:`~pm3dof_pin.tripod.limits.Limit`, shape=(m,).
+        limits: sums of :class:`~pm3dof_pin.chapter.limits.Limit`, shape=(m,).
     """
     bits = np.stack([(limits & limit) != 0 for limit in Limit], axis=-1)
     parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod.limits import Limit, broken_limits
-from pm3dof_pin.tripod.tripod import Tripod
+from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace.extremes import extreme_tilts, refined_extremes, sampled_extremes, window
 from pm3dof_pin.workspace.rays import poses_at
 from pm3dof_pin.workspace.section import WorkspaceSection, boundary_points, limit_shares, workspace_sections
-
-Array = NDArray[np.float64]
 
 HEIGHT_TOLERANCE = 1e-10  # how near to the ends of the range of heights they are found [m]
 

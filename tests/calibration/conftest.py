@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses, poses_at
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 
 FOUR_BAR = """<robot name="four_bar">
 <link name="ground"/><link name="crank"/><link name="coupler"/><link name="rocker"/>
@@ -31,11 +31,10 @@ def tripod_errors() -> GeometricErrors:
 
 
 @pytest.fixture(scope="session")
-def tripod_nominal(tripod_errors: GeometricErrors, reachable_poses: np.ndarray) -> ToolPoses:
+def tripod_nominal(tripod_errors: GeometricErrors, reachable_poses: np.ndarray) -> Poses:
     """300 poses within all limits."""
     mechanism = tripod_errors.mechanism
-    values = reachable_poses[:300] - [0.0, 0.0, mechanism.home.tool_placement.translation[2]]
-    return poses_at(mechanism, mechanism.motion_coordinates, values)
+    return mechanism.solve(reachable_poses[:300])
 
 
 @pytest.fixture(scope="session")
@@ -56,27 +55,27 @@ def four_bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def serial_arm() -> Mechanism:
+def serial_arm() -> Robot:
     import example_robot_data
 
-    return Mechanism(example_robot_data.load("ur5").model, tool_frame="tool0")
+    return Robot(example_robot_data.load("ur5").model, tool_frame="tool0")
 
 
 @pytest.fixture(scope="session")
-def cases(tripod_errors: GeometricErrors, four_bar: Path, serial_arm: Mechanism) -> dict[str, ToolPoses]:
+def cases(tripod_errors: GeometricErrors, four_bar: Path, serial_arm: Robot) -> dict[str, Poses]:
     """A few nominal poses of every mechanism, by name."""
     rng = np.random.default_rng(1)
-    hexapod, bar = Mechanism.load("hexapod"), Mechanism.load(four_bar)
+    hexapod, bar = Robot.load("hexapod"), Robot.load(four_bar)
     commands = {
         "tripod": (tripod_errors.mechanism, rng.uniform(-0.03, 0.03, (4, 3))),
         "hexapod": (hexapod, hexapod.home.actuated_positions + rng.uniform(-0.003, 0.003, (4, 6))),
         "four_bar": (bar, rng.uniform(-0.4, 0.4, (4, 1))),
         "serial": (serial_arm, rng.uniform(-2.0, 2.0, (4, 6))),
     }
-    return {name: forward_poses(mechanism, values) for name, (mechanism, values) in commands.items()}
+    return {name: mechanism.forward(values) for name, (mechanism, values) in commands.items()}
 
 
 @pytest.fixture(scope="session", params=["tripod", "hexapod", "four_bar", "serial"])
-def case(request: pytest.FixtureRequest, cases: dict[str, ToolPoses]) -> ToolPoses:
-    poses: ToolPoses = cases[request.param]
+def case(request: pytest.FixtureRequest, cases: dict[str, Poses]) -> Poses:
+    poses: Poses = cases[request.param]
     return poses

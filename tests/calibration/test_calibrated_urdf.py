@@ -9,31 +9,28 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.calibration.calibrated_urdf import calibrated_urdf, write_calibrated_robot
-from pm3dof_pin.calibration.geometry import GeometricErrors, GeometricParameter
-from pm3dof_pin.calibration.tool_poses import forward_poses
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod"])
 def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
-    errors = GeometricErrors(Mechanism.load(robot))
+    errors = GeometricErrors(Robot.load(robot))
     values = 10.0 * errors.sample(np.random.default_rng(3))
-    written = Mechanism.load(write_calibrated_robot(errors, values, robot, tmp_path))
+    written = Robot.load(write_calibrated_robot(errors, values, robot, tmp_path))
     home = errors.mechanism.home.actuated_positions
     commands = home + np.random.default_rng(4).uniform(-0.002, 0.002, (5, len(home)))
-    expected = forward_poses(errors.apply(values), commands, errors.mechanism.home.q)
-    np.testing.assert_allclose(forward_poses(written, commands).transforms, expected.transforms, atol=1e-12)
+    expected = errors.apply(values).forward(commands, guess=errors.mechanism.home.q)
+    np.testing.assert_allclose(written.forward(commands).transforms, expected.transforms, atol=1e-12)
     assert written.closures == errors.mechanism.closures
     assert GeometricErrors.load(tmp_path / f"{robot}.urdf").names == GeometricErrors.load(robot).names
 
 
 def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Path) -> None:
     errors = GeometricErrors.load("pm3dof")
-    written = Mechanism.load(
-        write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), "pm3dof", tmp_path)
-    )
+    written = Robot.load(write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), "pm3dof", tmp_path))
     assert written.home.closure_residual < 1e-12
     assert set(written.named_configurations) == set(errors.mechanism.named_configurations)
     for name, q in written.named_configurations.items():
@@ -53,9 +50,9 @@ def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "pm3dof.urdf"
     path.write_text(text)
     path.with_suffix(".closures.yaml").write_text(find_robot("pm3dof").closures.read_text())
-    errors = GeometricErrors(Mechanism.load(path))
+    errors = GeometricErrors(Robot.load(path))
     values = errors.values({"O_e.rx": 1e-9, "O_e.ry": 2e-9, "O_e.rz": -3e-9})
-    written = Mechanism.load(write_calibrated_robot(errors, values, path, tmp_path / "out"))
+    written = Robot.load(write_calibrated_robot(errors, values, path, tmp_path / "out"))
     expected = errors.apply(values).home.tool_placement.rotation
     assert not np.allclose(expected, errors.mechanism.home.tool_placement.rotation, atol=1e-9)
     np.testing.assert_allclose(written.home.tool_placement.rotation, expected, atol=1e-15)
@@ -72,7 +69,7 @@ def test_nothing_else_changes() -> None:
 
 
 def test_a_place_without_an_origin_is_named() -> None:
-    mechanism = Mechanism.load("pm3dof")
+    mechanism = Robot.load("pm3dof")
     errors = GeometricErrors(
         mechanism, [GeometricParameter("p", "slider1", "translation", (1.0, 0.0, 0.0), "legs", 1e-4)]
     )

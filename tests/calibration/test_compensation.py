@@ -9,16 +9,16 @@ import pytest
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate, can_be_judged, held_out_errors
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.measurements import Measurements
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
 from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
-from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, placement
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.worlds import World
 
 METHODS = ("lm", "gp", "nn", "lm+gp", "lm+nn")
 
@@ -29,7 +29,7 @@ def world(tripod_errors: GeometricErrors) -> World:
 
 
 @pytest.fixture(scope="module")
-def measured(world: World, tripod_nominal: ToolPoses) -> Measurements:
+def measured(world: World, tripod_nominal: Poses) -> Measurements:
     return world.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
 
 
@@ -41,7 +41,7 @@ def calibrated(measured: Measurements, errors: GeometricErrors, method: str) -> 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_sixty_poses_bring_the_tip_to_its_floor(
-    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     """The machine itself is commanded, at poses it was not measured at: 10 % over the best commands' tip error."""
     wanted = tripod_nominal[200:225]
@@ -61,7 +61,7 @@ def test_sixty_poses_bring_the_tip_to_its_floor(
     assert excess < 0.15 * np.sqrt(np.mean((wanted.commands - best) ** 2))
 
 
-def test_the_flow_of_the_figure(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses, tripod: Tripod) -> None:
+def test_the_flow_of_the_figure(tripod_errors: GeometricErrors, tripod_nominal: Poses, tripod: Tripod) -> None:
     """u - du(u) at the command given: a machine with that pseudo-error then is where it was wanted."""
 
     class Linear:
@@ -96,7 +96,7 @@ def test_without_anything_known_the_nominal_commands_come_out(tripod_errors: Geo
 
 
 def test_the_inverse_of_the_true_model_has_only_the_floor(
-    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     values = tripod_errors.sample(np.random.default_rng(0))
     poses = tripod_nominal[:10]
@@ -105,7 +105,7 @@ def test_the_inverse_of_the_true_model_has_only_the_floor(
     machine = tripod_errors.apply(values)
 
     def missed(u: np.ndarray) -> np.ndarray:
-        return tip_error(pose_difference(poses.transforms, forward_poses(machine, u, poses.q).transforms))
+        return tip_error(pose_difference(poses.transforms, machine.forward(u, guess=poses.q).transforms))
 
     least = missed(commands)
     np.testing.assert_allclose(compensation.predicted_error(poses), least, rtol=1e-6)
@@ -115,7 +115,7 @@ def test_the_inverse_of_the_true_model_has_only_the_floor(
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_predicted_error_is_about_the_error(
-    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     wanted = tripod_nominal[200:225]
     conditions = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
@@ -128,7 +128,7 @@ def test_the_predicted_error_is_about_the_error(
 
 @pytest.mark.parametrize("method", ["lm+gp", "lm+nn"])
 def test_hybrids_do_a_geometric_machine_no_harm(
-    method: str, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    method: str, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     wanted, noise = tripod_nominal[200:300], 8.6e-6  # of a joint deviation found from one measurement
     for seed in range(2):
@@ -141,7 +141,7 @@ def test_hybrids_do_a_geometric_machine_no_harm(
 
 @pytest.mark.parametrize("method", METHODS)
 def test_gross_outliers_change_little(
-    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    method: str, world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     """5 % of the rows are wrong by millimetres: the corrected commands stay within a fifth of the error before."""
     positions = np.array(measured.positions)
@@ -198,7 +198,7 @@ def test_too_few_poses_are_said(
 
 
 def test_three_targets_are_as_good_as_poses(
-    world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    world: World, measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     """Positions of targets on the platform, a row each, at the same commands."""
     assert measured.rotations is not None
@@ -225,7 +225,7 @@ def test_positions_of_the_tool_point_correct_its_height(
     world: World,
     measured: Measurements,
     tripod_errors: GeometricErrors,
-    tripod_nominal: ToolPoses,
+    tripod_nominal: Poses,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """It sits in the universal joint: of the tilts nothing is seen, which is said."""
@@ -259,7 +259,7 @@ def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod
     assert again.after.mean() > 0.8 * once.after.mean()
 
 
-def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Mechanism) -> None:
+def test_near_singular_poses_of_an_arm_do_not_spoil_the_judgement(serial_arm: Robot) -> None:
     """Six drives undo everything but where the wrist is straight: those poses are few of many, and none is enormous."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(0)

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from pm3dof_pin.calibration.error_map import ErrorMap, best_commands, error_map, monte_carlo
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
-from pm3dof_pin.calibration.reachable_poses import reachable_poses
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_map import ErrorMap, best_commands, error_map, monte_carlo
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
 
 
 @pytest.fixture(scope="module")
-def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> ErrorMap:
+def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> ErrorMap:
     return error_map(tripod_errors, tripod_nominal)
 
 
 def test_root_sum_square_against_machines_with_closed_loops(
-    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:
     """400 machines: the sampling error of an rms is about 1 / sqrt(2 * 400) at one pose, less over 40 together."""
     poses = tripod_nominal[:40]
@@ -42,12 +42,12 @@ def test_root_sum_square_against_machines_with_closed_loops(
 def test_the_worst_case_is_reached_in_a_corner_and_not_exceeded(tripod_errors: GeometricErrors) -> None:
     """All 512 corners of the tolerances of nine parameters, by closed loops."""
     few = tripod_errors.select(tripod_errors.names[::4])
-    poses = forward_poses(few.mechanism, [[0.02, -0.01, 0.0]])
+    poses = few.mechanism.forward([[0.02, -0.01, 0.0]])
     predicted = error_map(few, poses)
     corners = np.array(list(product([-1.0, 1.0], repeat=len(few)))) * few.tolerances
     reached = np.array(
         [
-            pose_difference(poses.transforms, forward_poses(few.apply(p), poses.commands, poses.q).transforms)[0]
+            pose_difference(poses.transforms, few.apply(p).forward(poses.commands, guess=poses.q).transforms)[0]
             for p in corners
         ]
     )
@@ -63,8 +63,8 @@ def test_what_commands_leave_is_what_an_optimiser_leaves(tripod_errors: Geometri
         values = tripod_errors.sample(rng)
         machine, poses = tripod_errors.apply(values), tripod_map.poses[row : row + 1]
 
-        def left(change: np.ndarray, machine: Mechanism = machine, poses: ToolPoses = poses) -> np.ndarray:
-            reached = forward_poses(machine, poses.commands + change, poses.q).transforms
+        def left(change: np.ndarray, machine: Robot = machine, poses: Poses = poses) -> np.ndarray:
+            reached = machine.forward(poses.commands + change, guess=poses.q).transforms
             return (pose_difference(poses.transforms, reached) * tip_weights())[0]
 
         found = scipy.optimize.least_squares(left, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14, x_scale=1e-4)
@@ -101,7 +101,7 @@ def test_how_much_of_the_error_commands_can_undo(tripod_map: ErrorMap) -> None:
 
 
 def test_six_drives_undo_everything() -> None:
-    hexapod = Mechanism.load("hexapod")
+    hexapod = Robot.load("hexapod")
     poses = reachable_poses(hexapod, 10, np.random.default_rng(0))
     result = error_map(GeometricErrors.load("hexapod"), poses)
     assert result.uncompensable_rms.max() < 1e-9 * result.tip_rms.max()
@@ -115,14 +115,14 @@ def test_the_least_sensitive_region(tripod_map: ErrorMap) -> None:
         tripod_map.least_sensitive(0.0)
 
 
-def test_an_empty_map_is_refused(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_an_empty_map_is_refused(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     with pytest.raises(InvalidValueError, match="0 poses"):
         error_map(tripod_errors, tripod_nominal[:0])
 
 
-def test_reachable_poses_are_within_limits_and_repeat(mechanism: Mechanism) -> None:
+def test_reachable_poses_are_within_limits_and_repeat(mechanism: Robot) -> None:
     poses, again = (reachable_poses(mechanism, 50, np.random.default_rng(5)) for _ in range(2))
-    assert poses.within_limits().all()
+    assert poses.within_limits.all()
     assert poses.q.tobytes() == again.q.tobytes()
     inner = reachable_poses(mechanism, 50, np.random.default_rng(5), margin=0.3)
     height = mechanism.single_joint("passive_slider_joint").q_index

@@ -11,18 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.error_map import error_map
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.tool_poses import poses_at
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.errors.error_map import error_map
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.figures.error_ranking import error_ranking
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.error_section import QUANTITIES, error_outline, error_section
 from pm3dof_pin.maps.grid import RectangularGrid
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import broken_limits
 
 GRID = RectangularGrid(shape=(9, 9))
 
@@ -40,9 +39,9 @@ def test_each_value_stands_at_its_pose(tripod: Tripod, tripod_errors: GeometricE
     np.testing.assert_array_equal(section.broken_limits.values, flags)
     assert len(mapped.poses) == np.sum(flags == 0)
     row, column = np.argwhere(flags == 0)[3]
-    pose = [section.theta_x.values[row], section.theta_y.values[column], 0.5 - tripod.height_home]
+    pose = [section.theta_x.values[row], section.theta_y.values[column], 0.5]
     mechanism = tripod_errors.mechanism
-    alone = error_map(tripod_errors, poses_at(mechanism, mechanism.motion_coordinates, [pose]))
+    alone = error_map(tripod_errors, mechanism.solve([pose]))
     for name, (unit, _) in QUANTITIES.items():
         assert section[name].values[row, column] == pytest.approx(getattr(alone, name)[0], rel=1e-9)
         assert section[name].attrs["units"] == unit
@@ -72,7 +71,7 @@ def test_what_has_no_section_is_refused(tripod: Tripod, tripod_errors: Geometric
     with pytest.raises(UnreachablePoseError):
         error_section(tripod, tripod_errors, GRID, 0.9)
     with pytest.raises(InvalidValueError, match="tripod"):
-        error_section(tripod, GeometricErrors(Mechanism.load("hexapod")), GRID)
+        error_section(tripod, GeometricErrors(Robot.load("hexapod")), GRID)
 
 
 def test_the_command(tmp_path: Path) -> None:

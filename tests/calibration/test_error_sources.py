@@ -6,7 +6,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.error_sources import (
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loaded import loaded_equilibrium
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.error_sources import (
     ElasticDeflection,
     GeometricSource,
     GuideWaviness,
@@ -15,18 +25,8 @@ from pm3dof_pin.calibration.error_sources import (
     Wave,
     correlated_normal,
 )
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
-from pm3dof_pin.calibration.simulated_machine import Conditions, SimulatedMachine, richer
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
-from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.loaded import loaded_equilibrium
-from pm3dof_pin.elastic.loads import Loads
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, richer
 
 
 def test_ten_kelvin_lengthen_a_screw_of_240_mm_by_28_um(tripod_errors: GeometricErrors) -> None:
@@ -47,7 +47,7 @@ def test_the_growth_is_the_integral_of_the_temperature(bearing: float) -> None:
         assert computed[0, 0] == pytest.approx(expected, abs=1e-8)
 
 
-def test_members_grow_with_their_length(mechanism: Mechanism) -> None:
+def test_members_grow_with_their_length(mechanism: Robot) -> None:
     growth = ThermalGrowth(np.zeros(3), members={"link1_tip": 0.5, "E2": 1.0})
     grown = growth.grown(mechanism, 20.0)
     link = grown.home.frame_placement("universal1_second_joint").actInv(grown.home.frame_placement("link1_tip"))
@@ -57,19 +57,19 @@ def test_members_grow_with_their_length(mechanism: Mechanism) -> None:
     assert growth.grown(mechanism, 0.0) is mechanism
 
 
-def test_the_deflection_is_that_of_the_closed_form(tripod: Tripod, tripod_nominal: ToolPoses) -> None:
+def test_the_deflection_is_that_of_the_closed_form(tripod: Tripod, tripod_nominal: Poses) -> None:
     poses, wrench = tripod_nominal[:20], np.array([100.0, -50.0, 200.0, 3.0, 4.0, -5.0])
     deflections = ElasticDeflection(own_weight=False).displacements(poses, np.tile(wrench, (20, 1)))
-    coordinates = poses.coordinates(poses.mechanism.motion_coordinates)
+    coordinates = poses.coordinates(poses.robot.motion_coordinates)
     tool = coordinates + np.array([0.0, 0.0, tripod.height_home])
     expected = np.linalg.solve(elastic_stiffness(tripod, tool), wrench)
     np.testing.assert_allclose(deflections, expected, rtol=1e-8, atol=1e-15)
 
 
-def test_the_deflection_under_weight_is_that_of_the_loaded_equilibrium(tripod_nominal: ToolPoses) -> None:
+def test_the_deflection_under_weight_is_that_of_the_loaded_equilibrium(tripod_nominal: Poses) -> None:
     poses = tripod_nominal[:3]
     deflections = ElasticDeflection(payload=5.0).displacements(poses)
-    model = ElasticModel(poses.mechanism)
+    model = ElasticModel(poses.robot)
     for row, q in enumerate(poses.q):
         exact = loaded_equilibrium(model, q, Loads(payloads={"O_e": 5.0}, own_weight=True)).displacement()
         np.testing.assert_allclose(deflections[row], exact, rtol=1e-3, atol=1e-11)
@@ -112,7 +112,7 @@ def test_sources_alone_and_together(tripod_errors: GeometricErrors) -> None:
     machine, rng = _machine(tripod_errors), np.random.default_rng(1)
     commands = rng.uniform(-0.04, 0.04, (12, 3))
     conditions = Conditions(rng.uniform(0.0, 10.0, (12, 3)), [50.0, 0.0, -30.0, 0.0, 1.0, 0.0])
-    ideal = forward_poses(machine.nominal, commands).transforms
+    ideal = machine.nominal.forward(commands).transforms
     parts = {
         source: pose_difference(ideal, machine.only(source).poses(commands, conditions))
         for source in ("geometric", "waviness", "thermal", "elastic", "vibration")
@@ -126,7 +126,7 @@ def test_sources_alone_and_together(tripod_errors: GeometricErrors) -> None:
         machine.only("nonsense")
 
 
-def test_straightness_moves_the_carriage_beside_its_line(mechanism: Mechanism) -> None:
+def test_straightness_moves_the_carriage_beside_its_line(mechanism: Robot) -> None:
     """A constant wave across, horizontally, is a parallel guideway."""
     flat = Wave(2e-5, 1.0, np.pi / 2.0)
     waves = GuideWaviness(((), (), ()), (((flat,), ()), ((), ()), ((), ())))
@@ -134,7 +134,7 @@ def test_straightness_moves_the_carriage_beside_its_line(mechanism: Mechanism) -
     errors = GeometricErrors.load("pm3dof")
     heading = np.radians(-30.0 - 90.0)  # at right angles to the plan of the guideway of leg 1
     shift = {"slider1_joint.tx": 2e-5 * np.cos(heading), "slider1_joint.ty": 2e-5 * np.sin(heading)}
-    expected = forward_poses(errors.apply(shift), np.zeros((1, 3))).transforms
+    expected = errors.apply(shift).forward(np.zeros((1, 3))).transforms
     np.testing.assert_allclose(crooked, expected, atol=1e-12)
 
 
@@ -149,7 +149,7 @@ def test_measurements_scatter_by_their_covariance_and_repeat_with_their_seed(tri
     assert np.abs(scatter.mean(axis=0)[:3]).max() < 4e-6
     one = SimulatedMachine(tripod_errors.mechanism, GeometricSource(tripod_errors, tripod_errors.zeros))
     exact = one.measure(commands[:2], np.random.default_rng(0), instrument=Instrument("pose", 1e-15, 1e-15))
-    np.testing.assert_allclose(exact, forward_poses(tripod_errors.mechanism, commands[:2]).transforms, atol=1e-12)
+    np.testing.assert_allclose(exact, tripod_errors.mechanism.forward(commands[:2]).transforms, atol=1e-12)
     assert np.linalg.norm(pin.log3(exact[0, :3, :3].T @ exact[1, :3, :3])) < 1e-12
 
 

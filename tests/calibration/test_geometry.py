@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors, GeometricParameter, joint_axis
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.error_file import read_error_file
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, joint_axis
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
 
 GOOD_CLASS = "{length_tolerance_m: 1, angle_tolerance_rad: 1, errors: [{at: b, rotation: x}]}"
 
@@ -28,12 +28,12 @@ def test_commands_count_from_the_base_joints(tripod_errors: GeometricErrors, tri
     np.testing.assert_allclose(tripod_errors.command_offsets, tripod.parameters.slider_home, atol=1e-15)
 
 
-def test_everything_can_be_wrong(mechanism: Mechanism) -> None:
+def test_everything_can_be_wrong(mechanism: Robot) -> None:
     """12 joints and the tool with six each, six closure points with three."""
     errors = GeometricErrors(mechanism)
     assert len(errors) == 13 * 6 + 6 * 3
     assert set(errors.groups) == {"legs", "tool_chain", "platform", "tool"}
-    assert set(GeometricErrors(Mechanism.load("hexapod")).groups) == set(errors.groups)
+    assert set(GeometricErrors(Robot.load("hexapod")).groups) == set(errors.groups)
 
 
 def test_each_place_moves_by_its_displacement(tripod_errors: GeometricErrors) -> None:
@@ -97,7 +97,7 @@ def test_they_travel_to_other_processes(tripod_errors: GeometricErrors) -> None:
     np.testing.assert_array_equal(copy.command_offsets, tripod_errors.command_offsets)
 
 
-def test_bad_parameters_are_refused(mechanism: Mechanism) -> None:
+def test_bad_parameters_are_refused(mechanism: Robot) -> None:
     good = GeometricParameter("a", "O_e", "translation", (1.0, 0.0, 0.0), "tool", 1e-4)
     for changes, error in (
         ({"axis": (1.0, 1.0, 0.0)}, InvalidValueError),

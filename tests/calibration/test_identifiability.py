@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identifiability import (
     identifiability,
     identifiability_of,
@@ -15,15 +14,14 @@ from pm3dof_pin.calibration.identifiability import (
     rank_growth,
     scaled_regressor,
 )
-from pm3dof_pin.calibration.instrument import Instrument
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses, poses_at
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument
 
 
-def test_the_tripods_34_parameters_and_its_nine_poses(
-    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
-) -> None:
+def test_the_tripods_34_parameters_and_its_nine_poses(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """A leg has nine parameters and adds one equation a pose; the seven of the middle are known after three poses."""
     regressor = scaled_regressor(tripod_errors, tripod_nominal[:40])
     growth = rank_growth(regressor)
@@ -37,7 +35,7 @@ def test_the_tripods_34_parameters_and_its_nine_poses(
     assert result.relations == {"platform_x_joint.rx": {}}
 
 
-def test_positions_alone_say_less(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_positions_alone_say_less(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     regressor = scaled_regressor(tripod_errors, tripod_nominal[:60], Instrument("position"))
     assert regressor.shape[1] == 3
     result = identifiability(tripod_errors.names, tripod_errors.tolerances, regressor)
@@ -45,26 +43,26 @@ def test_positions_alone_say_less(tripod_errors: GeometricErrors, tripod_nominal
     assert minimum_poses(regressor) > 9
 
 
-def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     result = identifiability_of(tripod_errors, tripod_nominal[:5])
     assert result.rank == 22
     assert len(result.base) == 22
     assert len(result.unidentifiable) == 13
 
 
-def test_unidentifiable_directions_do_nothing(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_unidentifiable_directions_do_nothing(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """Four poses leave 16 combinations open; moving along them, closed loops give the same poses."""
     poses = tripod_nominal[:4]
     result = identifiability_of(tripod_errors, poses)
     hidden = result.directions[:, result.rank :]
     values = 0.01 * tripod_errors.tolerances * (hidden @ np.random.default_rng(0).standard_normal(hidden.shape[1]))
-    moved = forward_poses(tripod_errors.apply(values), poses.commands, poses.q)
-    visible = forward_poses(tripod_errors.apply(np.abs(values)), poses.commands, poses.q)
+    moved = tripod_errors.apply(values).forward(poses.commands, guess=poses.q)
+    visible = tripod_errors.apply(np.abs(values)).forward(poses.commands, guess=poses.q)
     hidden_motion = np.abs(moved.transforms - poses.transforms).max()
     assert hidden_motion < 1e-3 * np.abs(visible.transforms - poses.transforms).max()
 
 
-def _chain(joints: str) -> Mechanism:
+def _chain(joints: str) -> Robot:
     """A serial chain of revolute (R) and prismatic (P) joints along z, at random placements."""
     model, parent = pin.Model(), 0
     pin.seed(len(joints))
@@ -72,22 +70,22 @@ def _chain(joints: str) -> Mechanism:
         joint = pin.JointModelRZ() if kind == "R" else pin.JointModelPZ()
         parent = model.addJoint(parent, joint, pin.SE3.Random(), f"joint{index}")
     model.addFrame(pin.Frame("tool", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    return Mechanism(model, tool_frame="tool")
+    return Robot(model, tool_frame="tool")
 
 
 @pytest.mark.parametrize("joints", ["R", "RR", "RPR", "PPR", "RRPRRR", "RRRRRRR"])
 def test_a_serial_arm_has_4r_2p_6_parameters(joints: str) -> None:
     """B. Mooring, Z. Roth and M. Driels, Fundamentals of Manipulator Calibration (1991); L. Everett and T.-W. Hsu."""
     arm = _chain(joints)
-    poses = forward_poses(arm, np.random.default_rng(0).uniform(-2.0, 2.0, (30, len(joints))))
+    poses = arm.forward(np.random.default_rng(0).uniform(-2.0, 2.0, (30, len(joints))))
     result = identifiability_of(GeometricErrors(arm), poses)
     assert result.rank == 4 * joints.count("R") + 2 * joints.count("P") + 6
     assert result.decision.gap > 1e6
 
 
-def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Mechanism) -> None:
+def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Robot) -> None:
     errors = GeometricErrors(serial_arm)
-    poses = forward_poses(serial_arm, np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6)))
+    poses = serial_arm.forward(np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6)))
     result = identifiability_of(errors, poses)
     assert len(errors) == 42
     assert result.rank == 30
@@ -111,9 +109,9 @@ def _freedom_count(chain: str, driven: str) -> int:
     return count
 
 
-def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: Mechanism) -> None:
+def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: Robot) -> None:
     """Near the machine as described some do nothing to first order; a machine far from it shows them all."""
-    hexapod = Mechanism.load("hexapod")
+    hexapod = Robot.load("hexapod")
     legs, middle = _freedom_count("PRRS", "u..."), _freedom_count("PRR", "...")
     cases = (
         (mechanism, 100.0, 3 * legs + middle, 0.07),
@@ -123,9 +121,10 @@ def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: 
         errors = GeometricErrors(nominal)
         rng = np.random.default_rng(1)
         far = errors.apply(size * errors.sample(rng))
-        home = forward_poses(far, nominal.home.actuated_positions[None], nominal.home.q)
+        home = far.forward(nominal.at([nominal.home.q]).commands, guess=nominal.home.q)
         commands = home.commands + rng.uniform(-reach, reach, (150, home.commands.shape[1]))
-        poses = poses_at(far, far.actuated_joints, commands, home.q[0], unreachable="drop")
+        poses = far.forward(commands, guess=home.q[0], on_failure="nan")
+        poses = poses[poses.solved]
         values = identifiability_of(GeometricErrors(far), poses).decision.singular_values
         assert values[expected - 1] > 1e3 * values[expected]
 

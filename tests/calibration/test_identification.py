@@ -9,17 +9,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.identification import Identification, identify, measured_residuals, measured_rows
-from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.calibration.planning import PlanningProblem
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
-from pm3dof_pin.calibration.sensitivity import closable, sensitivities
-from pm3dof_pin.calibration.simulated_machine import SimulatedMachine
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.simulation.simulated_machine import SimulatedMachine
 
 REDUNDANT = "platform_x_joint.rx"
 
@@ -29,9 +29,9 @@ def truth(tripod_errors: GeometricErrors) -> np.ndarray:
     return tripod_errors.sample(np.random.default_rng(5))
 
 
-def simulated(errors: GeometricErrors, truth: np.ndarray, poses: ToolPoses, seed: int | None = None) -> Measurements:
+def simulated(errors: GeometricErrors, truth: np.ndarray, poses: Poses, seed: int | None = None) -> Measurements:
     """Measure a machine with geometric errors, with the instrument's noise if there is a seed."""
-    reached = forward_poses(errors.apply(truth), poses.commands, poses.q).transforms
+    reached = errors.apply(truth).forward(poses.commands, guess=poses.q).transforms
     if seed is not None:
         noise = np.random.default_rng(seed).standard_normal((len(poses), 6)) * Instrument().sigmas
         turned = np.array(reached)
@@ -41,7 +41,7 @@ def simulated(errors: GeometricErrors, truth: np.ndarray, poses: ToolPoses, seed
     return Measurements.of_poses(poses.commands, reached)
 
 
-def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses) -> None:
+def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses) -> None:
     """Without the one parameter that nothing tells, all others come back to a nanometre and a nanoradian."""
     errors = tripod_errors.without([REDUNDANT])
     values = np.delete(truth, tripod_errors.names.index(REDUNDANT))
@@ -53,17 +53,17 @@ def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, 
 
 
 def test_a_redundant_parameter_is_reported_and_harmless(
-    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
     found = identify(simulated(tripod_errors, truth, tripod_nominal[:60]), tripod_errors, prior=np.inf)
     assert found.identifiability.unidentifiable == (REDUNDANT,)
     assert found.untold == (REDUNDANT,)
-    reached = forward_poses(tripod_errors.apply(found.values), tripod_nominal.commands, tripod_nominal.q).transforms
-    expected = forward_poses(tripod_errors.apply(truth), tripod_nominal.commands, tripod_nominal.q).transforms
+    reached = tripod_errors.apply(found.values).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
+    expected = tripod_errors.apply(truth).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-9)
 
 
-def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """Over six machines of 35 parameters: none beyond four sigmas, and as many within one as a normal law has."""
     scores = []
     for seed in range(6):
@@ -79,7 +79,7 @@ def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_no
 
 @pytest.mark.parametrize("kind", ["pose", "position", "point"])
 def test_the_derivatives_are_those_of_finite_differences(
-    kind: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+    kind: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
     poses = tripod_nominal[:5]
     measurements = simulated(tripod_errors, truth, poses)
@@ -91,17 +91,17 @@ def test_the_derivatives_are_those_of_finite_differences(
     for k in range(0, len(tripod_errors), 3):
         values = tripod_errors.zeros
         values[k] = step
-        ahead = measured_residuals(measurements, forward_poses(tripod_errors.apply(values), poses.commands, poses.q))
-        back = measured_residuals(measurements, forward_poses(tripod_errors.apply(-values), poses.commands, poses.q))
+        ahead = measured_residuals(measurements, tripod_errors.apply(values).forward(poses.commands, guess=poses.q))
+        back = measured_residuals(measurements, tripod_errors.apply(-values).forward(poses.commands, guess=poses.q))
         np.testing.assert_allclose(rows[:, :, k], -(ahead - back) / (2.0 * step), atol=2e-8)
 
 
 def test_points_on_the_platform_tell_the_orientation(
-    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
     """Three points seen one by one are worth a whole pose; one alone is not."""
     poses = tripod_nominal[:40]
-    reached = forward_poses(tripod_errors.apply(truth), poses.commands, poses.q).transforms
+    reached = tripod_errors.apply(truth).forward(poses.commands, guess=poses.q).transforms
     offsets = np.array([[0.1, 0.0, 0.0], [-0.05, 0.09, 0.0], [-0.05, -0.09, 0.02]])
     seen = [reached[:, :3, 3] + reached[:, :3, :3] @ offset for offset in offsets]
     measurements = Measurements(
@@ -113,7 +113,7 @@ def test_points_on_the_platform_tell_the_orientation(
     )
     found = identify(measurements, tripod_errors, prior=np.inf)
     assert found.identifiability.rank == 34
-    calibrated = forward_poses(tripod_errors.apply(found.values), poses.commands, poses.q).transforms
+    calibrated = tripod_errors.apply(found.values).forward(poses.commands, guess=poses.q).transforms
     np.testing.assert_allclose(calibrated, reached, atol=1e-9)
     assert identify(measurements[:40], tripod_errors).identifiability.rank < 34
 
@@ -128,7 +128,7 @@ def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: Geomet
         values = tripod_errors.sample(np.random.default_rng([seed, 2]))
         found = identify(simulated(tripod_errors, values, plan.poses, seed), tripod_errors)
         reached = [
-            forward_poses(tripod_errors.apply(p), poses.commands, poses.q).transforms for p in (values, found.values)
+            tripod_errors.apply(p).forward(poses.commands, guess=poses.q).transforms for p in (values, found.values)
         ]
         squares.append(tip_error(pose_difference(*reached)) ** 2)
     assert np.sqrt(np.mean(squares)) < 12e-6
@@ -136,7 +136,7 @@ def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: Geomet
 
 @pytest.mark.parametrize("loss", ["huber", "tukey"])
 def test_gross_outliers_are_named_and_do_little(
-    loss: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+    loss: str, tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
     """5 % of the rows are off by millimetres; the error over other poses stays within 20 % of the clean one's."""
     poses, others = tripod_nominal[:60], tripod_nominal[100:200]
@@ -148,7 +148,7 @@ def test_gross_outliers_are_named_and_do_little(
     def error(measurements: Measurements, how: str) -> float:
         found = identify(measurements, tripod_errors, loss=how)
         machines = [tripod_errors.apply(values) for values in (truth, found.values)]
-        reached = [forward_poses(machine, others.commands, others.q).transforms for machine in machines]
+        reached = [machine.forward(others.commands, guess=others.q).transforms for machine in machines]
         return float(np.sqrt(np.mean(tip_error(pose_difference(*reached)) ** 2)))
 
     found = identify(dirty, tripod_errors, loss=loss)
@@ -161,7 +161,7 @@ def test_gross_outliers_are_named_and_do_little(
 
 
 def test_residuals_are_noise_of_the_stated_size(
-    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, truth: np.ndarray, tripod_nominal: Poses
 ) -> None:
     found: Identification = identify(simulated(tripod_errors, truth, tripod_nominal, 8), tripod_errors, loss="squares")
     total = float(np.sum(found.normalized_residuals**2))
@@ -169,31 +169,31 @@ def test_residuals_are_noise_of_the_stated_size(
     assert found.noise_factor == pytest.approx(1.0, abs=0.06)
 
 
-def test_a_richer_machine_shows_in_the_noise_factor(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_a_richer_machine_shows_in_the_noise_factor(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     machine = SimulatedMachine.random(tripod_errors, np.random.default_rng(0))
     seen = machine.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
     assert identify(Measurements.of_poses(tripod_nominal.commands[:60], seen), tripod_errors).noise_factor > 2.0
 
 
 @pytest.mark.parametrize("name", ["hexapod", "serial"])
-def test_other_mechanisms(name: str, serial_arm: Mechanism) -> None:
+def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
     """What is measured is predicted exactly, by whichever of the redundant parameters."""
     everything = GeometricErrors(serial_arm) if name == "serial" else GeometricErrors.load("hexapod")
     mechanism = everything.mechanism
     generator = np.random.default_rng(0)
     spread = 1.5 if name == "serial" else 0.004
     commands = mechanism.home.actuated_positions + generator.uniform(-spread, spread, (60, 6))
-    nominal = forward_poses(mechanism, commands)
+    nominal = mechanism.forward(commands)
     errors = closable(everything, nominal[:5])
     truth = errors.sample(generator)
     found = identify(simulated(errors, truth, nominal[:50]), errors, prior=np.inf)
-    expected = forward_poses(errors.apply(truth), commands[50:], nominal.q[50:]).transforms
-    reached = forward_poses(errors.apply(found.values), commands[50:], nominal.q[50:]).transforms
+    expected = errors.apply(truth).forward(commands[50:], guess=nominal.q[50:]).transforms
+    reached = errors.apply(found.values).forward(commands[50:], guess=nominal.q[50:]).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-8)
     assert found.identifiability.rank == (42 if name == "hexapod" else 30)
 
 
-def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     with pytest.raises(InvalidValueError, match="0 measurements"):
         identify(measurements[:0], tripod_errors)

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.measurements import (
     Measurements,
     command_columns,
@@ -18,15 +16,17 @@ from pm3dof_pin.calibration.measurements import (
     rotations_of,
     write_measurements,
 )
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument
 
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 
 
 @pytest.fixture(scope="module")
-def measurements(tripod_nominal: ToolPoses) -> Measurements:
+def measurements(tripod_nominal: Poses) -> Measurements:
     return Measurements.of_poses(tripod_nominal.commands[:12], tripod_nominal.transforms[:12])
 
 
@@ -52,7 +52,7 @@ def scaled(lines: list[list[str]], columns: slice, factor: float) -> list[list[s
 
 
 def test_every_digit_survives(
-    measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path, tripod_nominal: ToolPoses
+    measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path, tripod_nominal: Poses
 ) -> None:
     path = write_measurements(measurements, tripod_errors, tmp_path / "file.csv")
     again = read_measurements(path, tripod_errors)
@@ -64,15 +64,15 @@ def test_every_digit_survives(
     assert again.lines == tuple(range(2, 14))
 
 
-def test_commands_count_from_the_bottom_of_the_guideways(lines: list[list[str]], tripod_nominal: ToolPoses) -> None:
+def test_commands_count_from_the_bottom_of_the_guideways(lines: list[list[str]], tripod_nominal: Poses) -> None:
     """u = 0.240272 m is joint coordinate 0."""
     assert ",".join(lines[0]) == HEADER
     np.testing.assert_allclose(np.array(lines[1][:3], dtype=float), tripod_nominal.commands[0] + 0.240272, atol=1e-15)
 
 
-def test_columns_of_other_robots(serial_arm: Mechanism) -> None:
+def test_columns_of_other_robots(serial_arm: Robot) -> None:
     assert command_columns(serial_arm) == tuple(f"u{k}_rad" for k in range(1, 7))
-    assert command_columns(Mechanism.load("hexapod")) == tuple(f"u{k}_m" for k in range(1, 7))
+    assert command_columns(Robot.load("hexapod")) == tuple(f"u{k}_m" for k in range(1, 7))
 
 
 def test_quaternions_turn_into_the_rotations_of_scipy() -> None:

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.plan_file import write_plan
 from pm3dof_pin.calibration.planning import PlanningProblem
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import inverse_kinematics
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.plan_accuracy import plan_accuracy
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import inverse_kinematics
+from pm3dof_pin.kinematics.poses import Poses
 
 FEW = ("--candidates", "150", "--seed", "3")
 
@@ -30,7 +30,7 @@ def _run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_commands_are_slider_travels(
-    tripod: Tripod, tripod_errors: GeometricErrors, tripod_nominal: ToolPoses, tmp_path: Path
+    tripod: Tripod, tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
 ) -> None:
     """As `pm3dof ik` prints them, to the last digits."""
     problem = PlanningProblem(tripod_errors, tripod_nominal[:50])
@@ -40,7 +40,7 @@ def test_commands_are_slider_travels(
         "u1_m", "u2_m", "u3_m", "nominal_x_m", "nominal_y_m", "nominal_z_m",
         "nominal_qw", "nominal_qx", "nominal_qy", "nominal_qz",
     ]  # fmt: skip
-    poses = plan.poses.coordinates(plan.poses.mechanism.motion_coordinates) + np.array([0.0, 0.0, tripod.height_home])
+    poses = plan.poses.coordinates(plan.poses.robot.motion_coordinates) + np.array([0.0, 0.0, tripod.height_home])
     written = np.array([[float(row[f"u{leg}_m"]) for leg in (1, 2, 3)] for row in rows])
     np.testing.assert_allclose(written, inverse_kinematics(tripod, poses), atol=1e-12)
     heights = [float(row["nominal_z_m"]) for row in rows]

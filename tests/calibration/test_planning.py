@@ -7,38 +7,38 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
-from pm3dof_pin.calibration.reachable_poses import reachable_poses
-from pm3dof_pin.calibration.sensitivity import sensitivities
-from pm3dof_pin.calibration.simulated_machine import GeometricSource, SimulatedMachine
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.simulation.simulated_machine import GeometricSource, SimulatedMachine
 
 SEEDS = range(10)
 
 
 @pytest.fixture(scope="module")
-def candidates(mechanism: Mechanism) -> ToolPoses:
+def candidates(mechanism: Robot) -> Poses:
     return reachable_poses(mechanism, 2000, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
-def problem(tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses) -> PlanningProblem:
+def problem(tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses) -> PlanningProblem:
     return PlanningProblem(tripod_errors, candidates, tripod_nominal)
 
 
 @pytest.fixture(scope="module")
-def small(tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses) -> PlanningProblem:
+def small(tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses) -> PlanningProblem:
     return PlanningProblem(tripod_errors, candidates[:300], tripod_nominal[:50])
 
 
 @pytest.mark.parametrize("strategy", ["d-optimal", "tip-optimal"])
 def test_nothing_better_exists_among_few(
-    tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses, strategy: str
+    tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses, strategy: str
 ) -> None:
     """All 1,820 choices of 4 out of 16."""
     small = PlanningProblem(tripod_errors, candidates[:16], tripod_nominal[:50], min_distance=0.0)
@@ -66,7 +66,7 @@ def test_optimal_plans_beat_random_ones(problem: PlanningProblem, count: int) ->
 
 @pytest.mark.parametrize(("count", "prior", "least"), [(9, 1.0, 1.4), (20, 1.0, 1.2), (20, 1e4, 1.4)])
 def test_the_gain_rests_on_how_far_tolerances_are_believed(
-    problem: PlanningProblem, tripod_nominal: ToolPoses, count: int, prior: float, least: float
+    problem: PlanningProblem, tripod_nominal: Poses, count: int, prior: float, least: float
 ) -> None:
     other = PlanningProblem(problem.errors, problem.candidates, tripod_nominal, prior=prior)
     random = other.accuracy_curve([count], "random", SEEDS).mean()
@@ -74,7 +74,7 @@ def test_the_gain_rests_on_how_far_tolerances_are_believed(
 
 
 def test_the_prediction_is_what_a_calibration_attains(
-    tripod_errors: GeometricErrors, candidates: ToolPoses, tripod_nominal: ToolPoses
+    tripod_errors: GeometricErrors, candidates: Poses, tripod_nominal: Poses
 ) -> None:
     """Machines are drawn, measured with noise by closed loops, and their parameters estimated to first order."""
     problem = PlanningProblem(tripod_errors, candidates, tripod_nominal[:60], prior=1.0)
@@ -98,7 +98,7 @@ def test_plans_keep_their_distance_and_limits(small: PlanningProblem) -> None:
     for strategy in STRATEGIES:
         plan = small.plan(15, strategy, np.random.default_rng(2), restarts=1)
         assert len(set(plan.indices)) == 15
-        assert plan.poses.within_limits().all()
+        assert plan.poses.within_limits.all()
         shares = plan.poses.commands / 0.17  # the stroke
         distances = np.sqrt(np.mean((shares[:, None] - shares) ** 2, axis=2)) + np.eye(15)
         assert distances.min() >= 0.05

@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 from numpy import cos, sin
 
-from pm3dof_pin.calibration import pose_error
+from pm3dof_pin.chapter.kinematics import rotation
+from pm3dof_pin.errors import pose_error
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tripod.kinematics import rotation
 
 ANGLES = [0.0, 1e-17, 1e-12, 1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-10, np.pi]
 

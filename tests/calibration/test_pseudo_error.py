@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.instrument import Instrument
 from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pose_error import pose_difference, tip_error
 from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands, pseudo_errors
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.instrument import Instrument
 
 NOISE = 5e-6
 
@@ -38,17 +38,17 @@ def samples() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return inputs[:60], smooth(inputs[:60]) + NOISE * generator.standard_normal((60, 3)), inputs[60:]
 
 
-def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: ToolPoses) -> None:
+def test_a_deviation_of_the_joints_is_found_again(tripod_nominal: Poses) -> None:
     """A machine whose only errors are its commands has that pseudo-error, to rounding."""
     poses = tripod_nominal[:20]
     deviations = np.random.default_rng(0).normal(0.0, 2e-4, (20, 3))
-    reached = forward_poses(poses.mechanism, poses.commands + deviations, poses.q)
+    reached = poses.robot.forward(poses.commands + deviations, guess=poses.q)
     found = pseudo_errors(Measurements.of_poses(poses.commands, reached.transforms), poses)
     np.testing.assert_allclose(found.deviations, deviations, atol=1e-12)
     assert np.abs(found.left).max() < 1e-12
 
 
-def test_positions_show_the_height_and_nothing_else(tripod_nominal: ToolPoses) -> None:
+def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> None:
     """The tool point sits in the universal joint: tilts turn it on the spot, and no deviation is made up for them."""
     poses = tripod_nominal[:20]
     moved = np.array(poses.transforms)
@@ -58,13 +58,13 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: ToolPoses) -
     assert np.abs(found.deviations).max() < 1e-3
 
 
-def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Mechanism) -> None:
+def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
     """Some of 400 random poses of an arm are so near to a singularity that whole Newton steps would leave the room."""
     errors = GeometricErrors(serial_arm)
     generator = np.random.default_rng(3)
-    nominal = forward_poses(serial_arm, generator.uniform(-np.pi, np.pi, (400, 6)))
+    nominal = serial_arm.forward(generator.uniform(-np.pi, np.pi, (400, 6)))
     machine = errors.apply(errors.sample(generator))
-    wanted = forward_poses(machine, nominal.commands, nominal.q).transforms
+    wanted = machine.forward(nominal.commands, guess=nominal.q).transforms
     before = tip_error(pose_difference(wanted, nominal.transforms))
     nearest = nearest_commands(nominal, wanted)
     after = tip_error(pose_difference(wanted, nearest.transforms))
@@ -74,7 +74,7 @@ def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Mechanism) -> No
 
 
 @pytest.mark.parametrize("eta", [0.02, 0.1, 0.5])
-def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: ToolPoses) -> None:
+def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: Poses) -> None:
     """In the tip-weighted sense, against commands a micrometre beside."""
     poses, generator = tripod_nominal[:10], np.random.default_rng(0)
     moved = np.array(poses.transforms)
@@ -84,7 +84,7 @@ def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: ToolPoses) 
     np.testing.assert_allclose(nearest_commands(poses, moved, eta).commands, best, atol=1e-9)
 
     def distance(commands: np.ndarray) -> np.ndarray:
-        reached = forward_poses(poses.mechanism, commands, poses.q).transforms
+        reached = poses.robot.forward(commands, guess=poses.q).transforms
         return tip_error(pose_difference(moved, reached), eta)
 
     least = distance(best)
@@ -92,11 +92,11 @@ def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: ToolPoses) 
         assert np.all(distance(best + step) > least)
 
 
-def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: ToolPoses) -> None:
+def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: Poses) -> None:
     """Against 2000 noisy measurements of one pose."""
     pose, generator = tripod_nominal[:1], np.random.default_rng(0)
     commands = np.repeat(pose.commands, 2000, axis=0)
-    nominal = ToolPoses(pose.mechanism, np.repeat(pose.q, 2000, axis=0))
+    nominal = Poses(pose.mechanism, np.repeat(pose.q, 2000, axis=0))
     sigmas = Instrument().sigmas
     noise = generator.standard_normal((2000, 6)) * sigmas
     seen = np.array(nominal.transforms)
@@ -107,7 +107,7 @@ def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: Too
     np.testing.assert_allclose(spread, found.covariances[0], atol=0.1 * np.abs(spread).max())
 
 
-def test_inputs_are_scaled_by_the_limits(tripod_nominal: ToolPoses) -> None:
+def test_inputs_are_scaled_by_the_limits(tripod_nominal: Poses) -> None:
     """The stroke is 85 mm to either side; temperatures are scaled by what was measured."""
     measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     conditions = {"temperature_a_K": np.array([2.0, 4.0, 6.0]), "load_z_N": np.full(3, 7.0)}

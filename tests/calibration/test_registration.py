@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.measurements import Measurements, read_measurements, write_measurements
 from pm3dof_pin.calibration.registration import register
-from pm3dof_pin.calibration.tool_poses import ToolPoses
-from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.simulation.worlds import World
 
 BASE = pin.SE3(pin.exp3(np.array([0.4, -1.9, 0.8])), np.array([2.1, -0.7, 1.3]))
 """Where the base stands in the frame of the instrument."""
@@ -28,7 +28,7 @@ def seen_from(base: pin.SE3, measurements: Measurements) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def described(tripod_nominal: ToolPoses) -> Measurements:
+def described(tripod_nominal: Poses) -> Measurements:
     """A machine without errors."""
     return Measurements.of_poses(tripod_nominal.commands[:20], tripod_nominal.transforms[:20])
 
@@ -70,7 +70,7 @@ def test_noise_turns_with_the_axes() -> None:
 
 
 def test_a_calibration_is_as_good_from_anywhere(
-    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses, tmp_path: Path
+    tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
 ) -> None:
     """What commands can do for the tip, by cross-validation, against a measurement in the frame of the base."""
     world = World.random("geometry", tripod_errors, np.random.default_rng(2))

@@ -13,19 +13,19 @@ import pytest
 import yaml
 
 from pm3dof_pin.calibration.calibrate import Calibration, HeldOut, Options, calibrate, held_out_errors
-from pm3dof_pin.calibration.geometry import GeometricErrors
 from pm3dof_pin.calibration.measurements import read_measurements
 from pm3dof_pin.calibration.results import read_compensation, write_calibration
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
 from pm3dof_pin.calibration.workspace_errors import workspace_errors
-from pm3dof_pin.calibration.worlds import World
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.figures.calibration_report import report_as_html
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.worlds import World
 
 
 @pytest.fixture(scope="module")
-def calibration(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> Calibration:
+def calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibration:
     world = World.random("everything", tripod_errors, np.random.default_rng(0))
     measured = world.measure(tripod_nominal.commands[:25], np.random.default_rng(1))
     return calibrate(measured, tripod_errors, Options("lm+gp"))
@@ -48,7 +48,7 @@ def folder(calibration: Calibration, held_out: HeldOut, report: str, tmp_path_fa
     )
 
 
-def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, tripod_nominal: ToolPoses) -> None:
+def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, tripod_nominal: Poses) -> None:
     poses, conditions = tripod_nominal[100:110], {"temperature_screws_K": 3.0}
     again = read_compensation(folder)
     wanted = calibration.compensation.corrected(poses, conditions)
@@ -58,11 +58,11 @@ def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, 
 
 
 def test_the_calibrated_urdf_is_the_calibrated_machine(
-    calibration: Calibration, folder: Path, tripod_nominal: ToolPoses
+    calibration: Calibration, folder: Path, tripod_nominal: Poses
 ) -> None:
     poses = tripod_nominal[100:110]
-    mechanism = Mechanism.load(folder / "calibrated" / "pm3dof.urdf")
-    reached = forward_poses(mechanism, poses.commands, poses.q).transforms
+    mechanism = Robot.load(folder / "calibrated" / "pm3dof.urdf")
+    reached = mechanism.forward(poses.commands, guess=poses.q).transforms
     expected = calibration.compensation.model_poses(poses).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-12)
     assert pin.buildModelFromUrdf(str(folder / "calibrated" / "pm3dof.urdf")).nv == 12

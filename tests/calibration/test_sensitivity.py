@@ -8,55 +8,55 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.geometry import GeometricErrors, all_parameters
-from pm3dof_pin.calibration.sensitivity import closable, sensitivities
-from pm3dof_pin.calibration.tool_poses import ToolPoses, forward_poses
+from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 
 STEP = 1e-5
 AGREEMENT = 1e-6
 
 
-def _motion(first: ToolPoses, second: ToolPoses) -> np.ndarray:
+def _motion(first: Poses, second: Poses) -> np.ndarray:
     turn = [pin.log3(b @ a.T) for a, b in zip(first.rotations, second.rotations, strict=True)]
     return np.concatenate([second.positions - first.positions, turn], axis=1) / (2.0 * STEP)
 
 
-def _differences(errors: GeometricErrors, poses: ToolPoses, values: np.ndarray) -> np.ndarray:
+def _differences(errors: GeometricErrors, poses: Poses, values: np.ndarray) -> np.ndarray:
     columns = []
     for index in range(len(errors)):
         step = STEP * np.eye(len(errors))[index]
-        first, second = (forward_poses(errors.apply(values + s), poses.commands, poses.q) for s in (-step, step))
+        first, second = (errors.apply(values + s).forward(poses.commands, guess=poses.q) for s in (-step, step))
         columns.append(_motion(first, second))
     return np.stack(columns, axis=2)
 
 
-def test_errors_against_finite_differences(case: ToolPoses) -> None:
+def test_errors_against_finite_differences(case: Poses) -> None:
     errors = closable(GeometricErrors(case.mechanism), case)
     np.testing.assert_allclose(
         sensitivities(errors, case).errors, _differences(errors, case, errors.zeros), atol=AGREEMENT
     )
 
 
-def test_errors_against_finite_differences_far_from_nominal(case: ToolPoses) -> None:
+def test_errors_against_finite_differences_far_from_nominal(case: Poses) -> None:
     """At errors of centimetres and tenths of a radian the derivative of the displacement itself counts."""
     errors = closable(GeometricErrors(case.mechanism), case)
     values = 20.0 * errors.sample(np.random.default_rng(2))
-    poses = forward_poses(errors.apply(values), case.commands, case.q)
+    poses = errors.apply(values).forward(case.commands, guess=case.q)
     analytic = sensitivities(errors, poses, values).errors
     np.testing.assert_allclose(analytic, _differences(errors, poses, values), atol=AGREEMENT)
 
 
-def test_commands_against_finite_differences(case: ToolPoses) -> None:
+def test_commands_against_finite_differences(case: Poses) -> None:
     analytic = sensitivities(GeometricErrors(case.mechanism, []), case).commands
     for index in range(analytic.shape[2]):
         step = STEP * np.eye(analytic.shape[2])[index]
-        first, second = (forward_poses(case.mechanism, case.commands + s, case.q) for s in (-step, step))
+        first, second = (case.mechanism.forward(case.commands + s, guess=case.q) for s in (-step, step))
         np.testing.assert_allclose(analytic[:, :, index], _motion(first, second), atol=AGREEMENT)
 
 
-def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> None:
+def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """A displacement along a prismatic joint's axis adds to its coordinate: (8.9) in another guise."""
     derivatives = sensitivities(tripod_errors, tripod_nominal)
     axis = np.array([-0.5566703992264195, 0.3213938048432696, 0.766044443118978])
@@ -66,8 +66,8 @@ def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod
 
 def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
     """A planar four-bar does not close with a tilted or lifted pivot; lengths and offsets in its plane it takes."""
-    mechanism = Mechanism.load(four_bar)
-    errors, poses = GeometricErrors(mechanism), forward_poses(mechanism, [[0.2], [-0.3]])
+    mechanism = Robot.load(four_bar)
+    errors, poses = GeometricErrors(mechanism), mechanism.forward([[0.2], [-0.3]])
     assert set(errors.names) - set(closable(errors, poses).names) == {
         f"{place}.{motion}"
         for place, motions in {
@@ -84,21 +84,21 @@ def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
 
 
 def test_a_tool_that_commands_do_not_hold_is_refused(four_bar: Path) -> None:
-    loose = Mechanism(Mechanism.load(four_bar).model, (), actuated_joints=["crank_joint"], tool_frame="pen")
-    poses = forward_poses(loose, [[0.2]])
+    loose = Robot(Robot.load(four_bar).model, (), actuated_joints=["crank_joint"], tool_frame="pen")
+    poses = loose.forward([[0.2]])
     with pytest.raises(SingularConfigurationError, match="held at pose 0"):
         sensitivities(GeometricErrors(loose, []), poses)
 
 
 def test_frames_inside_frames_move_together() -> None:
     """Errors on a place in the middle of a chain of fixed joints carry what hangs beyond it."""
-    mechanism = Mechanism.load("pm3dof")
+    mechanism = Robot.load("pm3dof")
     parameters = [p for p in all_parameters(mechanism) if p.place.startswith("slider")]
     middle = [type(p)(**{**p.__dict__, "name": f"m.{p.name[-2:]}", "place": "middle_platform"}) for p in parameters[:6]]
     errors = GeometricErrors(mechanism, [*parameters, *middle])
-    poses = forward_poses(mechanism, [[0.01, -0.02, 0.03]])
+    poses = mechanism.forward([[0.01, -0.02, 0.03]])
     values = errors.sample(np.random.default_rng(0)) * 10.0
-    moved = forward_poses(errors.apply(values), poses.commands, poses.q)
+    moved = errors.apply(values).forward(poses.commands, guess=poses.q)
     np.testing.assert_allclose(
         sensitivities(errors, moved, values).errors, _differences(errors, moved, values), atol=AGREEMENT
     )

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.error_map import ErrorMap, error_map, monte_carlo
-from pm3dof_pin.calibration.geometry import GeometricErrors, GeometricParameter
-from pm3dof_pin.calibration.tolerances import equal_contributions, least_cost
-from pm3dof_pin.calibration.tool_poses import ToolPoses
+from pm3dof_pin.errors.error_map import ErrorMap, error_map, monte_carlo
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
+from pm3dof_pin.errors.tolerances import equal_contributions, least_cost
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 
 TARGET = 1e-4
 
 
 @pytest.fixture(scope="module")
-def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: ToolPoses) -> ErrorMap:
+def tripod_map(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> ErrorMap:
     return error_map(tripod_errors, tripod_nominal)
 
 
@@ -43,9 +43,7 @@ def test_the_target_is_met_and_just_met(tripod_map: ErrorMap, allocate: object, 
     assert sum(allocation.shares.values()) == pytest.approx(1.0)
 
 
-def test_at_one_pose_the_least_cost_has_a_closed_form(
-    tripod_errors: GeometricErrors, tripod_nominal: ToolPoses
-) -> None:
+def test_at_one_pose_the_least_cost_has_a_closed_form(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """min sum c / t under sum a t^2 = T^2: t = (c / a)^(1/3) times a constant, by Lagrange."""
     one = error_map(tripod_errors, tripod_nominal[:1])
     squares, costs, names = _squares(one)

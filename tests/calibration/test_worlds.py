@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate
-from pm3dof_pin.calibration.geometry import GeometricErrors
-from pm3dof_pin.calibration.reachable_poses import reachable_poses
-from pm3dof_pin.calibration.sensitivity import closable
-from pm3dof_pin.calibration.tool_poses import ToolPoses
-from pm3dof_pin.calibration.worlds import LOAD, TEMPERATURE, World
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.worlds import LOAD, TEMPERATURE, World
 
 
 @pytest.fixture(scope="module")
@@ -21,21 +21,21 @@ def world(tripod_errors: GeometricErrors) -> World:
     return World.random("everything", tripod_errors, np.random.default_rng(0))
 
 
-def test_a_weight_on_the_tool_moves_it_by_the_compliance(world: World, tripod_nominal: ToolPoses) -> None:
+def test_a_weight_on_the_tool_moves_it_by_the_compliance(world: World, tripod_nominal: Poses) -> None:
     """C f with C of the general engine at the pose, on a machine that is otherwise as described."""
     nominal = tripod_nominal[:5]
     elastic = world.loaded(60.0).only("elastic")
     weights = np.linspace(10.0, 50.0, 5)
     loaded = elastic.poses(nominal.commands, {LOAD: weights})
     bare = elastic.poses(nominal.commands, {LOAD: np.zeros(5)})
-    model = ElasticModel(nominal.mechanism)
+    model = ElasticModel(nominal.robot)
     for row, q in enumerate(nominal.q):
         compliance = cartesian_compliance(model, q).compliance
         given = loaded[row, :3, 3] - bare[row, :3, 3]
         np.testing.assert_allclose(given, -weights[row] * compliance[:3, 2], rtol=0.0, atol=1e-12)
 
 
-def test_what_is_known_stands_in_columns(world: World, tripod_nominal: ToolPoses) -> None:
+def test_what_is_known_stands_in_columns(world: World, tripod_nominal: Poses) -> None:
     measured = world.loaded(60.0).measure(tripod_nominal.commands[:40], np.random.default_rng(1))
     assert set(measured.conditions) == {TEMPERATURE, LOAD}
     assert 0.0 <= measured.conditions[LOAD].min() < 10.0
@@ -45,7 +45,7 @@ def test_what_is_known_stands_in_columns(world: World, tripod_nominal: ToolPoses
     assert set(calibration.compensation.inputs.conditions) == {TEMPERATURE, LOAD}
 
 
-def test_one_source_alone(world: World, tripod_nominal: ToolPoses) -> None:
+def test_one_source_alone(world: World, tripod_nominal: Poses) -> None:
     assert set(world.only("thermal").conditions(3, np.random.default_rng(0))) == {TEMPERATURE}
     assert not world.only("waviness").conditions(3, np.random.default_rng(0))
     nominal = tripod_nominal[:10]
@@ -53,7 +53,7 @@ def test_one_source_alone(world: World, tripod_nominal: ToolPoses) -> None:
     assert 1e-7 < np.abs(moved[:, :3]).max() < 1e-4  # waves of 3 um, not tolerances of 0.1 mm
 
 
-def test_what_is_not_there(tripod_errors: GeometricErrors, serial_arm: Mechanism, world: World) -> None:
+def test_what_is_not_there(tripod_errors: GeometricErrors, serial_arm: Robot, world: World) -> None:
     geometry = World.random("geometry", tripod_errors, np.random.default_rng(0))
     with pytest.raises(InvalidValueError, match="one that this machine has"):
         geometry.only("thermal")

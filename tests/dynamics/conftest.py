@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -104,10 +105,10 @@ def four_bar() -> FourBar:
 
 
 @pytest.fixture(scope="session")
-def make_four_bar() -> Callable[..., Mechanism]:
+def make_four_bar() -> Callable[..., Robot]:
     """The same linkage as a mechanism, crank and rocker on the ground, closed where coupler and rocker meet."""
 
-    def make(*driven: str, closure: str = "3d") -> Mechanism:
+    def make(*driven: str, closure: str = "3d") -> Robot:
         model = pin.Model()
         model.name = "four_bar"
         crank = _joint(model, 0, 0.0, CRANK, "crank")
@@ -120,7 +121,7 @@ def make_four_bar() -> Callable[..., Mechanism]:
             )
             end = "pin"
             model.addFrame(pin.Frame(end, pin_joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-        return Mechanism(
+        return Robot(
             model,
             [LoopClosure("coupler_tip", end, closure)],
             actuated_joints=driven or ("crank_joint",),
@@ -131,10 +132,10 @@ def make_four_bar() -> Callable[..., Mechanism]:
 
 
 @pytest.fixture(scope="session")
-def place_four_bar(four_bar: FourBar) -> Callable[[Mechanism, float], Configuration]:
+def place_four_bar(four_bar: FourBar) -> Callable[[Robot, float], Configuration]:
     """Put the mechanism at a crank angle, out of the closed form."""
 
-    def place(mechanism: Mechanism, crank: float) -> Configuration:
+    def place(mechanism: Robot, crank: float) -> Configuration:
         first, second, third = four_bar.angles(crank)
         angles = {"crank_joint": first, "coupler_joint": second - first, "rocker_joint": third}
         angles["pin_joint"] = second - third
@@ -152,7 +153,7 @@ def place_four_bar(four_bar: FourBar) -> Callable[[Mechanism, float], Configurat
 class SpatialCrank:
     """A crank that drives a slider through a link with ball joints at both ends, which can spin about its own axis."""
 
-    mechanism: Mechanism
+    mechanism: Robot
     configuration: Configuration
 
 
@@ -172,17 +173,15 @@ def spatial_crank() -> SpatialCrank:
     tip = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
     model.addFrame(pin.Frame("tip", link, 0, tip, pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("slider", slider, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    mechanism = Mechanism(
-        model, [LoopClosure("tip", "slider", "3d")], actuated_joints=["crank_joint"], tool_frame="slider"
-    )
+    mechanism = Robot(model, [LoopClosure("tip", "slider", "3d")], actuated_joints=["crank_joint"], tool_frame="slider")
     guess = pin.neutral(model)
     guess[mechanism.single_joint("slider_joint").q_index] = 0.35
     return SpatialCrank(mechanism, mechanism.assemble(guess, held={"crank_joint": 0.4}))
 
 
 @pytest.fixture(scope="session")
-def ur5() -> Mechanism:
+def ur5() -> Robot:
     """A serial arm with six joints, from example-robot-data."""
     import example_robot_data
 
-    return Mechanism(example_robot_data.load("ur5").model, tool_frame="tool0")
+    return Robot(example_robot_data.load("ur5").model, tool_frame="tool0")

@@ -11,10 +11,10 @@ import pinocchio as pin
 import pytest
 from typer.testing import CliRunner
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.cli.app import app
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import InvalidValueError, UnknownRobotError, UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
 
 
 def _answer(*arguments: str, status: int = 0) -> dict[str, Any]:

@@ -10,12 +10,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.dynamics import Modes, natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import joint_positions
+from pm3dof_pin.kinematics.robot import Robot
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -29,7 +29,7 @@ POSE = np.array([np.radians(12.0), np.radians(-20.0), 0.5])
 
 
 @pytest.fixture(scope="module")
-def elastic(mechanism: Mechanism) -> ElasticModel:
+def elastic(mechanism: Robot) -> ElasticModel:
     """The tripod with soft springs."""
     soft = [
         JointSpring(s.name, s.joint, SOFTENING * s.stiffness, s.unit)
@@ -64,7 +64,7 @@ def _place(placement: pin.SE3) -> dict[str, str]:
     return {"pos": _text(placement.translation), "quat": _text([w, x, y, z])}
 
 
-def _mjcf(mechanism: Mechanism) -> str:
+def _mjcf(mechanism: Robot) -> str:
     """Write a tree with virtual joints, without gravity. Joints without a body go to the next body on their chain."""
     model, data = mechanism.model, mechanism.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))

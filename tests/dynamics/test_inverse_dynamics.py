@@ -9,17 +9,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.dynamics import holding_forces, inverse_dynamics, loop_motion, manifold_mass_matrix, mass_matrix
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration, Mechanism, independent_motions
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.actuation import independent_motions
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 POSE = np.array([np.radians(10.0), np.radians(-15.0), 0.5])
 RATES, ACCELERATIONS = np.array([0.5, -0.3, 0.1]), np.array([1.0, 2.0, -0.5])
 
 
 @pytest.fixture
-def tilted(mechanism: Mechanism, tripod: Tripod) -> Configuration:
+def tilted(mechanism: Robot, tripod: Tripod) -> Configuration:
     return mechanism.at_motion_coordinates(POSE - [0.0, 0.0, tripod.height_home])
 
 
@@ -58,7 +60,7 @@ def test_velocity_and_acceleration_are_those_of_the_closed_loops(tilted: Configu
 @pytest.mark.parametrize("closure", ["3d", "6d"])
 @pytest.mark.parametrize("crank", [0.3, 1.7, 4.0, 5.5])
 def test_a_four_bar_obeys_the_equation_of_lagrange(
-    make_four_bar: Callable[..., Mechanism],
+    make_four_bar: Callable[..., Robot],
     place_four_bar: Callable[..., Configuration],
     four_bar: Any,
     crank: float,
@@ -74,7 +76,7 @@ def test_a_four_bar_obeys_the_equation_of_lagrange(
 
 
 def test_driven_at_the_rocker_it_takes_the_same_power(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration], four_bar: Any
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration], four_bar: Any
 ) -> None:
     crank, rate, acceleration = 1.2, 6.0, -20.0
     configuration = place_four_bar(make_four_bar("rocker_joint"), crank)
@@ -117,7 +119,7 @@ def test_forces_are_affine_in_accelerations_and_payload_and_at_rest_hold(tilted:
     np.testing.assert_allclose(still.forces.closure_forces, held.closure_forces, atol=1e-13)
 
 
-def test_the_power_of_the_actuators_is_the_rate_of_the_energy(mechanism: Mechanism, tilted: Configuration) -> None:
+def test_the_power_of_the_actuators_is_the_rate_of_the_energy(mechanism: Robot, tilted: Configuration) -> None:
     joints, step = mechanism.motion_coordinates, 1e-4
     result = inverse_dynamics(tilted, RATES, ACCELERATIONS, joints=joints)
 
@@ -151,7 +153,7 @@ def test_a_round_link_keeps_its_spin_about_its_own_axis(spatial_crank: Any) -> N
 
 
 def test_rates_that_the_loops_do_not_allow_are_refused(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration], four_bar: Any
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration], four_bar: Any
 ) -> None:
     configuration = place_four_bar(make_four_bar("crank_joint", "rocker_joint"), 1.1)
     ratio = four_bar.speeds(1.1)[1][2]
@@ -168,7 +170,7 @@ def test_rates_that_the_loops_do_not_allow_are_refused(
 
 
 def test_joints_that_do_not_tell_the_motion_are_refused(
-    tilted: Configuration, make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration]
+    tilted: Configuration, make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration]
 ) -> None:
     with pytest.raises(SingularConfigurationError, match="can move while slider1_joint"):
         loop_motion(tilted, [1.0], [0.0], joints=["slider1_joint"])

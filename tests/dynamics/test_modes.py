@@ -10,30 +10,30 @@ import pinocchio as pin
 import pytest
 import scipy.linalg
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import joint_positions, link_vectors, placement
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.dynamics import manifold_mass_matrix, mass_matrix, natural_frequencies, natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring, Spring
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import joint_positions, link_vectors, placement
+from pm3dof_pin.kinematics.robot import Robot
 
 
 @pytest.fixture(scope="module")
-def elastic(mechanism: Mechanism) -> ElasticModel:
+def elastic(mechanism: Robot) -> ElasticModel:
     return ElasticModel(mechanism)
 
 
 @pytest.fixture(scope="module")
-def positions(mechanism: Mechanism, tripod: Tripod) -> Callable[[np.ndarray], np.ndarray]:
+def positions(mechanism: Robot, tripod: Tripod) -> Callable[[np.ndarray], np.ndarray]:
     def at(pose: np.ndarray) -> np.ndarray:
         return mechanism.held_positions(mechanism.home.q, joint_positions(tripod, pose))[0]
 
     return at
 
 
-def _carts(parents: list[int], masses: list[float], *, closed: bool = False) -> Mechanism:
+def _carts(parents: list[int], masses: list[float], *, closed: bool = False) -> Robot:
     """Carts along x, each on the ground (parent 0) or on an earlier cart; the last two welded together if `closed`."""
     model = pin.Model()
     model.name = "carts"
@@ -44,7 +44,7 @@ def _carts(parents: list[int], masses: list[float], *, closed: bool = False) -> 
     last = len(masses) - 1
     closures = [LoopClosure(f"cart{last - 1}", f"cart{last}", "6d")] if closed else []
     actuated = ["cart0_joint"] if closed else []
-    return Mechanism(model, closures, actuated_joints=actuated, tool_frame=f"cart{last}")
+    return Robot(model, closures, actuated_joints=actuated, tool_frame=f"cart{last}")
 
 
 def _springs(*stiffnesses: float, first: int = 0) -> list[Spring]:
@@ -69,7 +69,7 @@ def test_two_carts_in_a_row() -> None:
 
 def test_free_carts_move_together_at_rest_and_vibrate_about_their_centre_of_mass() -> None:
     m1, m2, k = 3.0, 2.0, 4.0e4
-    carts = Mechanism(_carts([0, 1], [m1, m2]).model, actuated_joints=["cart1_joint"], tool_frame="cart1")
+    carts = Robot(_carts([0, 1], [m1, m2]).model, actuated_joints=["cart1_joint"], tool_frame="cart1")
     modes = natural_modes(ElasticModel(carts, _springs(k, first=1)), [0.2, -0.1])
     np.testing.assert_allclose(modes.frequencies, [np.sqrt(k * (m1 + m2) / (m1 * m2)) / (2.0 * np.pi)], rtol=1e-13)
     assert modes.free_motions.shape == (2, 1)
@@ -109,7 +109,7 @@ def test_a_cantilever_with_a_body_at_its_tip_vibrates_as_structural_analysis_say
     wrist = model.addJoint(base, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.0, 0.0, length])), "tip_joint")
     model.appendBodyToJoint(wrist, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
     model.addFrame(pin.Frame("tip", wrist, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    mechanism = Mechanism(model, tool_frame="tip")  # both joints driven, and so locked
+    mechanism = Robot(model, tool_frame="tip")  # both joints driven, and so locked
     beam = CantileverSpring("beam", "tip_joint", (0.0, 0.0, 1.0), ei, gj, length, ea)
     modes = natural_modes(ElasticModel(mechanism, [beam]), [0.0, 0.0])
     bending = ei * np.array([[12.0 / length**3, -6.0 / length**2], [-6.0 / length**2, 4.0 / length]])
@@ -119,7 +119,7 @@ def test_a_cantilever_with_a_body_at_its_tip_vibrates_as_structural_analysis_say
     np.testing.assert_allclose(modes.frequencies, np.sqrt(np.sort(squares)) / (2.0 * np.pi), rtol=1e-10)
 
 
-def _with_simple_inertias(mechanism: Mechanism) -> Mechanism:
+def _with_simple_inertias(mechanism: Robot) -> Robot:
     """The tripod with crosses as mass points and links without inertia about their own axes."""
     model = mechanism.model.copy()
     for index, name in enumerate(model.names):
@@ -128,7 +128,7 @@ def _with_simple_inertias(mechanism: Mechanism) -> Mechanism:
             model.inertias[index] = pin.Inertia(body.mass, body.lever, np.diag([*np.diag(body.inertia)[:2], 0.0]))
         elif name == "platform_x_joint" or name.startswith("universal"):
             model.inertias[index] = pin.Inertia(body.mass, body.lever, np.zeros((3, 3)))
-    return Mechanism(
+    return Robot(
         model,
         mechanism.closures,
         actuated_joints=mechanism.actuated_joints,
@@ -180,7 +180,7 @@ def _tripod_frequencies(tripod: Tripod, pose: np.ndarray) -> np.ndarray:
 
 
 def test_the_tripod_vibrates_as_it_does_in_nine_coordinates(
-    mechanism: Mechanism, tripod: Tripod, positions: Callable[..., np.ndarray], reachable_poses: np.ndarray
+    mechanism: Robot, tripod: Tripod, positions: Callable[..., np.ndarray], reachable_poses: np.ndarray
 ) -> None:
     simple = ElasticModel(_with_simple_inertias(mechanism))
     for pose in reachable_poses[:20]:
@@ -206,7 +206,7 @@ def test_shapes_are_of_unit_mass_keep_the_loops_closed_and_satisfy_the_equation_
         np.testing.assert_allclose(modes.twists, where.tool_jacobian @ shapes)
 
 
-def test_springs_and_masses_scale_the_frequencies(mechanism: Mechanism, elastic: ElasticModel) -> None:
+def test_springs_and_masses_scale_the_frequencies(mechanism: Robot, elastic: ElasticModel) -> None:
     home = mechanism.home
     usual = natural_modes(elastic, home).frequencies
     stiffer = [
@@ -224,9 +224,7 @@ def test_springs_and_masses_scale_the_frequencies(mechanism: Mechanism, elastic:
     for index in range(1, model.njoints):
         body = model.inertias[index]
         model.inertias[index] = pin.Inertia(4.0 * body.mass, body.lever, 4.0 * np.array(body.inertia))
-    heavy = Mechanism(
-        model, mechanism.closures, actuated_joints=mechanism.actuated_joints, tool_frame=mechanism.tool_frame
-    )
+    heavy = Robot(model, mechanism.closures, actuated_joints=mechanism.actuated_joints, tool_frame=mechanism.tool_frame)
     np.testing.assert_allclose(
         natural_modes(ElasticModel(heavy, elastic.springs), home.q).frequencies, 0.5 * usual, rtol=1e-9
     )

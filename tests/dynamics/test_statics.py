@@ -9,17 +9,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces
-from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import (
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import (
     actuation_jacobian,
     inverse_kinematics,
     link_vectors,
     motion_twists,
     placement,
 )
+from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 POSES = [(0.0, 0.0, 0.493), (np.radians(10.0), np.radians(-15.0), 0.5)]
 FORCES = [(6.026970609,) * 3, (5.868999588679, 5.836388512736, 6.334937172705)]
@@ -27,7 +28,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 @pytest.fixture(scope="module")
-def at(mechanism: Mechanism, tripod: Tripod) -> Callable[..., Configuration]:
+def at(mechanism: Robot, tripod: Tripod) -> Callable[..., Configuration]:
     def place(pose: np.ndarray) -> Configuration:
         return mechanism.at_motion_coordinates(np.array(pose) - [0.0, 0.0, tripod.height_home])
 
@@ -134,10 +135,10 @@ def test_forces_are_linear_in_the_payload_and_a_body_is_a_mass_at_its_centre(at:
     )
 
 
-def test_without_gravity_nothing_is_to_be_held(mechanism: Mechanism) -> None:
+def test_without_gravity_nothing_is_to_be_held(mechanism: Robot) -> None:
     model = mechanism.model.copy()
     model.gravity.linear = np.zeros(3)
-    weightless = Mechanism(
+    weightless = Robot(
         model, mechanism.closures, actuated_joints=mechanism.actuated_joints, tool_frame=mechanism.tool_frame
     )
     result = holding_forces(weightless.home)
@@ -148,7 +149,7 @@ def test_without_gravity_nothing_is_to_be_held(mechanism: Mechanism) -> None:
 @pytest.mark.parametrize("crank", [0.3, 1.7, 4.0])
 @pytest.mark.parametrize("closure", ["3d", "6d"])
 def test_a_planar_linkage_is_held_by_the_slope_of_its_potential_energy_and_its_redundant_closure_is_named(
-    make_four_bar: Callable[..., Mechanism],
+    make_four_bar: Callable[..., Robot],
     place_four_bar: Callable[..., Configuration],
     four_bar: Any,
     crank: float,
@@ -165,7 +166,7 @@ def test_a_planar_linkage_is_held_by_the_slope_of_its_potential_energy_and_its_r
 
 
 def test_more_actuators_than_freedoms_share_the_load_and_that_is_said(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration], four_bar: Any
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration], four_bar: Any
 ) -> None:
     crank = 1.1
     result = holding_forces(place_four_bar(make_four_bar("crank_joint", "rocker_joint"), crank))
@@ -181,14 +182,14 @@ def _dead_point() -> float:
 
 
 def test_at_a_parallel_singularity_no_forces_exist(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration]
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration]
 ) -> None:
     with pytest.raises(SingularConfigurationError, match=r"parallel singularity.*residual [0-9.e+-]+ N"):
         holding_forces(place_four_bar(make_four_bar("rocker_joint"), _dead_point()))
 
 
 def test_forces_grow_without_bound_towards_the_singularity(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration], four_bar: Any
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration], four_bar: Any
 ) -> None:
     for distance in (1e-2, 1e-4):
         crank = _dead_point() + distance
@@ -197,10 +198,10 @@ def test_forces_grow_without_bound_towards_the_singularity(
 
 
 def test_without_an_actuator_the_linkage_falls(
-    make_four_bar: Callable[..., Mechanism], place_four_bar: Callable[..., Configuration]
+    make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration]
 ) -> None:
     model = make_four_bar()
-    undriven = Mechanism(model.model, model.closures, tool_frame=model.tool_frame)
+    undriven = Robot(model.model, model.closures, tool_frame=model.tool_frame)
     with pytest.raises(SingularConfigurationError, match="1 freedom is left"):
         holding_forces(place_four_bar(undriven, 0.3))
 
@@ -220,7 +221,7 @@ def test_a_link_that_may_spin_about_its_own_axis_is_held(spatial_crank: Any) -> 
     assert result.actuator_forces[0] == pytest.approx((energies[1] - energies[0]) / (2 * step), abs=1e-7)
 
 
-def test_a_serial_arm_bears_its_gravity_torques(ur5: Mechanism) -> None:
+def test_a_serial_arm_bears_its_gravity_torques(ur5: Robot) -> None:
     q = np.array([0.3, -1.0, 0.8, -0.4, 0.5, 0.1])
     result = holding_forces(ur5.configuration(q))
     expected = pin.computeGeneralizedGravity(ur5.model, ur5.model.createData(), q)
@@ -229,12 +230,12 @@ def test_a_serial_arm_bears_its_gravity_torques(ur5: Mechanism) -> None:
 
 
 @pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf])
-def test_payloads_that_are_no_mass_are_refused(mechanism: Mechanism, mass: float) -> None:
+def test_payloads_that_are_no_mass_are_refused(mechanism: Robot, mass: float) -> None:
     with pytest.raises(InvalidValueError, match="payload on O_e"):
         holding_forces(mechanism.home, payloads={"O_e": mass})
 
 
-def test_loads_on_frames_that_are_not_there_are_refused(mechanism: Mechanism) -> None:
+def test_loads_on_frames_that_are_not_there_are_refused(mechanism: Robot) -> None:
     with pytest.raises(FrameNotFoundError, match="nowhere"):
         holding_forces(mechanism.home, payloads={"nowhere": 1.0})
     with pytest.raises(FrameNotFoundError, match="nowhere"):
@@ -243,15 +244,15 @@ def test_loads_on_frames_that_are_not_there_are_refused(mechanism: Mechanism) ->
         holding_forces(mechanism.home, wrenches={"O_e": np.zeros(3)})
 
 
-def test_loops_that_are_open_are_refused(mechanism: Mechanism) -> None:
+def test_loops_that_are_open_are_refused(mechanism: Robot) -> None:
     q = np.array(mechanism.home.q)
     q[0] += 0.01
     with pytest.raises(InvalidValueError, match="loops are closed"):
         holding_forces(mechanism.configuration(q))
 
 
-def test_a_machine_that_nothing_holds_is_named_in_one_line(mechanism: Mechanism) -> None:
-    slack = Mechanism(mechanism.model, mechanism.closures, actuated_joints=["slider1_joint"], tool_frame="O_e")
+def test_a_machine_that_nothing_holds_is_named_in_one_line(mechanism: Robot) -> None:
+    slack = Robot(mechanism.model, mechanism.closures, actuated_joints=["slider1_joint"], tool_frame="O_e")
     with pytest.raises(SingularConfigurationError) as caught:
         holding_forces(slack.assemble())
     assert "2 freedoms are left with the actuated joints at rest" in str(caught.value)

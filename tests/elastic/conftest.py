@@ -8,23 +8,23 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.elastic import ElasticModel
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import joint_positions
+from pm3dof_pin.kinematics.robot import Robot
 
 TripodPositions = Callable[[np.ndarray], np.ndarray]
-RigidTree = Callable[..., Mechanism]
+RigidTree = Callable[..., Robot]
 
 
 @pytest.fixture(scope="session")
-def elastic(mechanism: Mechanism) -> ElasticModel:
+def elastic(mechanism: Robot) -> ElasticModel:
     """The chapter's machine with the springs of its description."""
     return ElasticModel(mechanism)
 
 
 @pytest.fixture(scope="session")
-def tripod_positions(tripod: Tripod, mechanism: Mechanism) -> TripodPositions:
+def tripod_positions(tripod: Tripod, mechanism: Robot) -> TripodPositions:
     """Joint positions of the tripod at poses, from the closed form, shape=(n, nq)."""
 
     def positions(poses: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ def rigid_tree() -> RigidTree:
     Every entry becomes a frame of its name: the body after the joint or, without a joint, a place on its parent.
     """
 
-    def build(entries: Sequence[tuple[str, str, pin.SE3, pin.JointModel | None]], **keywords: object) -> Mechanism:
+    def build(entries: Sequence[tuple[str, str, pin.SE3, pin.JointModel | None]], **keywords: object) -> Robot:
         model = pin.Model()
         model.name = "tree"
         for name, parent, placement, joint in entries:
@@ -60,6 +60,6 @@ def rigid_tree() -> RigidTree:
                 )
                 carrier = model.addFrame(above)
                 model.addFrame(pin.Frame(name, index, carrier, pin.SE3.Identity(), pin.FrameType.BODY))
-        return Mechanism(model, **keywords)
+        return Robot(model, **keywords)
 
     return build

@@ -22,9 +22,9 @@ from pm3dof_pin.elastic import (
     cartesian_compliance,
     compliance_over,
 )
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
-RigidTree = Callable[..., Mechanism]
+RigidTree = Callable[..., Robot]
 
 EA, EI_Y, EI_Z, GJ = 2.1e7, 900.0, 1500.0, 700.0
 
@@ -288,7 +288,7 @@ def test_a_four_bar_of_beams_overconstrained_in_space(rigid_tree: RigidTree, cra
 
 def _four_bar(
     rigid_tree: RigidTree, ground: float, lengths: tuple[float, float, float], motor: float
-) -> tuple[Mechanism, list[Spring]]:
+) -> tuple[Robot, list[Spring]]:
     hinge, lay = pin.JointModelRZ, pin.rpy.rpyToMatrix(0.0, np.pi / 2, 0.0)
     ends = [pin.SE3(lay, np.array([length, 0.0, 0.0])) for length in lengths]
     back = pin.SE3(lay.T, np.zeros(3))

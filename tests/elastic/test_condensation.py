@@ -10,6 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic import (
     AxialSpring,
@@ -32,9 +34,7 @@ from pm3dof_pin.exceptions import (
     RigidDirectionError,
     SingularConfigurationError,
 )
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
+from pm3dof_pin.kinematics.robot import Robot
 
 POSE = np.array([0.25, -0.3, 0.48])
 IDENTITY = pin.SE3.Identity()
@@ -180,7 +180,7 @@ def test_the_full_system_gives_the_same(elastic: ElasticModel, tripod_positions:
 
 
 def test_closures_that_give_are_the_compliance_of_the_full_system(
-    mechanism: Mechanism, elastic: ElasticModel, tripod_positions: Callable[..., np.ndarray]
+    mechanism: Robot, elastic: ElasticModel, tripod_positions: Callable[..., np.ndarray]
 ) -> None:
     """Bushings in all three spherical joints, stiffer along one axis, against -C_c in the lower right block."""
     (q,) = tripod_positions(POSE[None])
@@ -196,7 +196,7 @@ def test_closures_that_give_are_the_compliance_of_the_full_system(
     assert_same(cartesian_compliance(soft, q).compliance, full_system(elastic, q, compliance), 1e-6)
 
 
-def test_a_weld_that_gives(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_a_weld_that_gives(rigid_tree: Callable[..., Robot]) -> None:
     """A body held to the ground by two welds that give: their stiffnesses, moved to the tool, add."""
     one, two = at(0.3, 0.1, 0.2), pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.5, -0.4), np.array([-0.2, 0.4, 0.1]))
     body = [
@@ -225,13 +225,13 @@ def test_a_weld_that_gives(rigid_tree: Callable[..., Mechanism]) -> None:
 
 
 @pytest.fixture(scope="module")
-def arm() -> Mechanism:
+def arm() -> Robot:
     import example_robot_data
 
-    return Mechanism(example_robot_data.load("ur5").model, tool_frame="tool0")
+    return Robot(example_robot_data.load("ur5").model, tool_frame="tool0")
 
 
-def test_a_serial_arm_with_joint_springs(arm: Mechanism) -> None:
+def test_a_serial_arm_with_joint_springs(arm: Robot) -> None:
     """C = J diag(1/k) J^T, with Pinocchio's own Jacobian."""
     stiffnesses = np.array([38e3, 38e3, 30e3, 8e3, 7e3, 6e3])
     springs = [
@@ -249,7 +249,7 @@ def test_a_serial_arm_with_joint_springs(arm: Mechanism) -> None:
         assert_same(compliance, expected, 1e-13)
 
 
-def test_joints_of_an_arm_without_a_spring_are_locked(arm: Mechanism) -> None:
+def test_joints_of_an_arm_without_a_spring_are_locked(arm: Robot) -> None:
     springs = [JointSpring("elbow", "elbow_joint", 100.0, "N m/rad")]
     result = cartesian_compliance(ElasticModel(arm, springs), np.full(6, 0.3))
     assert result.rigid_directions.shape == (6, 5)
@@ -259,7 +259,7 @@ def test_joints_of_an_arm_without_a_spring_are_locked(arm: Mechanism) -> None:
 # --- free and rigid directions
 
 
-def pendulum(rigid_tree: Callable[..., Mechanism]) -> Mechanism:
+def pendulum(rigid_tree: Callable[..., Robot]) -> Robot:
     """A boom on a driven hinge about z, at its end a passive hinge about y with an arm that carries the tool."""
     return rigid_tree(
         [
@@ -273,7 +273,7 @@ def pendulum(rigid_tree: Callable[..., Mechanism]) -> Mechanism:
     )
 
 
-def test_a_free_direction_is_named(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_a_free_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
     model = ElasticModel(pendulum(rigid_tree), [BeamSpring("boom", "arm_joint", np.eye(6) * 1e4)])
     result = cartesian_compliance(model, [0.0, 0.0], frame="arm")
     assert not result.exists
@@ -288,7 +288,7 @@ def test_a_free_direction_is_named(rigid_tree: Callable[..., Mechanism]) -> None
     assert np.isnan(compliance_over(model, [[0.0, 0.0], [0.1, 0.1]], nonexistent="nan")).all()
 
 
-def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
     tree = rigid_tree([("tip", "universe", IDENTITY, None)], tool_frame="tip")
     result = cartesian_compliance(ElasticModel(tree, [AxialSpring("bar", "tip", (0, 0, 1), 50.0)]), [])
     np.testing.assert_allclose(result.compliance, np.diag([0, 0, 0.02, 0, 0, 0]), atol=1e-17)
@@ -299,7 +299,7 @@ def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Mechanism]) -> Non
     assert result.elastic_rank.singular_values.shape == (1,)
 
 
-def test_free_and_rigid_at_once(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_free_and_rigid_at_once(rigid_tree: Callable[..., Robot]) -> None:
     """A passive slide with a spring across it, beside a motor: neither matrix exists, and both say so."""
     tree = rigid_tree(
         [
@@ -318,7 +318,7 @@ def test_free_and_rigid_at_once(rigid_tree: Callable[..., Mechanism]) -> None:
         _ = result.stiffness
 
 
-def test_idle_freedoms_do_no_harm(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_idle_freedoms_do_no_harm(rigid_tree: Callable[..., Robot]) -> None:
     """A ring that spins on the arm without a spring, and a rod between two ball joints that spins about itself."""
     rod = pin.JointModelSpherical()
     entries = [
@@ -334,7 +334,7 @@ def test_idle_freedoms_do_no_harm(rigid_tree: Callable[..., Mechanism]) -> None:
         actuated_joints=["ring_joint"],
         tool_frame="tool",
     )
-    driven = Mechanism(tree.model, tree.closures, actuated_joints=["arm_joint"], tool_frame="tool")
+    driven = Robot(tree.model, tree.closures, actuated_joints=["arm_joint"], tool_frame="tool")
     springs: list[Spring] = [AxialSpring("rod", "rod_tip", (0, 1, 0), 2e6)]
     springs.append(JointSpring("arm", "arm_joint", 1e6, "N m/rad"))
     model = ElasticModel(driven, springs)
@@ -347,7 +347,7 @@ def test_idle_freedoms_do_no_harm(rigid_tree: Callable[..., Mechanism]) -> None:
     np.testing.assert_allclose(compliance_over(model, [q])[0], result.compliance, atol=1e-20)
 
 
-def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Robot]) -> None:
     """A four-bar with a weld at its closure: three of six equations follow from the planar three."""
     crank, coupler, rocker = (
         ("crank", "universe", IDENTITY, pin.JointModelRZ()),
@@ -377,7 +377,7 @@ def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Mechanism]) 
     np.testing.assert_allclose(results["6d"].compliance, results["3d"].compliance, atol=1e-14)
 
 
-def test_a_parallel_singularity_frees_the_tool(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_a_parallel_singularity_frees_the_tool(rigid_tree: Callable[..., Robot]) -> None:
     """A five-bar with its two distal links in line: the tool moves across them with both motors at rest."""
     entries = [("x", "universe", IDENTITY, pin.JointModelPX()), ("tool", "x", IDENTITY, pin.JointModelPY())]
     for side, start in (("left", -0.6), ("right", 0.6)):
@@ -498,7 +498,7 @@ def test_a_passive_leg_that_is_drawn_in(elastic: ElasticModel) -> None:
 
 
 def test_configurations_of_other_mechanisms_are_refused(elastic: ElasticModel) -> None:
-    other = Mechanism.load("pm3dof")
+    other = Robot.load("pm3dof")
     with pytest.raises(InvalidValueError, match="configuration"):
         cartesian_compliance(elastic, other.home)
     with pytest.raises(InvalidValueError, match="loops are closed"):

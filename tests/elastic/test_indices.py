@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.elastic.indices import (
     characteristic_length,
     compliance,
@@ -16,8 +18,6 @@ from pm3dof_pin.elastic.indices import (
     stiffness,
 )
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic import (
     AxialSpring,
@@ -26,12 +28,10 @@ from pm3dof_pin.elastic import (
     transformed_stiffness,
     twist_transform,
 )
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import broken_limits
+from pm3dof_pin.kinematics.robot import Robot
 
 Positions = Callable[[np.ndarray], np.ndarray]
-RigidTree = Callable[..., Mechanism]
+RigidTree = Callable[..., Robot]
 
 some = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 stiffness_factors = st.floats(-3.0, 3.0).map(lambda exponent: 10.0**exponent)
@@ -52,7 +52,7 @@ def scaled(spring: Spring, factor: float) -> Spring:
 class Machines:
     """The tripod with its springs times factors, statically determinate, and with bushings and a beam, one more."""
 
-    def __init__(self, mechanism: Mechanism, springs: tuple[Spring, ...], positions: Positions, tripod: Tripod) -> None:
+    def __init__(self, mechanism: Robot, springs: tuple[Spring, ...], positions: Positions, tripod: Tripod) -> None:
         self.mechanism, self.positions, self.tripod = mechanism, positions, tripod
         beam = np.diag([3e7, 3e7, 9e7, 5e4, 5e4, 2e4])
         beam[0, 4] = beam[4, 0] = -9e5
@@ -67,7 +67,7 @@ class Machines:
 
 
 @pytest.fixture(scope="module")
-def machines(mechanism: Mechanism, elastic: ElasticModel, tripod_positions: Positions, tripod: Tripod) -> Machines:
+def machines(mechanism: Robot, elastic: ElasticModel, tripod_positions: Positions, tripod: Tripod) -> Machines:
     return Machines(mechanism, elastic.springs, tripod_positions, tripod)
 
 
@@ -152,7 +152,7 @@ def test_a_spring_to_infinity_is_as_good_as_none(machines: Machines, which: int)
     tree = machines.mechanism
     if machines.springs[which].name == "guide":
         actuated = (*tree.actuated_joints, "passive_slider_joint")
-        tree = Mechanism(tree.model, tree.closures, actuated_joints=actuated, tool_frame=tree.tool_frame)
+        tree = Robot(tree.model, tree.closures, actuated_joints=actuated, tool_frame=tree.tool_frame)
     rigid = np.array(cartesian_compliance(ElasticModel(tree, without), q).compliance)
     assert np.abs((limit - rigid) / units(once)).max() < 1e-7
 

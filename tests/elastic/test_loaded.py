@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic import (
     AxialSpring,
@@ -33,10 +34,10 @@ from pm3dof_pin.exceptions import (
     RigidDirectionError,
     SingularConfigurationError,
 )
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
-RigidTree = Callable[..., Mechanism]
+RigidTree = Callable[..., Robot]
 Positions = Callable[[np.ndarray], np.ndarray]
 
 POSE = np.array([0.25, -0.3, 0.48])
@@ -438,8 +439,6 @@ def test_a_load_that_nothing_bears(rigid_tree: RigidTree) -> None:
 
 def test_joints_whose_derivatives_are_not_to_be_had(rigid_tree: RigidTree) -> None:
     tree = rigid_tree([("wrist", "universe", IDENTITY, pin.JointModelSphericalZYX())], tool_frame="wrist")
-    model = ElasticModel(
-        Mechanism(tree.model, tool_frame="wrist"), [BeamSpring("post", "wrist_joint", 1e3 * np.eye(6))]
-    )
+    model = ElasticModel(Robot(tree.model, tool_frame="wrist"), [BeamSpring("post", "wrist_joint", 1e3 * np.eye(6))])
     with pytest.raises(DescriptionError, match="SphericalZYX"):
         loaded_equilibrium(model, np.zeros(3), Loads())

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
 from pm3dof_pin.elastic.indices import compliance
 from pm3dof_pin.elastic.shares import ranking, shares, stiffness_derivatives
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
 
 
 def assert_close(matrices: np.ndarray, expected: np.ndarray, contributions: np.ndarray) -> None:

@@ -19,7 +19,7 @@ from pm3dof_pin.elastic import (
     read_springs,
 )
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 FILE = Path("robot.closures.yaml")
 JOINT = {"name": "a", "type": "joint", "joint": "slider1_joint", "stiffness": 9.6e7, "unit": "N/m"}
@@ -149,7 +149,7 @@ def test_a_matrix_with_other_units_on_its_diagonal_is_judged_by_its_numbers_not_
     ],
 )
 def test_a_spring_that_does_not_fit_the_mechanism(
-    mechanism: Mechanism, spring: Any, error: type[Exception], said: str
+    mechanism: Robot, spring: Any, error: type[Exception], said: str
 ) -> None:
     with pytest.raises(error, match=said) as caught:
         ElasticModel(mechanism, [spring])
@@ -157,7 +157,7 @@ def test_a_spring_that_does_not_fit_the_mechanism(
     assert str(mechanism.source) in str(caught.value)
 
 
-def test_two_springs_at_one_place(mechanism: Mechanism) -> None:
+def test_two_springs_at_one_place(mechanism: Robot) -> None:
     at_joint = [JointSpring(name, "slider1_joint", 1.0, "N/m") for name in "ab"]
     with pytest.raises(DescriptionError, match="spring already"):
         ElasticModel(mechanism, at_joint)
@@ -169,7 +169,7 @@ def test_two_springs_at_one_place(mechanism: Mechanism) -> None:
         ElasticModel(mechanism, same_name)
 
 
-def test_a_mechanism_without_springs(mechanism: Mechanism) -> None:
+def test_a_mechanism_without_springs(mechanism: Robot) -> None:
     with pytest.raises(DescriptionError, match="springs"):
         ElasticModel(mechanism, [])
 

@@ -20,14 +20,14 @@ from pm3dof_pin.elastic import (
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 AT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.5), np.array([0.1, -0.2, 0.3]))
 SOFT = np.diag([1e3] * 3 + [1e1] * 3)
 
 
 @pytest.fixture(scope="module", params=["description", "beams everywhere"])
-def tripod_model(request: pytest.FixtureRequest, mechanism: Mechanism) -> ElasticModel:
+def tripod_model(request: pytest.FixtureRequest, mechanism: Robot) -> ElasticModel:
     if request.param == "description":
         return ElasticModel(mechanism)
     places = ["slider1", "universal2_first_joint", "F3", "link3_tip", "platform", "middle_platform", "O_e", "base"]
@@ -63,7 +63,7 @@ def test_masses_stay_where_they_were(tripod_model: ElasticModel) -> None:
     np.testing.assert_allclose(weights[kept], pin.computeGeneralizedGravity(rigid, rigid.createData(), q), atol=1e-12)
 
 
-def test_a_force_on_a_virtual_joint_of_a_loaded_body_is_its_weight(mechanism: Mechanism) -> None:
+def test_a_force_on_a_virtual_joint_of_a_loaded_body_is_its_weight(mechanism: Robot) -> None:
     """A spring under the whole platform with its tool carries their weight, one under the tool frame nothing."""
     model = ElasticModel(mechanism, [BeamSpring("under", "platform", SOFT), BeamSpring("tool", "O_e", SOFT)])
     elastic = model.mechanism.model
@@ -100,14 +100,14 @@ def test_virtual_joints_have_no_limits(elastic: ElasticModel) -> None:
     assert np.isposinf(elastic.mechanism.upper_limits[virtual]).all()
 
 
-def test_the_rigid_mechanism_is_left_as_it_is(mechanism: Mechanism) -> None:
+def test_the_rigid_mechanism_is_left_as_it_is(mechanism: Robot) -> None:
     before = mechanism.model.saveToString()
     ElasticModel(mechanism)
     assert mechanism.model.saveToString() == before
 
 
 @pytest.mark.parametrize("at", ["link2_tip", "universal2_second_joint", "D2"])
-def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Mechanism, at: str) -> None:
+def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Robot, at: str) -> None:
     """Every motion of the six, once for a place on a link, a joint that moves and a frame with a joint behind it."""
     model = ElasticModel(mechanism, [BeamSpring("beam", at, SOFT)])
     q = _random(model, 3)
@@ -132,7 +132,7 @@ def test_what_hangs_on_the_place_moves_along_the_axes_of_the_place(mechanism: Me
             np.testing.assert_allclose(after.frame_placement(frame).homogeneous, expected.homogeneous, atol=1e-14)
 
 
-def _place(mechanism: Mechanism, q: np.ndarray, at: str) -> pin.SE3:
+def _place(mechanism: Robot, q: np.ndarray, at: str) -> pin.SE3:
     """Where the virtual joints are to stand: a frame, or the place of a joint on the body before it."""
     model, data = mechanism.model, mechanism.model.createData()
     if not model.existJointName(at):
@@ -142,7 +142,7 @@ def _place(mechanism: Mechanism, q: np.ndarray, at: str) -> pin.SE3:
     return data.oMi[model.parents[joint]] * model.jointPlacements[joint]
 
 
-def test_an_axis_is_in_the_axes_of_the_place(mechanism: Mechanism) -> None:
+def test_an_axis_is_in_the_axes_of_the_place(mechanism: Robot) -> None:
     axis = np.array([2.0, -1.0, 0.5])
     for direction in (axis, np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])):
         model = ElasticModel(mechanism, [AxialSpring("link", "link1_tip", tuple(direction), 1.0)])
@@ -155,7 +155,7 @@ def test_an_axis_is_in_the_axes_of_the_place(mechanism: Mechanism) -> None:
         np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-15)
 
 
-def test_freedoms_of_each_type(mechanism: Mechanism) -> None:
+def test_freedoms_of_each_type(mechanism: Robot) -> None:
     slender = CantileverSpring("slender", "P", (0, 0, 1), 1.0, 1.0, 1.0)
     long = CantileverSpring("long", "E1", (0, 0, 1), 1.0, 1.0, 1.0, axial_stiffness=1.0)
     springs = [slender, long, AxialSpring("bar", "F1", (0, 0, 1), 1.0), ClosureSpring("ball", 0, np.eye(3))]
@@ -169,7 +169,7 @@ def test_freedoms_of_each_type(mechanism: Mechanism) -> None:
     }
 
 
-def test_springs_at_one_place_stand_in_series(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_springs_at_one_place_stand_in_series(rigid_tree: Callable[..., Robot]) -> None:
     tree = rigid_tree([("tip", "universe", AT, None)], tool_frame="tip")
     springs = [AxialSpring("first", "tip", (1, 0, 0), 2.0), AxialSpring("second", "tip", (1, 0, 0), 3.0)]
     model = ElasticModel(tree, springs)
@@ -178,7 +178,7 @@ def test_springs_at_one_place_stand_in_series(rigid_tree: Callable[..., Mechanis
     np.testing.assert_allclose(moved, AT.rotation[:, 0] * 0.11, atol=1e-15)
 
 
-def test_nested_cuts_of_one_body(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_nested_cuts_of_one_body(rigid_tree: Callable[..., Robot]) -> None:
     """A body with three places one after the other: a spring at the second moves the third, but not the first."""
     tree = rigid_tree(
         [
@@ -206,7 +206,7 @@ def test_nested_cuts_of_one_body(rigid_tree: Callable[..., Mechanism]) -> None:
             assert distance == pytest.approx(0.01 if frame in moving else 0.0, abs=1e-15)
 
 
-def test_a_closure_that_gives_leaves_its_frames_alone(mechanism: Mechanism) -> None:
+def test_a_closure_that_gives_leaves_its_frames_alone(mechanism: Robot) -> None:
     """The new frame is closed with frame b; frame a and its body stay where they are when the closure gives."""
     model = ElasticModel(mechanism, [ClosureSpring("ball", 1, np.eye(3))])
     q = model.embed(mechanism.home.q)
@@ -219,7 +219,7 @@ def test_a_closure_that_gives_leaves_its_frames_alone(mechanism: Mechanism) -> N
     assert model.mechanism.closures[0] == mechanism.closures[0]
 
 
-def test_joints_with_several_freedoms_and_continuous_ones(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_joints_with_several_freedoms_and_continuous_ones(rigid_tree: Callable[..., Robot]) -> None:
     tree = rigid_tree(
         [
             ("ball", "universe", AT, pin.JointModelSpherical()),
@@ -239,13 +239,13 @@ def test_joints_with_several_freedoms_and_continuous_ones(rigid_tree: Callable[.
         )
 
 
-def test_names_that_are_taken(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_names_that_are_taken(rigid_tree: Callable[..., Robot]) -> None:
     tree = rigid_tree([("tip", "universe", AT, None), ("a.z", "tip", AT, None)], tool_frame="tip")
     with pytest.raises(DescriptionError, match=r"a\.z"):
         ElasticModel(tree, [AxialSpring("a", "tip", (0, 0, 1), 1.0)])
 
 
-def test_a_loop_of_two_arms_keeps_its_closures(rigid_tree: Callable[..., Mechanism]) -> None:
+def test_a_loop_of_two_arms_keeps_its_closures(rigid_tree: Callable[..., Robot]) -> None:
     tree = rigid_tree(
         [
             ("left", "universe", pin.SE3.Identity(), pin.JointModelRZ()),

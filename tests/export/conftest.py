@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.dynamics import holding_forces
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import joint_positions
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 Vector = np.ndarray
 State = Callable[[Mapping[str, float], Mapping[str, float]], "Terms"]
@@ -78,8 +79,8 @@ def robot(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="session")
-def load() -> Callable[[str], Mechanism]:
-    loaded = {name: Mechanism.load(name) for name in ROBOTS}
+def load() -> Callable[[str], Robot]:
+    loaded = {name: Robot.load(name) for name in ROBOTS}
     return loaded.__getitem__
 
 
@@ -109,7 +110,7 @@ def positions_at(tripod: Tripod) -> Callable[[Sequence[float]], dict[str, float]
 
 
 @pytest.fixture(scope="session")
-def named_positions(load: Callable[[str], Mechanism]) -> Callable[[str], dict[str, dict[str, float]]]:
+def named_positions(load: Callable[[str], Robot]) -> Callable[[str], dict[str, dict[str, float]]]:
     """Joint positions of a robot in its named configurations."""
 
     def positions(robot: str) -> dict[str, dict[str, float]]:
@@ -122,7 +123,7 @@ def named_positions(load: Callable[[str], Mechanism]) -> Callable[[str], dict[st
 
 
 @pytest.fixture(scope="session")
-def ten_poses(load: Callable[[str], Mechanism]) -> Callable[[str], list[Configuration]]:
+def ten_poses(load: Callable[[str], Robot]) -> Callable[[str], list[Configuration]]:
     """Home and nine closed configurations of a robot, within all limits, at random places of its actuators."""
 
     def poses(robot: str) -> list[Configuration]:
@@ -150,7 +151,7 @@ def assert_closed_and_held(
         mechanism = poses[0].mechanism
         still = np.zeros(len(mechanism.motion_coordinates))
         for pose in [*poses, *map(mechanism.configuration, mechanism.named_configurations.values())]:
-            positions = {name: pose.joint_position(name) for name in mechanism.coordinate_names}
+            positions = {name: pose.joint_position(name) for name in mechanism.q_names}
             simulator.place(positions)
             assert simulator.closure_error() < closed
             forces = actuator_forces(

@@ -11,7 +11,7 @@ import pytest
 
 from pm3dof_pin.dynamics import holding_forces, inverse_dynamics
 from pm3dof_pin.export.formats import export_robot
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 pytest.importorskip("pydrake")
 
@@ -29,7 +29,7 @@ STEP = 1e-3
 class Simulator:
     """A robot's committed URDF for Drake, loaded."""
 
-    def __init__(self, path: Path, mechanism: Mechanism) -> None:
+    def __init__(self, path: Path, mechanism: Robot) -> None:
         builder = DiagramBuilder()
         self.plant, self.scene = AddMultibodyPlantSceneGraph(builder, STEP)
         self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
@@ -101,7 +101,7 @@ def _frame_terms(plant: Any, context: Any, frame: Any, world: Any, size: int) ->
 
 
 @pytest.fixture
-def open_robot(file_of: FileOf, load: Callable[[str], Mechanism]) -> Callable[[str], Simulator]:
+def open_robot(file_of: FileOf, load: Callable[[str], Robot]) -> Callable[[str], Simulator]:
     return lambda robot: Simulator(file_of(robot, "drake"), load(robot))
 
 
@@ -124,7 +124,7 @@ def test_every_robot_is_closed_and_touches_nothing_in_its_named_configurations(
 
 
 def test_actuators_and_constraints(
-    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Mechanism]
+    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Robot]
 ) -> None:
     """A weld takes three ball constraints."""
     simulator, mechanism = open_robot(robot), load(robot)
@@ -156,7 +156,7 @@ def test_every_robot_is_closed_and_holds_itself_with_our_forces(
 )
 def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     open_robot: Callable[[str], Simulator],
-    load: Callable[[str], Mechanism],
+    load: Callable[[str], Robot],
     settle: Callable[..., dict[str, Any]],
     robot: str,
     gains: tuple[float, float, float],
@@ -175,7 +175,7 @@ def test_a_robot_of_ones_own(
     four_bar: Path, tmp_path: Path, actuator_forces: Callable[..., np.ndarray], terms: Any
 ) -> None:
     (path, *_) = export_robot(four_bar, "drake", tmp_path / "out")
-    mechanism = Mechanism.load(four_bar)
+    mechanism = Robot.load(four_bar)
     linkage = Simulator(path, mechanism)
     assert linkage.actuated == ["crank_joint"]
     configuration = mechanism.assemble(mechanism.home)

@@ -19,7 +19,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputErr
 from pm3dof_pin.export.description import description_files, same_but_rounding
 from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
 
@@ -44,7 +44,7 @@ def test_an_export_is_the_committed_file(kind: str, robot: str, tmp_path: Path) 
 def test_every_tree_loads_in_yourdfpy(robot: str) -> None:
     folder = robots_directory() / f"{robot}_description"
     plain = yourdfpy.URDF.load(str(find_robot(robot).urdf))
-    frames = [frame for pair in Mechanism.load(robot).closures for frame in (pair.frame_a, pair.frame_b)]
+    frames = [frame for pair in Robot.load(robot).closures for frame in (pair.frame_a, pair.frame_b)]
     for path in (folder / "drake" / f"{robot}.urdf", folder / "gepetto" / "robot.urdf"):
         tree = yourdfpy.URDF.load(str(path))
         assert set(tree.link_map) - {"world"} == set(plain.link_map)
@@ -56,8 +56,8 @@ def test_gepetto_files_have_the_keys_of_the_convention_and_no_others(robot: str)
     folder = robots_directory() / f"{robot}_description" / "gepetto"
     content = yaml.safe_load((folder / "robot.yaml").read_text())
     assert list(content) == CONVENTION
-    mechanism = Mechanism.load(robot)
-    from_there = Mechanism.load(folder / "robot.urdf")
+    mechanism = Robot.load(robot)
+    from_there = Robot.load(folder / "robot.urdf")
     assert from_there.actuated_joints == mechanism.actuated_joints
     assert [(loop.frame_a, loop.frame_b, loop.type) for loop in from_there.closures] == [
         (loop.frame_a, loop.frame_b, loop.type) for loop in mechanism.closures
@@ -120,7 +120,7 @@ def test_the_error_file_goes_along(four_bar: Path, tmp_path: Path, kind: str) ->
 
 def test_an_exported_urdf_is_loaded_again(four_bar: Path, tmp_path: Path) -> None:
     export_robot(four_bar, "urdf", tmp_path)
-    assert Mechanism.load(tmp_path / "four_bar.urdf").closures == Mechanism.load(four_bar).closures
+    assert Robot.load(tmp_path / "four_bar.urdf").closures == Robot.load(four_bar).closures
 
 
 def test_a_mesh_that_cannot_be_rewritten_is_named(four_bar: Path, tmp_path: Path) -> None:

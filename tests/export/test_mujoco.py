@@ -15,7 +15,7 @@ from pm3dof_pin.dynamics import holding_forces, inverse_dynamics
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.formats import export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -26,7 +26,7 @@ Positions = dict[str, float]
 class Simulator:
     """A robot's committed MJCF, loaded."""
 
-    def __init__(self, path: Path, mechanism: Mechanism) -> None:
+    def __init__(self, path: Path, mechanism: Robot) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(path))
         self.data = mujoco.MjData(self.model)
         self.joints = [self.model.joint(index).name for index in range(self.model.njnt)]
@@ -87,7 +87,7 @@ class Simulator:
 
 
 @pytest.fixture
-def open_robot(file_of: FileOf, load: Callable[[str], Mechanism]) -> Callable[[str], Simulator]:
+def open_robot(file_of: FileOf, load: Callable[[str], Robot]) -> Callable[[str], Simulator]:
     return lambda robot: Simulator(file_of(robot, "mjcf"), load(robot))
 
 
@@ -116,7 +116,7 @@ def test_keyframes_are_the_named_configurations(
 
 
 def test_nothing_is_lost_of_the_urdf(
-    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Mechanism]
+    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Robot]
 ) -> None:
     """Bodies are where Pinocchio has them, with every digit; shapes, limits and greatest forces are all there."""
     simulator, mechanism = open_robot(robot), load(robot)
@@ -137,7 +137,7 @@ def test_nothing_is_lost_of_the_urdf(
     assert simulator.model.body_mass.sum() == pytest.approx(
         sum(inertia.mass for inertia in mechanism.model.inertias), rel=1e-14
     )
-    for index, name in enumerate(mechanism.coordinate_names):
+    for index, name in enumerate(mechanism.q_names):
         limits = [mechanism.lower_limits[index], mechanism.upper_limits[index]]
         assert simulator.model.joint(name).range.tolist() == limits
     efforts = mechanism.model.upperEffortLimit[mechanism.actuated_indices]
@@ -146,7 +146,7 @@ def test_nothing_is_lost_of_the_urdf(
 
 
 def test_shapes_are_where_and_as_large_as_in_the_urdf(
-    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Mechanism], file_of: FileOf
+    open_robot: Callable[[str], Simulator], robot: str, load: Callable[[str], Robot], file_of: FileOf
 ) -> None:
     simulator, mechanism = open_robot(robot), load(robot)
     simulator.place(dict.fromkeys(simulator.joints, 0.0))
@@ -194,7 +194,7 @@ def test_every_robot_is_closed_and_holds_itself_with_our_forces(
 )
 def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     open_robot: Callable[[str], Simulator],
-    load: Callable[[str], Mechanism],
+    load: Callable[[str], Robot],
     settle: Callable[..., dict[str, Any]],
     robot: str,
     gains: tuple[float, float, float],
@@ -220,7 +220,7 @@ def test_with_default_settings_the_loops_would_be_tenths_of_a_millimetre_open(
 
 
 def test_the_closure_error_goes_with_the_square_of_the_time_constant(
-    open_robot: Callable[[str], Simulator], mechanism: Mechanism, settle: Callable[..., dict[str, Any]]
+    open_robot: Callable[[str], Simulator], mechanism: Robot, settle: Callable[..., dict[str, Any]]
 ) -> None:
     tripod = open_robot("pm3dof")
     tripod.model.opt.timestep /= 2.0
@@ -240,7 +240,7 @@ def test_a_robot_of_ones_own(
     (path, *meshes) = export_robot(four_bar, "mjcf", tmp_path / "out")
     assert path.name == "four_bar.xml"
     assert [mesh.name for mesh in meshes] == ["arm.obj", "arm_2.obj", "arm_3.obj", "arm.stl"]
-    mechanism = Mechanism.load(four_bar)
+    mechanism = Robot.load(four_bar)
     linkage = Simulator(path, mechanism)
     assert [linkage.model.mesh(index).name for index in range(linkage.model.nmesh)] == [mesh.name for mesh in meshes]
     assert linkage.model.joint("crank_joint").damping[0] == 0.01

@@ -12,7 +12,7 @@ import pytest
 
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.export.formats import export_robot
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 
 def _same_joints(one: pin.Model, other: pin.Model, q: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def _placed(model: pin.Model, q: np.ndarray) -> pin.Data:
     return data
 
 
-def _assert_same(path: Path, mechanism: Mechanism) -> None:
+def _assert_same(path: Path, mechanism: Robot) -> None:
     model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(path))
     assert set(model.names) == set(mechanism.model.names)
     assert len(points) == sum(loop.type == "3d" for loop in mechanism.closures)
@@ -53,7 +53,7 @@ def _assert_same(path: Path, mechanism: Mechanism) -> None:
 
 
 def _assert_same_closures(
-    model: pin.Model, data: pin.Data, constraints: list[Any], mechanism: Mechanism, ours: pin.Data
+    model: pin.Model, data: pin.Data, constraints: list[Any], mechanism: Robot, ours: pin.Data
 ) -> None:
     loops = [loop for kind in ("3d", "6d") for loop in mechanism.closures if loop.type == kind]
     for constraint, loop in zip(constraints, loops, strict=True):
@@ -68,16 +68,14 @@ def _assert_same_closures(
                 np.testing.assert_allclose((data.oMi[joint] * placement).rotation, expected.rotation, atol=1e-14)
 
 
-def test_the_mjcf_is_the_urdf(
-    file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Mechanism]
-) -> None:
+def test_the_mjcf_is_the_urdf(file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Robot]) -> None:
     _assert_same(file_of(robot, "mjcf"), load(robot))
 
 
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
     """With a root called world, bodies that carry closures, and turned products of inertia."""
     path = export_robot(four_bar, "mjcf", tmp_path / "out")[0]
-    mechanism = Mechanism.load(four_bar)
+    mechanism = Robot.load(four_bar)
     model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(path))
     assert (len(points), len(frames)) == ((1, 0) if mechanism.closures[0].type == "3d" else (0, 1))
     # Pinocchio takes a hinge without limits for one angle, and the joint of a URDF for cosine and sine
@@ -96,12 +94,12 @@ def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
 
 def test_closed_at_ten_poses_with_the_forces_of_the_closed_form(
     file_of: Callable[[str, str], Path],
-    mechanism: Mechanism,
+    mechanism: Robot,
     ten_positions: list[dict[str, float]],
     positions_at: Callable[..., dict[str, float]],
 ) -> None:
     model = pin.buildModelAndConstraintsFromMJCF(str(file_of("pm3dof", "mjcf")))[0]
-    from_mjcf = Mechanism(model, mechanism.closures, actuated_joints=mechanism.actuated_joints)
+    from_mjcf = Robot(model, mechanism.closures, actuated_joints=mechanism.actuated_joints)
     assert set(from_mjcf.named_configurations) == {*mechanism.named_configurations, "qpos0"}
     zero = pin.neutral(model)
     for positions in ten_positions:

@@ -13,7 +13,8 @@ from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.exceptions import FrameNotFoundError, UnknownRobotError
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.pybullet import close_loops
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -26,7 +27,7 @@ SINGLE = 6e-8  # what single precision leaves of half a metre or more
 class Simulator:
     """A robot's URDF, loaded and closed."""
 
-    def __init__(self, client: int, urdf: Path, mechanism: Mechanism, robot: str | Path) -> None:
+    def __init__(self, client: int, urdf: Path, mechanism: Robot, robot: str | Path) -> None:
         self.client = client
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         self.body = pybullet.loadURDF(str(urdf), useFixedBase=True, flags=flags, physicsClientId=client)
@@ -113,7 +114,7 @@ def client() -> Iterator[int]:
 
 
 @pytest.fixture
-def open_robot(client: int, file_of: FileOf, load: Callable[[str], Mechanism]) -> Callable[[str], Simulator]:
+def open_robot(client: int, file_of: FileOf, load: Callable[[str], Robot]) -> Callable[[str], Simulator]:
     return lambda robot: Simulator(client, file_of(robot, "urdf"), load(robot), robot)
 
 
@@ -160,7 +161,7 @@ def test_positions_are_handed_out_in_single_precision(
 )
 def test_a_simulation_from_home_stays_closed_and_settles_near_our_forces(
     open_robot: Callable[[str], Simulator],
-    load: Callable[[str], Mechanism],
+    load: Callable[[str], Robot],
     settle: Callable[..., dict[str, Any]],
     robot: str,
     gains: tuple[float, float, float],
@@ -180,7 +181,7 @@ def test_a_simulation_from_home_stays_closed_and_settles_near_our_forces(
 def test_a_robot_of_ones_own(client: int, four_bar: Path, tmp_path: Path) -> None:
     """The points of its closure count from centres of mass that are elsewhere, in axes that are turned."""
     (path, *_) = export_robot(four_bar, "urdf", tmp_path / "out")
-    mechanism = Mechanism.load(four_bar)
+    mechanism = Robot.load(four_bar)
     linkage = Simulator(client, path, mechanism, four_bar)
     configuration = mechanism.assemble(mechanism.home)
     linkage.place({name: configuration.joint_position(name) for name in linkage.joints})

@@ -20,7 +20,7 @@ from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.ros import ros_package_name
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 
 class Recorded:
@@ -85,7 +85,7 @@ def test_the_launch_file_starts_nodes_of_declared_packages_with_files_that_exist
     (description,) = nodes[0].keywords["parameters"]
     assert description["robot_description"].keywords == {"value_type": str}
     model = pin.buildModelFromXML(description["robot_description"].arguments[0])
-    assert model.nq == Mechanism.load(robot).model.nq
+    assert model.nq == Robot.load(robot).model.nq
     option, config = nodes[2].keywords["arguments"]
     assert option == "-d"
     assert Path(config).is_file()
@@ -139,7 +139,7 @@ def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path, ros: Callable[[Path
         package, _, path = mesh.get("filename", "").removeprefix("package://").partition("/")
         assert package == folder.name
         assert (folder / path).is_file()
-    assert Mechanism.load(folder / "urdf" / "four_bar.urdf").model.nq == Mechanism.load(four_bar).model.nq
+    assert Robot.load(folder / "urdf" / "four_bar.urdf").model.nq == Robot.load(four_bar).model.nq
 
 
 @pytest.mark.parametrize(

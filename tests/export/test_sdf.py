@@ -15,7 +15,8 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.export.formats import export_robot
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 
 def _checker() -> str | None:
@@ -34,12 +35,12 @@ def _check(path: Path) -> None:
     assert "Valid." in done.stdout, done.stdout + done.stderr
 
 
-def _loops(path: Path, mechanism: Mechanism) -> list[ElementTree.Element]:
+def _loops(path: Path, mechanism: Robot) -> list[ElementTree.Element]:
     names = {f"{loop.frame_a}_{loop.frame_b}" for loop in mechanism.closures}
     return [joint for joint in ElementTree.parse(path).iter("joint") if joint.get("name") in names]
 
 
-def _tree_in_drake(path: Path, mechanism: Mechanism) -> tuple[Any, Any]:
+def _tree_in_drake(path: Path, mechanism: Robot) -> tuple[Any, Any]:
     pytest.importorskip("pydrake")
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
@@ -69,7 +70,7 @@ def test_it_is_valid(file_of: Callable[[str, str], Path], robot: str) -> None:
 
 
 def test_every_loop_is_a_joint_between_the_frames_of_its_closure(
-    file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Mechanism]
+    file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Robot]
 ) -> None:
     mechanism = load(robot)
     loops = _loops(file_of(robot, "sdf"), mechanism)
@@ -79,7 +80,7 @@ def test_every_loop_is_a_joint_between_the_frames_of_its_closure(
     ]
 
 
-def test_the_tree_is_ours(file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Mechanism]) -> None:
+def test_the_tree_is_ours(file_of: Callable[[str, str], Path], robot: str, load: Callable[[str], Robot]) -> None:
     """Frames, mass matrix, limits and greatest forces, at joint positions where the loops are far from closed."""
     mechanism = load(robot)
     plant, context = _tree_in_drake(file_of(robot, "sdf"), mechanism)
@@ -128,7 +129,7 @@ def test_shapes_are_placed_in_their_links(file_of: Callable[[str, str], Path], r
 def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
     """Its home is not at zero: the file shows it assembled, and counts its joints from there."""
     (path, *_) = export_robot(four_bar, "sdf", tmp_path / "out")
-    mechanism = Mechanism.load(four_bar)
+    mechanism = Robot.load(four_bar)
     if CHECKER is not None:
         _check(path)
     home = mechanism.assemble(mechanism.home)

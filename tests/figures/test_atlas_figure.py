@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.figures.atlas import atlas_pictures
 from pm3dof_pin.maps.atlas import Atlas, AtlasGrid, compute_atlas, open_atlas
-from pm3dof_pin.tripod import Tripod
 
 UNITS = {
     **{f"felt_stiffness_{axis}": "[N/m]" for axis in ("x", "y", "z")},

@@ -7,9 +7,9 @@ from pathlib import Path
 import matplotlib
 import pytest
 
+from pm3dof_pin.chapter.limits import Limit
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.figures.style import LIMIT_COLORS, LIMIT_NAMES, house_style, new_figure, save_figure
-from pm3dof_pin.tripod.limits import Limit
 
 
 def _draw(path: Path) -> bytes:

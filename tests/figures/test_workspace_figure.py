@@ -11,10 +11,10 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import Limit
 from pm3dof_pin.figures.style import INK, LIMIT_COLORS, save_figure
 from pm3dof_pin.figures.workspace import workspace_figure
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import Limit
 from pm3dof_pin.workspace import Workspace, workspace
 
 

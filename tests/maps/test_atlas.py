@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.chapter.limits import Limit, limit_violations
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError
 from pm3dof_pin.maps import atlas as atlas_module
 from pm3dof_pin.maps.atlas import Atlas, AtlasGrid, compute_atlas, open_atlas
 from pm3dof_pin.maps.grid import RectangularGrid
 from pm3dof_pin.maps.quantities import QUANTITIES
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
-from pm3dof_pin.tripod.limits import Limit, limit_violations
 
 
 def make(tripod: Tripod, path: Path, shape: tuple[int, int, int] = (13, 11, 7), *quantities: str) -> Atlas:

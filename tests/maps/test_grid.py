@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.grid import Grid, PointGrid, PolarGrid, RectangularGrid
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import broken_limits
 
 
 def test_the_chapters_grid(tripod: Tripod) -> None:

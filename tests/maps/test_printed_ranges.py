@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.maps.printed_ranges import RangeStatement, compare_printed_ranges
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import Limit, broken_limits
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.printed_ranges import RangeStatement, compare_printed_ranges
 from pm3dof_pin.workspace import Workspace, workspace
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import placement
 from pm3dof_pin.description.parameters import default_parameters_path
 from pm3dof_pin.dynamics import natural_frequencies
 from pm3dof_pin.elastic import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.quantities import Evaluation
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import placement
 
 
 def test_natural_frequencies_are_those_at_each_pose(tripod: Tripod, reachable_poses: np.ndarray) -> None:

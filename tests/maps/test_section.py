@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.grid import PointGrid, PolarGrid, RectangularGrid
 from pm3dof_pin.maps.section import section_outline, stiffness_section
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import Limit, broken_limits, limit_violations
 from pm3dof_pin.workspace import workspace_section
 
 MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")

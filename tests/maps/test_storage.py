@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import Limit
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.maps.boundary import workspace_boundary
 from pm3dof_pin.maps.grid import PolarGrid, RectangularGrid
 from pm3dof_pin.maps.section import stiffness_section
 from pm3dof_pin.maps.storage import write_csv, write_netcdf
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import Limit
 from pm3dof_pin.workspace import workspace
 
 UNIT_OF_HEADING = {

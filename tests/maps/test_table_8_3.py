@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from pm3dof_pin.chapter.table_8_3 import TableRow, table_8_3
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.maps.table_8_3 import TableRow, table_8_3
 
 # As printed in the book, to its five digits.
 PRINTED = {

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 _LINK = '<link name="{0}"/>\n'
 _REVOLUTE = """<joint name="{name}" type="revolute">
@@ -92,39 +92,37 @@ def write_robot(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]
 
 
 @pytest.fixture(scope="session")
-def make_four_bar(write_robot: Callable[..., Path]) -> Callable[..., Mechanism]:
+def make_four_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
     """Load a four-bar; see :func:`four_bar_urdf`. It is driven at the crank, or where told."""
 
     def make(
         *lengths: float, crank_type: str = "revolute", driven: str = "crank_joint", tool: str = "coupler"
-    ) -> Mechanism:
+    ) -> Robot:
         closures = FOUR_BAR_CLOSURES.format(driven=driven, tool=tool)
-        return Mechanism.load(write_robot(four_bar_urdf(*lengths, crank_type=crank_type), closures))
+        return Robot.load(write_robot(four_bar_urdf(*lengths, crank_type=crank_type), closures))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def make_five_bar(write_robot: Callable[..., Path]) -> Callable[..., Mechanism]:
+def make_five_bar(write_robot: Callable[..., Path]) -> Callable[..., Robot]:
     """Load a five-bar; see :func:`five_bar_urdf`. It is driven at the two pivots on the ground, or where told."""
 
-    def make(
-        *lengths: float, driven: str = "left_joint, right_joint", coordinates: str = "x_joint, y_joint"
-    ) -> Mechanism:
+    def make(*lengths: float, driven: str = "left_joint, right_joint", coordinates: str = "x_joint, y_joint") -> Robot:
         closures = FIVE_BAR_CLOSURES.format(driven=driven, coordinates=coordinates)
-        return Mechanism.load(write_robot(five_bar_urdf(*lengths), closures))
+        return Robot.load(write_robot(five_bar_urdf(*lengths), closures))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def crank_rocker(make_four_bar: Callable[..., Mechanism]) -> Mechanism:
+def crank_rocker(make_four_bar: Callable[..., Robot]) -> Robot:
     """Crank 0.2, coupler 0.5, rocker 0.4, ground 0.6 m: the crank turns all the way, so its joint is continuous."""
     return make_four_bar(0.2, 0.5, 0.4, 0.6, crank_type="continuous")
 
 
 @pytest.fixture(scope="session")
-def five_bar(make_five_bar: Callable[..., Mechanism]) -> Mechanism:
+def five_bar(make_five_bar: Callable[..., Robot]) -> Robot:
     """Proximal links 0.3, distal links 0.4, ground 0.2 m."""
     return make_five_bar(0.3, 0.4, 0.2)
 
@@ -133,7 +131,7 @@ def five_bar(make_five_bar: Callable[..., Mechanism]) -> Mechanism:
 class Gough:
     """A Gough platform: feet in the world and heads on the platform, shape=(6, 3) [m]."""
 
-    mechanism: Mechanism
+    mechanism: Robot
     feet: NDArray[np.float64]
     heads: NDArray[np.float64]
 
@@ -157,7 +155,7 @@ def gough() -> Gough:
         strut = model.addJoint(foot, pin.JointModelPZ(), pin.SE3.Identity(), f"strut{leg}")
         model.addFrame(pin.Frame(f"tip{leg}", strut, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
         model.addFrame(pin.Frame(f"head{leg}", platform, 0, pin.SE3(np.eye(3), heads[leg]), pin.FrameType.OP_FRAME))
-    mechanism = Mechanism(
+    mechanism = Robot(
         model,
         [LoopClosure(f"tip{leg}", f"head{leg}", "3d") for leg in range(6)],
         actuated_joints=[f"strut{leg}" for leg in range(6)],
@@ -167,7 +165,7 @@ def gough() -> Gough:
 
 
 @pytest.fixture(scope="session")
-def welded_four_bar() -> Mechanism:
+def welded_four_bar() -> Robot:
     """The crank-rocker as one chain of four joints, welded to the ground: three rows of six are redundant."""
     model = pin.Model()
     model.name = "welded_four_bar"
@@ -179,12 +177,12 @@ def welded_four_bar() -> Mechanism:
     model.addFrame(pin.Frame("end", parent, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("pivot", 0, 0, pin.SE3(np.eye(3), np.array([0.6, 0.0, 0.0])), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("coupler", 2, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    return Mechanism(model, [LoopClosure("pivot", "end", "6d")], actuated_joints=["joint0"], tool_frame="coupler")
+    return Robot(model, [LoopClosure("pivot", "end", "6d")], actuated_joints=["joint0"], tool_frame="coupler")
 
 
 @pytest.fixture(scope="session")
-def ur5() -> Mechanism:
+def ur5() -> Robot:
     """A serial arm with six joints, from example-robot-data."""
     import example_robot_data
 
-    return Mechanism(example_robot_data.load("ur5").model, tool_frame="tool0")
+    return Robot(example_robot_data.load("ur5").model, tool_frame="tool0")

@@ -7,13 +7,15 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Configuration, Mechanism, actuation_jacobian, independent_motions, tool_motions
+from pm3dof_pin.kinematics.actuation import actuation_jacobian, independent_motions, tool_motions
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 GUESS = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
 
 
 @pytest.fixture(params=range(10))
-def pose(five_bar: Mechanism, request: pytest.FixtureRequest) -> Configuration:
+def pose(five_bar: Robot, request: pytest.FixtureRequest) -> Configuration:
     tip = np.random.default_rng(request.param).uniform([-0.15, 0.3], [0.15, 0.55])
     return five_bar.at_motion_coordinates(tip, GUESS)
 
@@ -35,7 +37,7 @@ def test_five_bar_against_its_closed_form(pose: Configuration) -> None:
     np.testing.assert_allclose(tool_motions(pose), np.eye(6)[:, :2], atol=1e-14)
 
 
-def test_five_bar_against_finite_differences(five_bar: Mechanism, pose: Configuration) -> None:
+def test_five_bar_against_finite_differences(five_bar: Robot, pose: Configuration) -> None:
     columns = []
     for direction in np.eye(2):
         ahead, behind = (
@@ -46,8 +48,8 @@ def test_five_bar_against_finite_differences(five_bar: Mechanism, pose: Configur
     np.testing.assert_allclose(actuation_jacobian(pose), np.column_stack(columns), atol=1e-7)
 
 
-def test_without_coordinates_the_tools_own_twists_serve(five_bar: Mechanism, pose: Configuration) -> None:
-    plain = Mechanism(five_bar.model, five_bar.closures, actuated_joints=five_bar.actuated_joints, tool_frame="tool")
+def test_without_coordinates_the_tools_own_twists_serve(five_bar: Robot, pose: Configuration) -> None:
+    plain = Robot(five_bar.model, five_bar.closures, actuated_joints=five_bar.actuated_joints, tool_frame="tool")
     configuration, length = plain.configuration(pose.q), plain.characteristic_length
     np.testing.assert_allclose(tool_motions(configuration), length * np.eye(6)[:, :2], atol=1e-14)
     expected = length * five_bar_jacobian(pose)
@@ -84,14 +86,14 @@ def test_motions_keep_the_loops_closed_and_idle_freedoms_at_rest(gough: Any) -> 
         np.testing.assert_allclose(motions[spin], 0.0, atol=1e-14)
 
 
-def test_serial_arm_inverts_its_jacobian(ur5: Mechanism) -> None:
+def test_serial_arm_inverts_its_jacobian(ur5: Robot) -> None:
     configuration = ur5.configuration([0.1, -1.0, 1.2, 0.3, 0.8, 0.2])
     rates = np.linalg.solve(configuration.tool_jacobian, tool_motions(configuration))
     np.testing.assert_allclose(actuation_jacobian(configuration), rates, atol=1e-12)
 
 
-def test_the_characteristic_length_does_not_enter_coordinates(five_bar: Mechanism, pose: Configuration) -> None:
-    other = Mechanism(
+def test_the_characteristic_length_does_not_enter_coordinates(five_bar: Robot, pose: Configuration) -> None:
+    other = Robot(
         five_bar.model,
         five_bar.closures,
         actuated_joints=five_bar.actuated_joints,
@@ -114,11 +116,11 @@ def test_coordinates_must_fit_the_mobility(make_five_bar: Any, coordinates: str,
 def test_a_redundant_arm_has_no_actuation_jacobian() -> None:
     import example_robot_data
 
-    panda = Mechanism(example_robot_data.load("panda").model, tool_frame="panda_hand")
+    panda = Robot(example_robot_data.load("panda").model, tool_frame="panda_hand")
     with pytest.raises(SingularConfigurationError, match="while the tool is at rest"):
         actuation_jacobian(panda.configuration([0.1, -0.5, 0.3, -1.8, 0.2, 1.5, 0.4, 0.0, 0.0]))
 
 
-def test_open_loops_are_refused(five_bar: Mechanism) -> None:
+def test_open_loops_are_refused(five_bar: Robot) -> None:
     with pytest.raises(InvalidValueError, match="loops are closed"):
         actuation_jacobian(five_bar.home)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.mechanism import Mechanism, actuation_jacobian
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import actuation_jacobian as closed_form_jacobian
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions, motion_twists, placement
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import actuation_jacobian as closed_form_jacobian
+from pm3dof_pin.chapter.kinematics import inverse_kinematics, joint_positions, motion_twists, placement
+from pm3dof_pin.kinematics.actuation import actuation_jacobian
+from pm3dof_pin.kinematics.robot import Robot
 
 
 def test_constraint_jacobian_kinematics_at_10_000_poses(
-    mechanism: Mechanism, tripod: Tripod, reachable_poses: np.ndarray
+    mechanism: Robot, tripod: Tripod, reachable_poses: np.ndarray
 ) -> None:
     """Loops closed, tool in place, J_t and the platform's twists equal to 1e-12 of the largest entry."""
     jacobians = closed_form_jacobian(tripod, reachable_poses)
@@ -32,9 +33,7 @@ def test_constraint_jacobian_kinematics_at_10_000_poses(
     assert np.all(worst < 1e-12), worst
 
 
-def test_general_geometry_finds_the_closed_form(
-    mechanism: Mechanism, tripod: Tripod, reachable_poses: np.ndarray
-) -> None:
+def test_general_geometry_finds_the_closed_form(mechanism: Robot, tripod: Tripod, reachable_poses: np.ndarray) -> None:
     """From home, with nothing but slider travels or a pose."""
     for pose in reachable_poses[:50]:
         u = inverse_kinematics(tripod, pose)

@@ -17,7 +17,9 @@ from pm3dof_pin.exceptions import (
     PM3DofError,
     UnreachablePoseError,
 )
-from pm3dof_pin.mechanism import Configuration, Mechanism, assemble
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 CRANK_ROCKER = 0.2, 0.5, 0.4, 0.6
 
@@ -32,14 +34,14 @@ def rocker_angle(crank_angle: float, crank: float, coupler: float, rocker: float
 
 
 @pytest.fixture(scope="module")
-def open_crank_rocker(crank_rocker: Mechanism) -> Configuration:
+def open_crank_rocker(crank_rocker: Robot) -> Configuration:
     """The crank-rocker with its coupler above the ground."""
     return crank_rocker.assemble(held={"crank_joint": np.pi / 2}, guess=[0.0, 1.0, -1.0, 1.2])
 
 
 @pytest.mark.parametrize("crank_angle", np.linspace(-3.1, 3.1, 13))
 def test_four_bar_has_its_closed_form(
-    crank_rocker: Mechanism, open_crank_rocker: Configuration, crank_angle: float
+    crank_rocker: Robot, open_crank_rocker: Configuration, crank_angle: float
 ) -> None:
     # going there in small steps keeps the assembly mode: this linkage has two
     configuration = open_crank_rocker
@@ -52,7 +54,7 @@ def test_four_bar_has_its_closed_form(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_five_bar_closes_from_guesses_far_off(five_bar: Mechanism, seed: int) -> None:
+def test_five_bar_closes_from_guesses_far_off(five_bar: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     target = rng.uniform([-0.1, 0.3], [0.1, 0.55])
     reached = five_bar.at_motion_coordinates(target, guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
@@ -66,14 +68,14 @@ def test_five_bar_closes_from_guesses_far_off(five_bar: Mechanism, seed: int) ->
     assert moved < 1.0, "the solution found is one near the guess"
 
 
-def test_held_joints_keep_their_values_to_the_last_bit(five_bar: Mechanism) -> None:
+def test_held_joints_keep_their_values_to_the_last_bit(five_bar: Robot) -> None:
     held = {"left_joint": 2.0, "y_joint": 0.45}
     closed = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3], held=held)
     assert {name: closed.joint_position(name) for name in held} == held
     assert closed.closure_residual < 1e-15
 
 
-def test_forward_and_inverse_geometry_undo_each_other(five_bar: Mechanism) -> None:
+def test_forward_and_inverse_geometry_undo_each_other(five_bar: Robot) -> None:
     guess = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
     there = five_bar.inverse_geometry([0.05, 0.48, 0.0], guess=guess)
     np.testing.assert_allclose(there.tool_placement.translation, [0.05, 0.48, 0.0], atol=1e-15)
@@ -83,7 +85,7 @@ def test_forward_and_inverse_geometry_undo_each_other(five_bar: Mechanism) -> No
         np.testing.assert_allclose(five_bar.inverse_geometry(pose, guess=guess).q, there.q, atol=1e-13)
 
 
-def test_serial_arm_reaches_a_pose(ur5: Mechanism) -> None:
+def test_serial_arm_reaches_a_pose(ur5: Robot) -> None:
     rng = np.random.default_rng(8)
     for _ in range(20):
         start = ur5.configuration(rng.uniform(-1.5, 1.5, 6) + np.array([0.0, 0.0, 1.6, 0.0, 1.6, 0.0]))
@@ -103,7 +105,7 @@ def test_joints_with_several_freedoms_are_assembled_and_held(gough: Any) -> None
     np.testing.assert_allclose(again.actuated_positions, closed.actuated_positions, atol=1e-14)
 
 
-def test_overconstrained_loops_close_as_well(welded_four_bar: Mechanism) -> None:
+def test_overconstrained_loops_close_as_well(welded_four_bar: Robot) -> None:
     closed = welded_four_bar.assemble([1.4, -0.9, 0.8, 1.8], held={"joint0": 1.4})
     assert closed.closure_residual < 1e-15
     rocker = rocker_angle(1.4, *CRANK_ROCKER)
@@ -123,7 +125,7 @@ def test_convergence_is_quadratic(problem: str, request: pytest.FixtureRequest) 
         assert then < 5.0 * now**2
 
 
-def test_converged_means_closed(five_bar: Mechanism) -> None:
+def test_converged_means_closed(five_bar: Robot) -> None:
     guess = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
     interrupted = assemble(five_bar, guess, max_steps=1)
     assert not interrupted.converged
@@ -134,20 +136,20 @@ def test_converged_means_closed(five_bar: Mechanism) -> None:
     assert at_once.steps <= 1
 
 
-def test_the_residual_counts_the_pose_too(five_bar: Mechanism) -> None:
+def test_the_residual_counts_the_pose_too(five_bar: Robot) -> None:
     start = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
     result = assemble(five_bar, start, pose=start.tool_placement.translation + np.array([0.1, 0.0, 0.0]), max_steps=0)
     assert not result.converged
     assert result.residual == pytest.approx(0.1, rel=1e-12)
 
 
-def test_a_singular_solution_is_still_found(make_four_bar: Callable[..., Mechanism]) -> None:
+def test_a_singular_solution_is_still_found(make_four_bar: Callable[..., Robot]) -> None:
     flat = assemble(make_four_bar(0.3, 0.5, 0.3, 0.5), [0.2, -0.1, 0.15], held={"crank_joint": 0.0})
     assert flat.converged
     assert flat.residual < 1e-12
 
 
-def test_out_of_reach_is_an_error_with_the_residual(five_bar: Mechanism) -> None:
+def test_out_of_reach_is_an_error_with_the_residual(five_bar: Robot) -> None:
     # the arms are 0.7 m long, from pivots at -+0.1 m: at x = 0 they reach to y = sqrt(0.7^2 - 0.1^2)
     guess, edge = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3], np.sqrt(0.48)
     assert five_bar.at_motion_coordinates([0.0, edge - 1e-6], guess).closure_residual < 1e-12
@@ -159,12 +161,12 @@ def test_out_of_reach_is_an_error_with_the_residual(five_bar: Mechanism) -> None
         five_bar.inverse_geometry(pin.SE3(pin.utils.rotate("x", 0.1), np.array([0.0, 0.5, 0.0])), guess)
 
 
-def test_loops_that_cannot_close_are_an_error_with_the_residual(crank_rocker: Mechanism) -> None:
+def test_loops_that_cannot_close_are_an_error_with_the_residual(crank_rocker: Robot) -> None:
     # rocker straight out: its tip is 1.0 m from the crank's pivot, crank and coupler are 0.7 m long together
     with pytest.raises(ConvergenceError) as caught:
         crank_rocker.assemble(held={"rocker_joint": 0.0})
     assert caught.value.residual == pytest.approx(0.3, abs=1e-6)
-    lengths = Mechanism(crank_rocker.model, crank_rocker.closures, actuated_joints=["rocker_joint"])
+    lengths = Robot(crank_rocker.model, crank_rocker.closures, actuated_joints=["rocker_joint"])
     with pytest.raises(ConvergenceError, match="forward geometry"):
         lengths.forward_geometry([0.0])
 
@@ -173,7 +175,7 @@ def test_a_pose_no_closure_forbids_may_be_anywhere() -> None:
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
     model.addFrame(pin.Frame("tool", joint, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    mechanism, rng = Mechanism(model, tool_frame="tool"), np.random.default_rng(2)
+    mechanism, rng = Robot(model, tool_frame="tool"), np.random.default_rng(2)
     for _ in range(10):
         pose = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
         assert mechanism.inverse_geometry(pose).tool_placement.isApprox(pose, 1e-12)
@@ -203,22 +205,20 @@ NOT_A_ROTATION = np.diag([1.0, 1.0, -1.0, 1.0])
         (lambda m: m.inverse_geometry([0.0, np.nan, 0.0]), InvalidValueError),
     ],
 )
-def test_arguments_are_checked(
-    five_bar: Mechanism, call: Callable[[Mechanism], object], error: type[PM3DofError]
-) -> None:
+def test_arguments_are_checked(five_bar: Robot, call: Callable[[Robot], object], error: type[PM3DofError]) -> None:
     with pytest.raises(error):
         call(five_bar)
 
 
-def test_what_the_description_lacks_is_named(crank_rocker: Mechanism) -> None:
+def test_what_the_description_lacks_is_named(crank_rocker: Robot) -> None:
     with pytest.raises(DescriptionError, match="motion_coordinates"):
         crank_rocker.at_motion_coordinates([0.0])
-    toolless = Mechanism(crank_rocker.model, crank_rocker.closures, source="little.yaml")
+    toolless = Robot(crank_rocker.model, crank_rocker.closures, source="little.yaml")
     with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
         toolless.inverse_geometry(np.eye(4))
 
 
-def test_another_mechanisms_configuration_is_no_guess(five_bar: Mechanism, crank_rocker: Mechanism) -> None:
+def test_another_mechanisms_configuration_is_no_guess(five_bar: Robot, crank_rocker: Robot) -> None:
     with pytest.raises(InvalidValueError):
         five_bar.assemble(crank_rocker.home)
 
@@ -235,7 +235,7 @@ def test_random_loops_close_from_random_guesses() -> None:
         assert result.residual < 1e-14
 
 
-def _random_loop(rng: np.random.Generator, kind: str) -> tuple[Mechanism, np.ndarray]:
+def _random_loop(rng: np.random.Generator, kind: str) -> tuple[Robot, np.ndarray]:
     model = pin.Model()
     for branch in ("left", "right"):
         parent = 0
@@ -249,6 +249,6 @@ def _random_loop(rng: np.random.Generator, kind: str) -> tuple[Mechanism, np.nda
     left, right = data.oMi[6], data.oMi[12]
     model.frames[model.getFrameId("right_tip")].placement = right.actInv(left)
     closure = LoopClosure("left_tip", "right_tip", "3d" if kind == "3d" else "6d")
-    mechanism = Mechanism(model, [closure])
+    mechanism = Robot(model, [closure])
     assert mechanism.configuration(solution).closure_residual < 1e-14
     return mechanism, solution

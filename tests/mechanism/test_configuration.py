@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.mechanism import Configuration, Mechanism
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 
 Vector = NDArray[np.float64]
 STEP = 1e-6
@@ -30,7 +31,7 @@ def differences(value: Callable[[Configuration], Vector], configuration: Configu
 
 
 @pytest.fixture(scope="module")
-def zoo() -> Mechanism:
+def zoo() -> Robot:
     """Two branches of many kinds of joints, closed by a point and by a frame: nothing special about any of it."""
     rng = np.random.default_rng(11)
     pin.seed(11)
@@ -53,11 +54,11 @@ def zoo() -> Mechanism:
     model.lowerPositionLimit = rng.uniform(-2.0, -1.0, model.nq)
     model.upperPositionLimit = rng.uniform(1.0, 2.0, model.nq)
     closures = [LoopClosure("frame03", "frame12", "3d"), LoopClosure("frame02", "frame11", "6d")]
-    return Mechanism(model, closures, tool_frame="frame10")
+    return Robot(model, closures, tool_frame="frame10")
 
 
 @pytest.fixture(params=range(5))
-def anywhere(zoo: Mechanism, request: pytest.FixtureRequest) -> Configuration:
+def anywhere(zoo: Robot, request: pytest.FixtureRequest) -> Configuration:
     """A random configuration of the zoo, with its loops wide open."""
     rng = np.random.default_rng(request.param)
     neutral = pin.neutral(zoo.model)
@@ -99,16 +100,16 @@ def test_a_jacobian_of_one_joint_is_a_matrix() -> None:
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "joint")
     model.addFrame(pin.Frame("tip", joint, 0, pin.SE3(np.eye(3), np.array([2.0, 0, 0])), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("peg", 0, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    configuration = Mechanism(model, [LoopClosure("peg", "tip", "3d")], tool_frame="tip").home
+    configuration = Robot(model, [LoopClosure("peg", "tip", "3d")], tool_frame="tip").home
     np.testing.assert_allclose(configuration.tool_jacobian, [[0], [2], [0], [0], [0], [1]], atol=1e-15)
     np.testing.assert_allclose(configuration.constraint_jacobian, [[0], [2], [0]], atol=1e-15)
 
 
-def test_configurations_do_not_share_what_they_hand_out(zoo: Mechanism) -> None:
+def test_configurations_do_not_share_what_they_hand_out(zoo: Robot) -> None:
     rng = np.random.default_rng(3)
     neutral = pin.neutral(zoo.model)
     q = [pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)) for _ in range(20)]
-    one_by_one = [Mechanism(zoo.model, zoo.closures, tool_frame=zoo.tool_frame).configuration(x) for x in q]
+    one_by_one = [Robot(zoo.model, zoo.closures, tool_frame=zoo.tool_frame).configuration(x) for x in q]
     jacobians = [configuration.constraint_jacobian.copy() for configuration in one_by_one]
     together = [zoo.configuration(x) for x in q]
     for configuration, jacobian, alone in zip(together, jacobians, one_by_one, strict=True):
@@ -118,7 +119,7 @@ def test_configurations_do_not_share_what_they_hand_out(zoo: Mechanism) -> None:
         assert configuration.tool_placement == alone.tool_placement
 
 
-def test_threads_do_not_disturb_each_other(zoo: Mechanism) -> None:
+def test_threads_do_not_disturb_each_other(zoo: Robot) -> None:
     rng = np.random.default_rng(4)
     neutral = pin.neutral(zoo.model)
     q = [pin.integrate(zoo.model, neutral, rng.uniform(-1.0, 1.0, zoo.model.nv)) for _ in range(500)]
@@ -146,15 +147,15 @@ def test_everything_is_read_only(anywhere: Configuration) -> None:
     assert anywhere.tool_placement == kept
 
 
-def test_the_callers_array_stays_the_callers(five_bar: Mechanism) -> None:
+def test_the_callers_array_stays_the_callers(five_bar: Robot) -> None:
     q = np.zeros(five_bar.model.nq)
     configuration = five_bar.configuration(q)
     q[0] = 1.0
     assert configuration.q[0] == 0.0
 
 
-def test_coordinates_of_named_joints(zoo: Mechanism, five_bar: Mechanism, crank_rocker: Mechanism) -> None:
-    names = five_bar.coordinate_names
+def test_coordinates_of_named_joints(zoo: Robot, five_bar: Robot, crank_rocker: Robot) -> None:
+    names = five_bar.q_names
     configuration = five_bar.configuration(0.1 * np.arange(len(names)))
     assert configuration.joint_position("left_elbow") == 0.1 * names.index("left_elbow")
     expected = [0.1 * names.index("left_joint"), 0.1 * names.index("right_joint")]
@@ -169,8 +170,8 @@ def test_coordinates_of_named_joints(zoo: Mechanism, five_bar: Mechanism, crank_
         zoo.home.joint_position("knee")
 
 
-def test_violated_limits_name_joint_value_and_bounds(five_bar: Mechanism) -> None:
-    names = five_bar.coordinate_names
+def test_violated_limits_name_joint_value_and_bounds(five_bar: Robot) -> None:
+    names = five_bar.q_names
     q = np.zeros(len(names))
     q[names.index("x_joint")], q[names.index("left_elbow")], q[names.index("right_elbow")] = 2.5, -3.3, 3.2 + 1e-12
     violations = {violation.name: violation for violation in five_bar.configuration(q).violated_limits()}
@@ -180,7 +181,7 @@ def test_violated_limits_name_joint_value_and_bounds(five_bar: Mechanism) -> Non
     assert five_bar.home.violated_limits() == ()
 
 
-def test_limits_of_a_joint_with_several_coordinates(zoo: Mechanism) -> None:
+def test_limits_of_a_joint_with_several_coordinates(zoo: Robot) -> None:
     q = np.array(pin.neutral(zoo.model))
     q[1] = zoo.upper_limits[1] + 0.5
     names = [violation.name for violation in zoo.configuration(q).violated_limits()]
@@ -194,7 +195,7 @@ def test_swing_is_the_angle_between_the_z_axes(angle: float) -> None:
     model.addFrame(pin.Frame("fixed", 0, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     twisted = pin.SE3(pin.utils.rotate("z", 0.7), np.zeros(3))
     model.addFrame(pin.Frame("moving", joint, 0, twisted, pin.FrameType.OP_FRAME))
-    mechanism = Mechanism(model, [LoopClosure("fixed", "moving", "3d", swing_limit=1.0)])
+    mechanism = Robot(model, [LoopClosure("fixed", "moving", "3d", swing_limit=1.0)])
     configuration = mechanism.configuration([angle])
     assert configuration.swing(0) == pytest.approx(angle, abs=1e-15)
     violations = [violation for violation in configuration.violated_limits() if violation.kind == "swing"]
@@ -207,17 +208,17 @@ def test_swing_is_the_angle_between_the_z_axes(angle: float) -> None:
 
 
 @pytest.mark.parametrize("q", [np.zeros(5), np.zeros((6, 1)), [0, 0, 0, np.nan, 0, 0], [np.inf, 0, 0, 0, 0, 0], 1.0])
-def test_what_is_no_configuration_is_refused(five_bar: Mechanism, q: object) -> None:
+def test_what_is_no_configuration_is_refused(five_bar: Robot, q: object) -> None:
     with pytest.raises(InvalidValueError, match="q = "):
         five_bar.configuration(q)
 
 
-def test_a_pair_that_is_no_angle_is_refused(crank_rocker: Mechanism) -> None:
+def test_a_pair_that_is_no_angle_is_refused(crank_rocker: Robot) -> None:
     with pytest.raises(InvalidValueError, match="length 1"):
         crank_rocker.configuration([0.5, 0.5, 0.0, 0.0])
 
 
-def test_unknown_frames_are_named(five_bar: Mechanism) -> None:
+def test_unknown_frames_are_named(five_bar: Robot) -> None:
     """Of many frames, those that are most like the name."""
     with pytest.raises(FrameNotFoundError, match=r"'left_tipp'.* it has left_tip, .* and \d+ more"):
         five_bar.home.frame_placement("left_tipp")
@@ -225,8 +226,8 @@ def test_unknown_frames_are_named(five_bar: Mechanism) -> None:
         five_bar.home.frame_jacobian("left_tipp")
 
 
-def test_the_tool_must_be_named_where_it_is_needed(five_bar: Mechanism) -> None:
-    toolless = Mechanism(five_bar.model, five_bar.closures, source="little.yaml").home
+def test_the_tool_must_be_named_where_it_is_needed(five_bar: Robot) -> None:
+    toolless = Robot(five_bar.model, five_bar.closures, source="little.yaml").home
     for attribute in ("tool_placement", "tool_jacobian"):
         with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
             getattr(toolless, attribute)

@@ -17,7 +17,7 @@ from pm3dof_pin.exceptions import (
     JointNotFoundError,
     UnknownRobotError,
 )
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 Writer = Callable[..., Path]
 
@@ -37,7 +37,7 @@ SRDF = """<robot name="arm">
 """
 
 
-def test_a_loaded_mechanism_says_what_its_files_say(five_bar: Mechanism) -> None:
+def test_a_loaded_mechanism_says_what_its_files_say(five_bar: Robot) -> None:
     assert five_bar.name == "five_bar"
     assert five_bar.actuated_joints == ("left_joint", "right_joint")
     assert set(five_bar.passive_joints) == {"x_joint", "y_joint", "left_elbow", "right_elbow"}
@@ -48,35 +48,35 @@ def test_a_loaded_mechanism_says_what_its_files_say(five_bar: Mechanism) -> None
     assert sorted([*five_bar.actuated_indices, *five_bar.passive_indices]) == list(range(five_bar.model.nv))
     assert five_bar.tool_frame == "tool"
     assert five_bar.motion_coordinates == ("x_joint", "y_joint")
-    x, left = five_bar.coordinate_names.index("x_joint"), five_bar.coordinate_names.index("left_joint")
+    x, left = five_bar.q_names.index("x_joint"), five_bar.q_names.index("left_joint")
     assert (five_bar.lower_limits[x], five_bar.upper_limits[left]) == (-2.0, 3.2)
     np.testing.assert_array_equal(
-        five_bar.velocity_scale != 1.0, [name in ("x_joint", "y_joint") for name in five_bar.coordinate_names]
+        five_bar.velocity_scale != 1.0, [name in ("x_joint", "y_joint") for name in five_bar.q_names]
     )
 
 
-def test_a_continuous_joint_has_no_limits_and_two_coordinates(crank_rocker: Mechanism) -> None:
-    first = crank_rocker.coordinate_names.index("crank_joint[0]")
-    assert crank_rocker.coordinate_names[first + 1] == "crank_joint[1]"
+def test_a_continuous_joint_has_no_limits_and_two_coordinates(crank_rocker: Robot) -> None:
+    first = crank_rocker.q_names.index("crank_joint[0]")
+    assert crank_rocker.q_names[first + 1] == "crank_joint[1]"
     assert np.isneginf(crank_rocker.lower_limits[first : first + 2]).all()
     assert np.isposinf(crank_rocker.upper_limits[first : first + 2]).all()
     assert crank_rocker.home.actuated_positions == 0.0
 
 
 def test_without_closures_all_joints_are_driven(write_robot: Writer) -> None:
-    mechanism = Mechanism.load(write_robot(ARM, NO_CLOSURES.replace("name_mot: [elbow]\n", "")))
+    mechanism = Robot.load(write_robot(ARM, NO_CLOSURES.replace("name_mot: [elbow]\n", "")))
     assert mechanism.actuated_joints == ("elbow",)
     assert mechanism.home.closure_residual == 0.0
     assert mechanism.home.constraint_jacobian.shape == (0, 1)
 
 
 def test_home_and_named_configurations_come_from_the_srdf(write_robot: Writer) -> None:
-    mechanism = Mechanism.load(write_robot(ARM, NO_CLOSURES, SRDF.format(joint="elbow", value="1.5")))
+    mechanism = Robot.load(write_robot(ARM, NO_CLOSURES, SRDF.format(joint="elbow", value="1.5")))
     assert {name: q.tolist() for name, q in mechanism.named_configurations.items()} == {"home": [0.5], "bent": [1.5]}
     assert mechanism.home.q.tolist() == [0.5]
 
 
-def test_arrays_are_read_only_and_the_model_is_a_copy(five_bar: Mechanism) -> None:
+def test_arrays_are_read_only_and_the_model_is_a_copy(five_bar: Robot) -> None:
     for array in (
         five_bar.actuated_indices,
         five_bar.passive_indices,
@@ -88,21 +88,21 @@ def test_arrays_are_read_only_and_the_model_is_a_copy(five_bar: Mechanism) -> No
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
     model = five_bar.model.copy()
-    mechanism = Mechanism(model, five_bar.closures, tool_frame="tool")
+    mechanism = Robot(model, five_bar.closures, tool_frame="tool")
     before = mechanism.home.closure_error
     model.jointPlacements[1] = pin.SE3.Random()
     np.testing.assert_array_equal(mechanism.home.closure_error, before)
 
 
-def test_characteristic_length_is_the_rms_radius_of_the_points(make_four_bar: Callable[..., Mechanism]) -> None:
+def test_characteristic_length_is_the_rms_radius_of_the_points(make_four_bar: Callable[..., Robot]) -> None:
     mechanism = make_four_bar(0.3, 0.5, 0.3, 0.5)
     # along x: joints at 0, 0.3, 0.5; closure points twice at 0.8; the tool frame with its joint at 0.3
     points = np.array([0.0, 0.3, 0.5, 0.8, 0.8, 0.3])
     assert mechanism.characteristic_length == pytest.approx(points.std(), rel=1e-14)
-    assert Mechanism(mechanism.model, mechanism.closures, characteristic_length=2.0).characteristic_length == 2.0
+    assert Robot(mechanism.model, mechanism.closures, characteristic_length=2.0).characteristic_length == 2.0
 
 
-def test_mechanisms_and_configurations_survive_pickling(five_bar: Mechanism) -> None:
+def test_mechanisms_and_configurations_survive_pickling(five_bar: Robot) -> None:
     configuration = five_bar.at_motion_coordinates([0.05, 0.5], guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
     copy = pickle.loads(pickle.dumps(configuration))
     np.testing.assert_array_equal(copy.q, configuration.q)
@@ -113,7 +113,7 @@ def test_mechanisms_and_configurations_survive_pickling(five_bar: Mechanism) -> 
 
 def test_unknown_robot() -> None:
     with pytest.raises(UnknownRobotError, match="no_such_robot"):
-        Mechanism.load("no_such_robot")
+        Robot.load("no_such_robot")
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_bad_urdf_is_one_error_and_silence(
 ) -> None:
     path = write_robot(urdf, NO_CLOSURES)
     with pytest.raises(DescriptionError, match=f"(?s){path}: {place}.*{reason}"):
-        Mechanism.load(path)
+        Robot.load(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -149,7 +149,7 @@ def test_a_bad_srdf_is_one_error_and_silence(
 ) -> None:
     path = write_robot(ARM, NO_CLOSURES, srdf)
     with pytest.raises(error, match=f"(?s){path.with_suffix('.srdf')}.*{reason}"):
-        Mechanism.load(path)
+        Robot.load(path)
     assert capfd.readouterr() == ("", "")
 
 
@@ -168,21 +168,21 @@ def test_names_in_the_closures_file_are_looked_up(
 ) -> None:
     path = write_robot(ARM, line)
     with pytest.raises(error, match=f"{path.with_suffix('.closures.yaml')}.*{reason}"):
-        Mechanism.load(path)
+        Robot.load(path)
 
 
 def test_a_joint_with_several_freedoms_cannot_be_driven() -> None:
     model = pin.Model()
     model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
     with pytest.raises(DescriptionError, match=r"ball.*several freedoms"):
-        Mechanism(model, actuated_joints=["ball"])
-    assert Mechanism(model).actuated_joints == ()
+        Robot(model, actuated_joints=["ball"])
+    assert Robot(model).actuated_joints == ()
 
 
 @pytest.mark.parametrize("length", [0.0, -1.0, np.nan, np.inf])
-def test_characteristic_length_is_a_positive_number(five_bar: Mechanism, length: float) -> None:
+def test_characteristic_length_is_a_positive_number(five_bar: Robot, length: float) -> None:
     with pytest.raises(InvalidValueError, match="characteristic_length"):
-        Mechanism(five_bar.model, five_bar.closures, characteristic_length=length)
+        Robot(five_bar.model, five_bar.closures, characteristic_length=length)
 
 
 def test_a_mimic_joint_is_not_passed_over_in_silence(write_robot: Writer, caplog: pytest.LogCaptureFixture) -> None:
@@ -191,17 +191,17 @@ def test_a_mimic_joint_is_not_passed_over_in_silence(write_robot: Writer, caplog
         '<mimic joint="elbow"/></joint></robot>'
     )
     with caplog.at_level(logging.WARNING):
-        Mechanism.load(write_robot(fingers, NO_CLOSURES))
+        Robot.load(write_robot(fingers, NO_CLOSURES))
     assert "mimic" in caplog.text
 
 
 def test_a_link_goes_before_a_joint_of_the_same_name(write_robot: Writer) -> None:
     urdf = ARM.replace('joint name="elbow"', 'joint name="forearm"')
-    mechanism = Mechanism.load(write_robot(urdf, NO_CLOSURES.replace("[elbow]", "[forearm]")))
+    mechanism = Robot.load(write_robot(urdf, NO_CLOSURES.replace("[elbow]", "[forearm]")))
     assert mechanism.model.frames[mechanism.frame_id("forearm")].type == pin.FrameType.BODY
 
 
-def test_loop_closures_may_hang_on_the_world(five_bar: Mechanism) -> None:
-    mechanism = Mechanism(five_bar.model, [LoopClosure("base", "left_tip", "3d")])
+def test_loop_closures_may_hang_on_the_world(five_bar: Robot) -> None:
+    mechanism = Robot(five_bar.model, [LoopClosure("base", "left_tip", "3d")])
     position = mechanism.home.frame_placement("left_tip").translation
     np.testing.assert_allclose(mechanism.home.closure_error, position, atol=1e-15)

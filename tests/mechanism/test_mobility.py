@@ -8,25 +8,27 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, InvalidValueError
-from pm3dof_pin.mechanism import Mechanism, generic_configuration, instantaneous_mobility, null_space
+from pm3dof_pin.kinematics.freedoms import null_space
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
 
 FIVE_BAR_GUESS = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
 
 
-def test_four_bar(crank_rocker: Mechanism) -> None:
+def test_four_bar(crank_rocker: Robot) -> None:
     mobility = instantaneous_mobility(crank_rocker.assemble([0.0, 1.0, -1.0, 1.2]))
     assert (mobility.count, mobility.tool_mobility) == (1, 1)
     assert mobility.redundant_constraints == 1, "the closure's z row is empty in a planar linkage"
     assert mobility.idle_freedoms.shape == (3, 0)
 
 
-def test_five_bar(five_bar: Mechanism) -> None:
+def test_five_bar(five_bar: Robot) -> None:
     mobility = instantaneous_mobility(five_bar.assemble(FIVE_BAR_GUESS))
     assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (2, 2, 2)
     assert mobility.actuator_rank.rank == mobility.tool_rank.rank == mobility.idle_rank.rank == 2
 
 
-def test_overconstrained_four_bar(welded_four_bar: Mechanism) -> None:
+def test_overconstrained_four_bar(welded_four_bar: Robot) -> None:
     mobility = instantaneous_mobility(welded_four_bar.assemble([1.4, -0.9, 0.8, 1.8]))
     assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (1, 1, 3)
     decision = mobility.constraint_rank
@@ -52,13 +54,13 @@ def test_spinning_legs_are_idle(gough: Any) -> None:
         assert np.abs(spins[2]).max() > 0.1
 
 
-def test_serial_arm(ur5: Mechanism) -> None:
+def test_serial_arm(ur5: Robot) -> None:
     mobility = instantaneous_mobility(ur5.configuration([0.1, -1.0, 1.2, 0.3, 0.8, 0.2]))
     assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (6, 6, 0)
     assert mobility.constraint_rank.gap == np.inf
 
 
-def test_null_space_is_orthonormal_in_scaled_numbers(five_bar: Mechanism) -> None:
+def test_null_space_is_orthonormal_in_scaled_numbers(five_bar: Robot) -> None:
     configuration = five_bar.assemble(FIVE_BAR_GUESS)
     basis, decision = null_space(configuration)
     assert basis.shape == (6, 2)
@@ -70,14 +72,14 @@ def test_null_space_is_orthonormal_in_scaled_numbers(five_bar: Mechanism) -> Non
         basis[0, 0] = 1.0
 
 
-def test_the_tolerance_decides(five_bar: Mechanism) -> None:
+def test_the_tolerance_decides(five_bar: Robot) -> None:
     configuration = five_bar.assemble(FIVE_BAR_GUESS)
     values = null_space(configuration)[1].singular_values
     between = np.sqrt(values[2] * values[3]) / values[0]
     assert null_space(configuration, tolerance=between)[1].rank == 3
 
 
-def test_a_generic_configuration_is_assembled_near_by_and_reproducible(five_bar: Mechanism) -> None:
+def test_a_generic_configuration_is_assembled_near_by_and_reproducible(five_bar: Robot) -> None:
     configuration = five_bar.assemble(FIVE_BAR_GUESS)
     generic = generic_configuration(configuration)
     assert generic.closure_residual < 1e-14
@@ -93,15 +95,15 @@ def test_where_nothing_closes_there_is_no_generic_configuration() -> None:
     model.addFrame(pin.Frame("far", 0, 0, pin.SE3(np.eye(3), np.array([1.0, 0, 0])), pin.FrameType.OP_FRAME))
     model.addFrame(pin.Frame("near", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     with pytest.raises(ConvergenceError):
-        generic_configuration(Mechanism(model, [LoopClosure("far", "near", "3d")]).home)
+        generic_configuration(Robot(model, [LoopClosure("far", "near", "3d")]).home)
 
 
-def test_open_loops_have_no_mobility(five_bar: Mechanism) -> None:
+def test_open_loops_have_no_mobility(five_bar: Robot) -> None:
     with pytest.raises(InvalidValueError, match="loops are closed"):
         instantaneous_mobility(five_bar.home)
 
 
-def test_the_tool_must_be_named(five_bar: Mechanism) -> None:
-    toolless = Mechanism(five_bar.model, five_bar.closures)
+def test_the_tool_must_be_named(five_bar: Robot) -> None:
+    toolless = Robot(five_bar.model, five_bar.closures)
     with pytest.raises(DescriptionError, match="tool_frame"):
         instantaneous_mobility(toolless.assemble(FIVE_BAR_GUESS))

@@ -8,15 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import UnreachablePoseError
-from pm3dof_pin.mechanism import (
-    Configuration,
-    Mechanism,
-    actuation_jacobian,
-    assemble,
-    instantaneous_mobility,
-    singularities,
-    tool_motions,
-)
+from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.mobility import instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.mechanism.configuration import Configuration
 
 Vector = NDArray[np.float64]
 
@@ -85,11 +82,11 @@ def pose(request: pytest.FixtureRequest) -> Vector:
 
 
 @pytest.fixture
-def configuration(mechanism: Mechanism, pose: Vector, home_height: float) -> Configuration:
+def configuration(mechanism: Robot, pose: Vector, home_height: float) -> Configuration:
     return mechanism.at_motion_coordinates(pose - [0.0, 0.0, home_height])
 
 
-def test_home_is_q_zero(mechanism: Mechanism, home_height: float) -> None:
+def test_home_is_q_zero(mechanism: Robot, home_height: float) -> None:
     assert mechanism.configuration(np.zeros(mechanism.model.nq)).closure_residual < 1e-15
     np.testing.assert_allclose(mechanism.home.tool_placement.translation, [0.0, 0.0, home_height], atol=1e-15)
     assert mechanism.home.violated_limits() == ()
@@ -127,14 +124,14 @@ def test_three_freedoms_none_idle_none_redundant(configuration: Configuration) -
     assert singularities(configuration) == ()
 
 
-def test_forward_geometry_undoes_inverse_geometry(mechanism: Mechanism, configuration: Configuration) -> None:
+def test_forward_geometry_undoes_inverse_geometry(mechanism: Robot, configuration: Configuration) -> None:
     back = mechanism.forward_geometry(configuration.actuated_positions)
     np.testing.assert_allclose(back.motion_coordinates, configuration.motion_coordinates, atol=1e-12)
     again = mechanism.inverse_geometry(configuration.tool_placement)
     np.testing.assert_allclose(again.q, configuration.q, atol=1e-12)
 
 
-def test_jacobians_against_finite_differences(mechanism: Mechanism, configuration: Configuration) -> None:
+def test_jacobians_against_finite_differences(mechanism: Robot, configuration: Configuration) -> None:
     def shifted(velocity: Vector) -> Configuration:
         return mechanism.configuration(pin.integrate(mechanism.model, configuration.q, velocity))
 
@@ -150,7 +147,7 @@ def test_jacobians_against_finite_differences(mechanism: Mechanism, configuratio
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_loops_close_from_guesses_far_off(mechanism: Mechanism, seed: int, home_height: float) -> None:
+def test_loops_close_from_guesses_far_off(mechanism: Robot, seed: int, home_height: float) -> None:
     there = mechanism.at_motion_coordinates(reachable_pose(seed) - [0.0, 0.0, home_height])
     rng = np.random.default_rng(seed)
     off = np.where(mechanism.velocity_scale == 1.0, rng.uniform(-0.3, 0.3, 12), rng.uniform(-0.05, 0.05, 12))
@@ -160,7 +157,7 @@ def test_loops_close_from_guesses_far_off(mechanism: Mechanism, seed: int, home_
     assert result.steps < 10
 
 
-def test_the_published_cross_check_pose(mechanism: Mechanism, home_height: float) -> None:
+def test_the_published_cross_check_pose(mechanism: Robot, home_height: float) -> None:
     """Slider travels that MuJoCo, Drake and PyBullet give as well."""
     pose = np.array([np.radians(10.0), np.radians(-15.0), 0.5])
     configuration = mechanism.at_motion_coordinates(pose - [0.0, 0.0, home_height])
@@ -178,7 +175,7 @@ def test_swing_is_counted_from_the_inclined_axis(configuration: Configuration, p
     assert len(too_far) == np.count_nonzero(cosines < np.cos(np.radians(45.0)))
 
 
-def test_a_pose_out_of_reach(mechanism: Mechanism, home_height: float) -> None:
+def test_a_pose_out_of_reach(mechanism: Robot, home_height: float) -> None:
     assert np.isnan(sliders(0.0, 0.0, home_height + 0.5)).all()
     with pytest.raises(UnreachablePoseError, match=r"passive_slider_joint = 0\.5: residual"):
         mechanism.at_motion_coordinates([0.0, 0.0, 0.5])

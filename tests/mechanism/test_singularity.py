@@ -8,13 +8,10 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
 
-from pm3dof_pin.mechanism import (
-    Configuration,
-    Mechanism,
-    generic_configuration,
-    instantaneous_mobility,
-    singularities,
-)
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.mechanism.configuration import Configuration
 
 CRANK, COUPLER, ROCKER, GROUND = 0.2, 0.5, 0.4, 0.6
 PROXIMAL, DISTAL, PIVOTS = 0.3, 0.4, 0.2
@@ -24,7 +21,7 @@ def names(configuration: Configuration) -> list[str]:
     return [singularity.type for singularity in singularities(configuration)]
 
 
-def rate(mechanism: Mechanism, motion: np.ndarray, joint: str) -> float:
+def rate(mechanism: Robot, motion: np.ndarray, joint: str) -> float:
     return float(motion[mechanism.velocity_indices([joint])[0], 0])
 
 
@@ -33,13 +30,13 @@ def angle_between(adjacent: float, other: float, opposite: float) -> float:
     return float(np.arccos((adjacent**2 + other**2 - opposite**2) / (2.0 * adjacent * other)))
 
 
-def dead_point(four_bar: Mechanism, folded: bool) -> Configuration:
+def dead_point(four_bar: Robot, folded: bool) -> Configuration:
     """Crank and coupler in one line: the triangle of their sum (folded: difference), rocker and ground."""
     reach = COUPLER - CRANK if folded else COUPLER + CRANK
     line = angle_between(reach, GROUND, ROCKER)
     rocker = np.pi - angle_between(GROUND, ROCKER, reach)
     q = {"crank_joint": line + np.pi * folded, "coupler_joint": np.pi * folded, "rocker_joint": rocker}
-    configuration = four_bar.configuration([q[name] for name in four_bar.coordinate_names])
+    configuration = four_bar.configuration([q[name] for name in four_bar.q_names])
     assert configuration.closure_residual < 1e-15
     return configuration
 
@@ -55,7 +52,7 @@ def dead_point(four_bar: Mechanism, folded: bool) -> Configuration:
     ],
 )
 def test_dead_point_of_a_four_bar(
-    make_four_bar: Callable[..., Mechanism], folded: bool, driven: str, tool: str, expected: list[str]
+    make_four_bar: Callable[..., Robot], folded: bool, driven: str, tool: str, expected: list[str]
 ) -> None:
     four_bar = make_four_bar(CRANK, COUPLER, ROCKER, GROUND, driven=driven, tool=tool)
     dead = dead_point(four_bar, folded)
@@ -70,7 +67,7 @@ def test_dead_point_of_a_four_bar(
         np.testing.assert_allclose(singularity.twists, dead.tool_jacobian @ singularity.motions, atol=1e-15)
 
 
-def test_a_flat_parallelogram_gains_a_freedom(make_four_bar: Callable[..., Mechanism]) -> None:
+def test_a_flat_parallelogram_gains_a_freedom(make_four_bar: Callable[..., Robot]) -> None:
     parallelogram = make_four_bar(0.3, 0.5, 0.3, 0.5)
     flat = parallelogram.home
     assert flat.closure_residual < 1e-15
@@ -99,7 +96,7 @@ def arm(pivot: float, tip: np.ndarray, elbow_up: float) -> tuple[float, float]:
     return float(np.arctan2(reach[1], reach[0]) - np.arctan2(along[1], along[0])), float(elbow)
 
 
-def five_bar_at(five_bar: Mechanism, tip: np.ndarray, left_up: float = -1.0, right_up: float = 1.0) -> Configuration:
+def five_bar_at(five_bar: Robot, tip: np.ndarray, left_up: float = -1.0, right_up: float = 1.0) -> Configuration:
     left, right = arm(-PIVOTS / 2, tip, left_up), arm(PIVOTS / 2, tip, right_up)
     q = dict(
         zip(
@@ -108,12 +105,12 @@ def five_bar_at(five_bar: Mechanism, tip: np.ndarray, left_up: float = -1.0, rig
             strict=True,
         )
     )
-    configuration = five_bar.configuration([q[name] for name in five_bar.coordinate_names])
+    configuration = five_bar.configuration([q[name] for name in five_bar.q_names])
     assert configuration.closure_residual < 1e-9
     return configuration
 
 
-def test_a_stretched_arm_of_a_five_bar_is_serial(five_bar: Mechanism) -> None:
+def test_a_stretched_arm_of_a_five_bar_is_serial(five_bar: Robot) -> None:
     direction = np.array([np.cos(1.4), np.sin(1.4)])
     stretched = five_bar_at(five_bar, np.array([-PIVOTS / 2, 0.0]) + (PROXIMAL + DISTAL - 1e-15) * direction)
     (singularity,) = singularities(stretched)
@@ -123,7 +120,7 @@ def test_a_stretched_arm_of_a_five_bar_is_serial(five_bar: Mechanism) -> None:
     np.testing.assert_allclose(singularity.twists, 0.0, atol=1e-6)
 
 
-def test_distal_links_in_one_line_are_parallel(make_five_bar: Callable[..., Mechanism]) -> None:
+def test_distal_links_in_one_line_are_parallel(make_five_bar: Callable[..., Robot]) -> None:
     five_bar = make_five_bar(PROXIMAL, PROXIMAL, PIVOTS)
     # elbows at the same height, two distal links apart
     pivot = np.arccos((PIVOTS - 2.0 * PROXIMAL) / (2.0 * PROXIMAL))
@@ -136,7 +133,7 @@ def test_distal_links_in_one_line_are_parallel(make_five_bar: Callable[..., Mech
         "right_joint": np.pi - pivot,
         "right_elbow": pivot,
     }
-    aligned = five_bar.configuration([q[name] for name in five_bar.coordinate_names])
+    aligned = five_bar.configuration([q[name] for name in five_bar.q_names])
     assert aligned.closure_residual < 1e-15
     (singularity,) = singularities(aligned)
     assert singularity.type == "parallel"
@@ -148,7 +145,7 @@ def test_distal_links_in_one_line_are_parallel(make_five_bar: Callable[..., Mech
         assert rate(five_bar, singularity.motions, joint) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_tool_on_a_pivot_leaves_the_folded_arm_free(make_five_bar: Callable[..., Mechanism]) -> None:
+def test_a_tool_on_a_pivot_leaves_the_folded_arm_free(make_five_bar: Callable[..., Robot]) -> None:
     five_bar = make_five_bar(PROXIMAL, PROXIMAL, PIVOTS, driven="left_elbow, right_joint")
     right = np.arccos(PIVOTS / 2 / PROXIMAL)
     q = {
@@ -159,17 +156,17 @@ def test_a_tool_on_a_pivot_leaves_the_folded_arm_free(make_five_bar: Callable[..
         "right_joint": np.pi - right,
         "right_elbow": 2.0 * right,
     }
-    folded = five_bar.configuration([q[name] for name in five_bar.coordinate_names])
+    folded = five_bar.configuration([q[name] for name in five_bar.q_names])
     assert folded.closure_residual < 1e-15
     (singularity,) = singularities(folded)
     assert singularity.type == "passive"
-    others = [joint for joint in five_bar.coordinate_names if joint != "left_joint"]
+    others = [joint for joint in five_bar.q_names if joint != "left_joint"]
     for joint in others:
         assert rate(five_bar, singularity.motions, joint) == pytest.approx(0.0, abs=1e-12)
     assert abs(rate(five_bar, singularity.motions, "left_joint")) == pytest.approx(1.0)
 
 
-def test_a_five_bar_is_regular_elsewhere(five_bar: Mechanism) -> None:
+def test_a_five_bar_is_regular_elsewhere(five_bar: Robot) -> None:
     rng = np.random.default_rng(5)
     regular = 0
     while regular < 50:
@@ -185,7 +182,7 @@ def test_a_five_bar_is_regular_elsewhere(five_bar: Mechanism) -> None:
         regular += 1
 
 
-def test_measures_fall_on_the_way_to_a_singularity(five_bar: Mechanism) -> None:
+def test_measures_fall_on_the_way_to_a_singularity(five_bar: Robot) -> None:
     generic = instantaneous_mobility(generic_configuration(five_bar_at(five_bar, np.array([0.0, 0.5]))))
     top = np.sqrt((PROXIMAL + DISTAL) ** 2 - (PIVOTS / 2) ** 2)
     measures = []
@@ -205,16 +202,14 @@ def test_measures_fall_on_the_way_to_a_singularity(five_bar: Mechanism) -> None:
         ([0.1, -1.0, 1e-2, 0.3, 1e-2, 0.2], []),
     ],
 )
-def test_serial_arm_is_singular_with_elbow_or_wrist_straight(
-    ur5: Mechanism, q: list[float], expected: list[str]
-) -> None:
+def test_serial_arm_is_singular_with_elbow_or_wrist_straight(ur5: Robot, q: list[float], expected: list[str]) -> None:
     assert names(ur5.configuration(q)) == expected
 
 
 def test_a_redundant_arm_is_not_singular_for_its_self_motion() -> None:
     import example_robot_data
 
-    panda = Mechanism(example_robot_data.load("panda").model, tool_frame="panda_hand")
+    panda = Robot(example_robot_data.load("panda").model, tool_frame="panda_hand")
     configuration = panda.configuration([0.1, -0.5, 0.3, -1.8, 0.2, 1.5, 0.4, 0.0, 0.0])
     mobility = instantaneous_mobility(configuration)
     assert (mobility.count, mobility.tool_mobility) == (9, 6)

@@ -13,11 +13,13 @@ ROOT = Path(__file__).parents[2]
 
 # From the ground up. The rooms of one floor may use each other, in one direction.
 FLOORS = (
-    ("exceptions", "files", "kernel_cache"),
+    ("exceptions", "files", "kernel_cache", "typing", "arrays"),
     ("description",),
     ("mechanism",),
-    ("workspace", "tripod", "elastic", "dynamics", "calibration"),
-    ("maps",),
+    ("programs",),
+    ("kinematics",),
+    ("elastic", "dynamics", "errors"),
+    ("simulation", "calibration", "chapter", "workspace", "maps"),
     ("figures", "viewer", "export"),
     ("cli",),
 )

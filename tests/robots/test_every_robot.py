@@ -21,7 +21,7 @@ import yourdfpy
 from pm3dof_pin.description.closures import read_closures
 from pm3dof_pin.description.parameters import read_quantities
 from pm3dof_pin.description.robots import RobotFiles, find_robot, robot_names, robots_directory
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 
 FIXED_TO_THE_GROUND = {"base", "middle_platform"}
 
@@ -37,8 +37,8 @@ def document(robot: RobotFiles) -> ElementTree.Element:
 
 
 @pytest.fixture(scope="module")
-def mechanism(robot: RobotFiles) -> Mechanism:
-    return Mechanism.load(robot.name)
+def mechanism(robot: RobotFiles) -> Robot:
+    return Robot.load(robot.name)
 
 
 def _folder(robot: RobotFiles) -> Path:
@@ -143,13 +143,13 @@ def test_pinocchio_and_yourdfpy_agree_on_the_frames(robot: RobotFiles) -> None:
 # The closed mechanism
 
 
-def test_zero_is_home_and_home_is_assembled(mechanism: Mechanism) -> None:
+def test_zero_is_home_and_home_is_assembled(mechanism: Robot) -> None:
     np.testing.assert_array_equal(mechanism.home.q, np.zeros(mechanism.model.nq))
     assert mechanism.home.closure_residual < 1e-12
     assert not mechanism.home.violated_limits()
 
 
-def test_named_configurations_close_within_all_limits(mechanism: Mechanism) -> None:
+def test_named_configurations_close_within_all_limits(mechanism: Robot) -> None:
     assert len(mechanism.named_configurations) >= 7
     for name, q in mechanism.named_configurations.items():
         configuration = mechanism.configuration(q)
@@ -157,7 +157,7 @@ def test_named_configurations_close_within_all_limits(mechanism: Mechanism) -> N
         assert not configuration.violated_limits(), name
 
 
-def test_nothing_collides_in_the_named_configurations(robot: RobotFiles, mechanism: Mechanism) -> None:
+def test_nothing_collides_in_the_named_configurations(robot: RobotFiles, mechanism: Robot) -> None:
     model = mechanism.model
     bodies = pin.buildGeomFromUrdf(model, str(robot.urdf), pin.GeometryType.COLLISION)
     bodies.addAllCollisionPairs()
@@ -173,7 +173,7 @@ def test_nothing_collides_in_the_named_configurations(robot: RobotFiles, mechani
             assert result.min_distance > 0.001, f"{names} in {name}"
 
 
-def test_the_srdf_names_what_is_there(robot: RobotFiles, document: ElementTree.Element, mechanism: Mechanism) -> None:
+def test_the_srdf_names_what_is_there(robot: RobotFiles, document: ElementTree.Element, mechanism: Robot) -> None:
     srdf = ElementTree.parse(robot.srdf).getroot()
     links = {link.get("name") for link in document.findall("link")}
     joints = set(mechanism.model.names) - {"universe"}
@@ -192,7 +192,7 @@ def test_the_srdf_names_what_is_there(robot: RobotFiles, document: ElementTree.E
 
 
 def test_the_weight_of_small_bodies_is_taken_out_of_their_neighbours(
-    mechanism: Mechanism, numbers_of: Callable[[str], dict[str, Any]]
+    mechanism: Robot, numbers_of: Callable[[str], dict[str, Any]]
 ) -> None:
     """The platform and the carriers of its joints weigh together what the YAML says, with their centre in the plate."""
     if mechanism.name == "pm3dof":

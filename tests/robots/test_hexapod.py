@@ -17,15 +17,11 @@ from pm3dof_pin.description.robots import find_robot, robots_directory
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
 from pm3dof_pin.export.description import description_files
 from pm3dof_pin.files import write_text_atomically
-from pm3dof_pin.mechanism import (
-    Configuration,
-    Mechanism,
-    actuation_jacobian,
-    generic_configuration,
-    instantaneous_mobility,
-    singularities,
-    tool_motions,
-)
+from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.mechanism.configuration import Configuration
 
 STRUTS = range(1, 7)
 TOOL_AT_HOME = np.array([0.0, 0.0, 0.135])
@@ -45,8 +41,8 @@ PUBLISHED = {
 
 
 @pytest.fixture(scope="module")
-def hexapod() -> Mechanism:
-    return Mechanism.load("hexapod")
+def hexapod() -> Robot:
+    return Robot.load("hexapod")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +108,7 @@ def test_the_numbers_of_the_source(base_joints: Matrix, platform_joints: Matrix)
     np.testing.assert_allclose(platform, [310, 50, 70, 170, 190, 290], atol=1e-12)
 
 
-def test_limits_and_springs_are_those_of_the_yaml(hexapod: Mechanism, numbers: dict[str, Any]) -> None:
+def test_limits_and_springs_are_those_of_the_yaml(hexapod: Robot, numbers: dict[str, Any]) -> None:
     for i in STRUTS:
         index = hexapod.single_joint(f"strut{i}_joint").q_index
         stroke = numbers["joints.strut_stroke"]
@@ -125,7 +121,7 @@ def test_limits_and_springs_are_those_of_the_yaml(hexapod: Mechanism, numbers: d
 # Kinematics
 
 
-def test_six_freedoms_and_no_redundant_constraint(hexapod: Mechanism) -> None:
+def test_six_freedoms_and_no_redundant_constraint(hexapod: Robot) -> None:
     for configuration in (hexapod.home, generic_configuration(hexapod.home)):
         mobility = instantaneous_mobility(configuration)
         assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (6, 6, 0)
@@ -133,7 +129,7 @@ def test_six_freedoms_and_no_redundant_constraint(hexapod: Mechanism) -> None:
         assert not singularities(configuration)
 
 
-def test_strut_lengths(hexapod: Mechanism, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix) -> None:
+def test_strut_lengths(hexapod: Robot, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix) -> None:
     at_home = np.linalg.norm(TOOL_AT_HOME + platform_joints - base_joints, axis=1)
     for row in coordinates:
         tool = TOOL_AT_HOME + row[:3]
@@ -145,7 +141,7 @@ def test_strut_lengths(hexapod: Mechanism, coordinates: Matrix, base_joints: Mat
         np.testing.assert_allclose(at_home + configuration.actuated_positions, expected, rtol=0, atol=1e-12)
 
 
-def test_lengths_give_the_pose_back(hexapod: Mechanism, coordinates: Matrix) -> None:
+def test_lengths_give_the_pose_back(hexapod: Robot, coordinates: Matrix) -> None:
     for row in coordinates[:10]:
         lengths = hexapod.at_motion_coordinates(row).actuated_positions
         np.testing.assert_allclose(hexapod.forward_geometry(lengths).motion_coordinates, row, rtol=0, atol=1e-11)
@@ -160,9 +156,7 @@ def _classic_rows(configuration: Configuration, base_joints: Matrix, platform_jo
     return np.hstack([directions, np.cross(arms, directions)])
 
 
-def test_actuation_jacobian(
-    hexapod: Mechanism, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix
-) -> None:
+def test_actuation_jacobian(hexapod: Robot, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix) -> None:
     for row in [np.zeros(6), *coordinates]:
         configuration = hexapod.at_motion_coordinates(row)
         rows = _classic_rows(configuration, base_joints, platform_joints)
@@ -180,7 +174,7 @@ def _struts_only(rows: Matrix, stiffness: float) -> Matrix:
 
 
 def test_the_published_compliance_to_its_printed_digits(
-    hexapod: Mechanism, base_joints: Matrix, platform_joints: Matrix
+    hexapod: Robot, base_joints: Matrix, platform_joints: Matrix
 ) -> None:
     formula = _struts_only(_classic_rows(hexapod.home, base_joints, platform_joints), 2e7)
     engine = cartesian_compliance(ElasticModel(hexapod), hexapod.home).compliance
@@ -195,7 +189,7 @@ def test_the_published_compliance_to_its_printed_digits(
 
 
 def test_compliance_away_from_home(
-    hexapod: Mechanism, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix
+    hexapod: Robot, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix
 ) -> None:
     elastic = ElasticModel(hexapod)
     scale = np.repeat([0.1, 1.0], 3)
@@ -220,7 +214,7 @@ def test_eight_struts_of_other_places(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump(tree), encoding="utf-8")
     for name, text in description_files("hexapod", config=tmp_path / "mine.yaml").items():
         write_text_atomically(tmp_path / name, text)
-    octopod = Mechanism.load(tmp_path / "urdf" / "octopod.urdf")
+    octopod = Robot.load(tmp_path / "urdf" / "octopod.urdf")
     assert octopod.home.closure_residual < 1e-12
     assert len(octopod.actuated_joints) == 8
     assert (instantaneous_mobility(octopod.home).count, len(octopod.named_configurations)) == (6, 8)

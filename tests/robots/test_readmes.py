@@ -11,7 +11,8 @@ import pytest
 
 from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
-from pm3dof_pin.mechanism import Mechanism, actuation_jacobian, independent_motions
+from pm3dof_pin.kinematics.actuation import actuation_jacobian, independent_motions
+from pm3dof_pin.kinematics.robot import Robot
 
 ROBOTS = ("hexapod", "three_rps")
 
@@ -70,7 +71,7 @@ def test_the_beam_machines_compliance() -> None:
 @pytest.mark.parametrize(("robot", "digits"), [("hexapod", 7), ("three_rps", 5)])
 def test_holding_forces_at_home(robot: str, digits: int) -> None:
     """Virtual power: the actuators' forces f hold the weight, A^T f = V^T g; every leg carries the same."""
-    mechanism = Mechanism.load(robot)
+    mechanism = Robot.load(robot)
     weight = pin.computeGeneralizedGravity(mechanism.model, mechanism.model.createData(), mechanism.home.q)
     forces = np.linalg.solve(actuation_jacobian(mechanism.home).T, independent_motions(mechanism.home).T @ weight)
     np.testing.assert_allclose(forces, forces[0], rtol=1e-9)

@@ -13,15 +13,11 @@ from scipy.linalg import block_diag
 
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
-from pm3dof_pin.mechanism import (
-    Configuration,
-    Mechanism,
-    actuation_jacobian,
-    generic_configuration,
-    instantaneous_mobility,
-    singularities,
-    tool_motions,
-)
+from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.mechanism.configuration import Configuration
 
 LEGS = (1, 2, 3)
 LEGS_ARE_AT = np.radians([0.0, 120.0, -120.0])
@@ -33,8 +29,8 @@ Numbers = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def machine() -> Mechanism:
-    return Mechanism.load("three_rps")
+def machine() -> Robot:
+    return Robot.load("three_rps")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +53,7 @@ def platform_joints(numbers: Numbers) -> Matrix:
 
 
 @pytest.fixture(scope="module")
-def configurations(machine: Mechanism) -> list[Configuration]:
+def configurations(machine: Robot) -> list[Configuration]:
     """Home and random heights and tilts."""
     random = np.random.default_rng(3).uniform(-1.0, 1.0, (12, 3)) * [0.05, 0.25, 0.25]
     return [machine.home, *(machine.at_motion_coordinates(row) for row in random)]
@@ -116,7 +112,7 @@ def test_tubes_weigh_what_their_steel_does(numbers: Numbers) -> None:
 # Freedoms
 
 
-def test_three_freedoms_and_fifteen_redundant_constraints(machine: Mechanism) -> None:
+def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> None:
     """27 equations on 15 joints leave 3 freedoms, so that 15 follow from others: five in each A."""
     assert [closure.type for closure in machine.closures] == ["6d"] * 3 + ["3d"] * 3
     for configuration in (machine.home, generic_configuration(machine.home)):
@@ -128,7 +124,7 @@ def test_three_freedoms_and_fifteen_redundant_constraints(machine: Mechanism) ->
 
 
 def test_leg_lengths(
-    configurations: list[Configuration], hinges: Matrix, platform_joints: Matrix, machine: Mechanism
+    configurations: list[Configuration], hinges: Matrix, platform_joints: Matrix, machine: Robot
 ) -> None:
     at_home = np.linalg.norm(_legs(machine.home, hinges, platform_joints)[1], axis=1)
     for configuration in configurations:
@@ -225,7 +221,7 @@ def test_the_frame_oracle_knows_a_cantilever() -> None:
 
 
 def test_stiffness_of_the_beam_machine(
-    machine: Mechanism,
+    machine: Robot,
     configurations: list[Configuration],
     hinges: Matrix,
     platform_joints: Matrix,
@@ -242,7 +238,7 @@ def test_stiffness_of_the_beam_machine(
         assert np.abs(computed.compliance * scale - compliance).max() < 1e-9 * np.abs(compliance).max()
 
 
-def test_each_spring_of_the_closures_file_counts(machine: Mechanism) -> None:
+def test_each_spring_of_the_closures_file_counts(machine: Robot) -> None:
     contributions = cartesian_compliance(ElasticModel(machine), machine.home).contributions
     assert len(contributions) == len(machine.springs) == 12
     for spring, part in zip(machine.springs, contributions, strict=True):

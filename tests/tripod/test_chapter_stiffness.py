@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
+from pm3dof_pin.chapter.kinematics import actuation_jacobian, link_jacobian
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.chapter_stiffness import AXES, chapter_stiffness, global_index
-from pm3dof_pin.tripod.kinematics import actuation_jacobian, link_jacobian
 
 
 def test_diagonal_equals_the_matrix_formula(tripod: Tripod, reachable_poses: np.ndarray) -> None:

@@ -8,10 +8,10 @@ import itertools
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod, kernels
+from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, direct_kinematics, newton
+from pm3dof_pin.chapter.kinematics import inverse_kinematics
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.tripod import Tripod, kernels
-from pm3dof_pin.tripod.direct_kinematics import all_assembly_modes, direct_kinematics, newton
-from pm3dof_pin.tripod.kinematics import inverse_kinematics
 
 
 def test_way_back_over_the_whole_workspace(tripod: Tripod, reachable_poses: np.ndarray) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.design_derivatives import DESIGN_PARAMETERS, design_derivatives
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.design_derivatives import DESIGN_PARAMETERS, design_derivatives
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
 
 ALPHA = np.radians([-30.0, 90.0, -150.0])
 DESIGN = {

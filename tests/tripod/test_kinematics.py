@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import (
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import (
     actuation_jacobian,
     assembly_mode_of,
     inverse_kinematics,
@@ -24,7 +23,8 @@ from pm3dof_pin.tripod.kinematics import (
     platform_joint_jacobians,
     rotation,
 )
-from pm3dof_pin.tripod.limits import limit_violations
+from pm3dof_pin.chapter.limits import limit_violations
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 
 # Table 8.1, typed here on purpose: the tests do not take their numbers from the file under test.
 ALPHA = np.radians([-30.0, 90.0, -150.0])

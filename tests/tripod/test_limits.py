@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
+from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
 from pm3dof_pin.exceptions import UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.tripod.limits import Limit, broken_limits, limit_violations
 
 
 def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.animation import aligned_ellipsoids, clips
 
@@ -55,7 +55,7 @@ def test_tracks() -> None:
     np.testing.assert_allclose(tracks[".quaternion"], [[0, 0, 0, 1], [0, 0, np.sin(1.5), np.cos(1.5)]], atol=1e-12)
 
 
-def test_bad_paths(mechanism: Mechanism) -> None:
+def test_bad_paths(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     home = mechanism.home
     with pytest.raises(InvalidValueError, match="two at least"):

@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 
 pytestmark = pytest.mark.browser
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.mark.parametrize("robot", ["hexapod", "three_rps"])
 def test_other_robots(page: Any, tmp_path: Path, robot: str) -> None:
-    mechanism = Mechanism.load(robot)
+    mechanism = Robot.load(robot)
     viewer = Viewer(mechanism)
     model = ElasticModel(mechanism)
     where = mechanism.home
@@ -49,7 +49,7 @@ def test_other_robots(page: Any, tmp_path: Path, robot: str) -> None:
 def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
     example_robot_data = pytest.importorskip("example_robot_data")
     arm = example_robot_data.load("ur5")
-    mechanism = Mechanism(arm.model, tool_frame="ee_link")
+    mechanism = Robot(arm.model, tool_frame="ee_link")
     viewer = Viewer(mechanism, visuals=arm.visual_model)
     where = mechanism.configuration([0.3, -1.2, 1.4, -1.0, -1.5, 0.2])
     viewer.display(where)
@@ -68,7 +68,7 @@ def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
     assert page.browser.errors == []
 
 
-def test_stick_figure(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+def test_stick_figure(page: Any, mechanism: Robot, tmp_path: Path) -> None:
     viewer = Viewer(mechanism, visuals=pin.GeometryModel())
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
     for leg in (1, 2, 3):
@@ -78,7 +78,7 @@ def test_stick_figure(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
     assert page.browser.errors == []
 
 
-def test_a_path_is_played(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+def test_a_path_is_played(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
     """At the time of a frame the bodies, ellipsoids and arrows are where that frame has them."""
     model = ElasticModel(mechanism)
     angles = np.linspace(0.0, 2.0 * np.pi, 9)
@@ -110,7 +110,7 @@ def test_a_path_is_played(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_p
     assert page.browser.errors == []
 
 
-def test_a_notebooks_copy(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+def test_a_notebooks_copy(page: Any, mechanism: Robot, tmp_path: Path) -> None:
     """The page inside a page, as a notebook shows it."""
     cell = Viewer(mechanism).jupyter_cell(height=500, static=True)
     file = tmp_path / "notebook.html"
@@ -121,7 +121,7 @@ def test_a_notebooks_copy(page: Any, mechanism: Mechanism, tmp_path: Path) -> No
     assert page.browser.errors == []
 
 
-def test_more_drawn_with_meshcat(page: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+def test_more_drawn_with_meshcat(page: Any, mechanism: Robot, tmp_path: Path) -> None:
     """Objects of meshcat's own package: a primitive, points with packed arrays, a transform, a property."""
     import warnings
 
@@ -151,7 +151,7 @@ def test_more_drawn_with_meshcat(page: Any, mechanism: Mechanism, tmp_path: Path
 def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path, size: str) -> None:
     """Of long and thin, and of bulky machines: no corner is cut off."""
     urdf = f'<robot name="r"><link name="b"><visual><geometry><box size="{size}"/></geometry></visual></link></robot>'
-    page.open(Viewer(Mechanism.load(write_robot(urdf))).save_html(tmp_path / "page.html").as_uri())
+    page.open(Viewer(Robot.load(write_robot(urdf))).save_html(tmp_path / "page.html").as_uri())
     whole = page.picture()
     page.ask("pm3dof.node('/robot').object.visible = false, pm3dof.viewer.set_dirty()")
     rows, columns = np.argwhere(np.abs(whole - page.picture()).max(axis=-1) > 0.1).T

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.bodies import bodies_of, body_placements, bounding_box
 
 URDF = """<robot name="robot">
@@ -31,7 +31,7 @@ Write = Callable[..., Path]
 
 
 def test_shapes(write_robot: Write) -> None:
-    mechanism = Mechanism.load(write_robot(URDF.format(mesh="")))
+    mechanism = Robot.load(write_robot(URDF.format(mesh="")))
     base, arm = bodies_of(mechanism)
     box, ball = base.parts
     (rod,) = arm.parts
@@ -47,7 +47,7 @@ def test_shapes(write_robot: Write) -> None:
     np.testing.assert_allclose(rod.placement[:3, :3] @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_placements_are_those_of_the_links(mechanism: Mechanism) -> None:
+def test_placements_are_those_of_the_links(mechanism: Robot) -> None:
     where = mechanism.at_motion_coordinates([0.2, -0.1, 0.01])
     placements = body_placements(bodies_of(mechanism), where)
     assert len(placements) == 14
@@ -58,7 +58,7 @@ def test_placements_are_those_of_the_links(mechanism: Mechanism) -> None:
 
 def test_the_box_around_a_mechanism(write_robot: Write) -> None:
     """Upright, the arm of length 1 reaches from z = 2 down to 1, or up to 3."""
-    mechanism = Mechanism.load(write_robot(URDF.format(mesh="")))
+    mechanism = Robot.load(write_robot(URDF.format(mesh="")))
     bodies = bodies_of(mechanism)
     np.testing.assert_allclose(
         bounding_box(bodies, mechanism.configuration([0.0])), [[-0.1, -0.2, -0.1], [1.0, 0.2, 2.05]], atol=1e-9
@@ -72,7 +72,7 @@ def test_the_box_around_a_mechanism(write_robot: Write) -> None:
 def test_meshes_have_their_scale(write_robot: Write, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"part.{suffix}"
     trimesh.creation.box([0.1, 0.2, 0.3]).export(file)
-    mechanism = Mechanism.load(write_robot(URDF.format(mesh=MESH.format(file=file))))
+    mechanism = Robot.load(write_robot(URDF.format(mesh=MESH.format(file=file))))
     arm = bodies_of(mechanism)[1]
     corners = arm.parts[-1].corners
     np.testing.assert_allclose(corners.min(axis=0), [0.9, -0.2, -0.3], atol=1e-6)
@@ -84,26 +84,26 @@ def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
     (tmp_path / "parts" / "meshes").mkdir(parents=True)
     trimesh.creation.icosphere(radius=0.1).export(tmp_path / "parts" / "meshes" / "ball.stl")
     mesh = MESH.format(file="package://parts/meshes/ball.stl")
-    mechanism = Mechanism.load(write_robot(URDF.format(mesh=mesh)))
+    mechanism = Robot.load(write_robot(URDF.format(mesh=mesh)))
     assert len(bodies_of(mechanism)[1].parts) == 2
 
 
 def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path) -> None:
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
     with pytest.raises(DescriptionError, match=r"robot\.urdf: visual: .*gone\.stl"):
-        bodies_of(Mechanism.load(urdf))
+        bodies_of(Robot.load(urdf))
 
 
 def test_the_urdf_is_found_beside_either_closures_file(write_robot: Write) -> None:
     urdf = write_robot(URDF.format(mesh=""))
-    assert [body.name for body in bodies_of(Mechanism.load(urdf))] == ["base", "arm"]
+    assert [body.name for body in bodies_of(Robot.load(urdf))] == ["base", "arm"]
     urdf.with_name("robot.closures.yaml").rename(urdf.with_name("robot.yaml"))
-    assert [body.name for body in bodies_of(Mechanism.load(urdf))] == ["base", "arm"]
+    assert [body.name for body in bodies_of(Robot.load(urdf))] == ["base", "arm"]
 
 
 def test_visuals_from_elsewhere(write_robot: Write) -> None:
     urdf = write_robot(URDF.format(mesh=""))
-    bare = Mechanism(pin.buildModelFromUrdf(str(urdf)))
+    bare = Robot(pin.buildModelFromUrdf(str(urdf)))
     assert [body.name for body in bodies_of(bare)] == ["universe", "turn"]  # a stick figure
     assert [body.name for body in bodies_of(bare, urdf)] == ["base", "arm"]
     geometry = pin.buildGeomFromUrdf(bare.model, str(urdf), pin.GeometryType.VISUAL)
@@ -112,7 +112,7 @@ def test_visuals_from_elsewhere(write_robot: Write) -> None:
 
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
 def test_stick_figures_join_at_the_closures(robot: str) -> None:
-    mechanism = Mechanism.load(robot)
+    mechanism = Robot.load(robot)
     bodies = bodies_of(mechanism, pin.GeometryModel())
     placements = body_placements(bodies, mechanism.home)
     balls = {part.name: placements[body.path] @ part.placement for body in bodies for part in body.parts}
@@ -125,5 +125,5 @@ def test_free_joints_and_several_freedoms() -> None:
     model = pin.Model()
     float_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
     model.addJoint(float_joint, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), "ball")
-    bodies = bodies_of(Mechanism(model))
+    bodies = bodies_of(Robot(model))
     assert [body.name for body in bodies] == ["float", "ball"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import block, ellipsoid, round_length, round_scale
 from pm3dof_pin.viewer.panel import numbers, scale_text, scientific
@@ -75,7 +75,7 @@ def test_flat_ellipsoids_keep_their_axes() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
-def test_bad_scale(scale: float, mechanism: Mechanism) -> None:
+def test_bad_scale(scale: float, mechanism: Robot) -> None:
     with pytest.raises(InvalidValueError, match="scale"):
         Viewer(mechanism).stiffness_ellipsoid(np.eye(6), scale=scale)
 
@@ -102,7 +102,7 @@ def test_numbers_in_words() -> None:
     assert scale_text(0.2 / 1.5, 0.2, "N", "arrow") == "arrow of 200 mm = 1.5 N"
 
 
-def test_ellipsoids_elsewhere_than_at_the_tool(mechanism: Mechanism) -> None:
+def test_ellipsoids_elsewhere_than_at_the_tool(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     frame = viewer.stiffness_ellipsoid(np.eye(6), at="E1")
     np.testing.assert_allclose(frame.position, mechanism.home.frame_placement("E1").translation)
@@ -113,7 +113,7 @@ def test_ellipsoids_elsewhere_than_at_the_tool(mechanism: Mechanism) -> None:
     )
 
 
-def test_scales_stay_for_comparison(mechanism: Mechanism) -> None:
+def test_scales_stay_for_comparison(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     first = viewer.stiffness_ellipsoid(3e6 * np.eye(6))
     viewer.display(mechanism.home)
@@ -122,7 +122,7 @@ def test_scales_stay_for_comparison(mechanism: Mechanism) -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"kind": "twist"}, {"of": "strength"}, {"others": "fixed"}])
-def test_words_that_do_not_exist_are_named(mechanism: Mechanism, wrong: dict[str, Any]) -> None:
+def test_words_that_do_not_exist_are_named(mechanism: Robot, wrong: dict[str, Any]) -> None:
     ((name, word),) = wrong.items()
     with pytest.raises(InvalidValueError, match=f"{name} = {word}: expected one of"):
         Viewer(mechanism).stiffness_ellipsoid(np.eye(6), **wrong)

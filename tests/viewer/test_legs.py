@@ -7,11 +7,11 @@ import pytest
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.legs import leg_numbers, leg_shares, leg_springs
 
 
-def test_legs_of_the_tripod(mechanism: Mechanism) -> None:
+def test_legs_of_the_tripod(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     assert leg_springs(model) == [
         ("actuator1", "link1"),
@@ -27,7 +27,7 @@ def test_legs_of_the_tripod(mechanism: Mechanism) -> None:
     assert numbers == expected  # the platform belongs to no leg
 
 
-def test_shares_add_up_over_a_leg(mechanism: Mechanism) -> None:
+def test_shares_add_up_over_a_leg(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     shares = {name: 2.0**-number for number, name in enumerate(model.spring_names)}
     found = leg_shares(model, shares)
@@ -42,12 +42,12 @@ def test_a_serial_robot_is_coloured_body_by_body() -> None:
     for name in ("a", "b", "c"):
         parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3.Random(), name)
     springs = [JointSpring(f"spring_{name}", name, 1.0, "N m/rad") for name in "ac"]
-    elastic = ElasticModel(Mechanism(model), springs)
+    elastic = ElasticModel(Robot(model), springs)
     assert leg_shares(elastic, {"spring_a": 0.25, "spring_c": 0.75}) == {1: 0.25, 3: 0.75}
 
 
 @pytest.mark.parametrize(("robot", "legs"), [("hexapod", 6), ("three_rps", 6)])
 def test_other_robots(robot: str, legs: int) -> None:
-    model = ElasticModel(Mechanism.load(robot))
+    model = ElasticModel(Robot.load(robot))
     assert len(leg_springs(model)) == legs
     assert sorted(name for springs in leg_springs(model) for name in springs) == sorted(model.spring_names)

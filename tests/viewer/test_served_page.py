@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
-def viewer(mechanism: Mechanism, tripod: Tripod) -> Iterator[Viewer]:
+def viewer(mechanism: Robot, tripod: Tripod) -> Iterator[Viewer]:
     with Viewer(mechanism, tripod=tripod) as started:
         yield started
 
@@ -47,7 +47,7 @@ def shows_pose(page: Any, pose: np.ndarray) -> None:
     )
 
 
-def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Mechanism, tripod: Tripod) -> None:
+def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
     opened(page, viewer)
     pose = np.array([0.25, -0.1, 0.47])
     where = mechanism.at_motion_coordinates(pose - [0.0, 0.0, tripod.height_home])
@@ -69,9 +69,7 @@ def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Mecha
     assert not page.is_visible("/ellipsoids/rotation")
 
 
-def test_the_sliders_live_in_the_served_page_too(
-    page: Any, viewer: Viewer, mechanism: Mechanism, tripod: Tripod
-) -> None:
+def test_the_sliders_live_in_the_served_page_too(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
     opened(page, viewer)
     theta_y = page.drag_slider("theta_y [deg]", 0.7)
     where = mechanism.at_motion_coordinates([0.0, np.radians(theta_y), 0.0])

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 from pm3dof_pin.exceptions import ServerError
-from pm3dof_pin.mechanism import Mechanism
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.server import is_loopback
 
 
 @pytest.fixture
-def viewer(mechanism: Mechanism) -> Iterator[Viewer]:
+def viewer(mechanism: Robot) -> Iterator[Viewer]:
     with Viewer(mechanism) as started:
         yield started
 
@@ -65,7 +65,7 @@ def test_other_addresses_of_this_machine_are_refused(viewer: Viewer) -> None:
         pass
 
 
-def test_everywhere_only_with_a_warning(mechanism: Mechanism, caplog: pytest.LogCaptureFixture) -> None:
+def test_everywhere_only_with_a_warning(mechanism: Robot, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING), Viewer(mechanism, host="0.0.0.0") as viewer:
         url = viewer.start()
         assert url.startswith("http://localhost:")
@@ -89,7 +89,7 @@ def test_what_is_loopback() -> None:
     assert not is_loopback("no such host.invalid")
 
 
-def test_a_taken_port(viewer: Viewer, mechanism: Mechanism) -> None:
+def test_a_taken_port(viewer: Viewer, mechanism: Robot) -> None:
     port = port_of(viewer.start())
     with (
         Viewer(mechanism, port=port) as other,
@@ -101,7 +101,7 @@ def test_a_taken_port(viewer: Viewer, mechanism: Mechanism) -> None:
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no such host.invalid"])
-def test_a_host_that_is_not_here(mechanism: Mechanism, host: str) -> None:
+def test_a_host_that_is_not_here(mechanism: Robot, host: str) -> None:
     with Viewer(mechanism, host=host, port=7321) as viewer, pytest.raises(ServerError, match="cannot listen on"):
         viewer.start()
 
@@ -135,7 +135,7 @@ def test_other_sites_cannot_listen_in(viewer: Viewer, origin: str | None, status
             assert answer.status == status
 
 
-def test_closing_leaves_nothing(mechanism: Mechanism) -> None:
+def test_closing_leaves_nothing(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     port = port_of(viewer.start())
     assert "scene server" in [thread.name for thread in threading.enumerate()]

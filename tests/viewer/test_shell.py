@@ -7,12 +7,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.chapter.kinematics import placement
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
-from pm3dof_pin.tripod.kinematics import placement
-from pm3dof_pin.tripod.limits import broken_limits
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.shell import Shell, scalar_quantities, scalar_quantity, tool_tips, workspace_shell
 
@@ -105,4 +105,4 @@ def test_bad_quantities(tripod: Tripod, name: str, words: str) -> None:
 
 def test_another_machines_workspace_is_refused(tripod: Tripod) -> None:
     with pytest.raises(InvalidValueError, match="joints differ"):
-        Viewer(Mechanism.load("hexapod")).workspace(tripod)
+        Viewer(Robot.load("hexapod")).workspace(tripod)

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.limits import limit_violations
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.mechanism import Configuration, Mechanism
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.limits import limit_violations
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.viewer import Viewer
 
 pytestmark = pytest.mark.browser
@@ -25,12 +26,12 @@ BODIES = ["base", "middle_platform", "passive_leg", "passive_cross", "platform"]
 BODIES += [f"{name}{leg}" for name in ("slider", "cross", "link") for leg in (1, 2, 3)]
 
 
-def at_pose(mechanism: Mechanism, tripod: Tripod, theta_x: float, theta_y: float, z_e: float) -> Configuration:
+def at_pose(mechanism: Robot, tripod: Tripod, theta_x: float, theta_y: float, z_e: float) -> Configuration:
     """The general engine's configuration, found by Newton's method from the URDF: degrees and metres."""
     return mechanism.at_motion_coordinates([np.radians(theta_x), np.radians(theta_y), z_e - tripod.height_home])
 
 
-def drawn_everything(mechanism: Mechanism, tripod: Tripod, where: Configuration, **options: Any) -> Viewer:
+def drawn_everything(mechanism: Robot, tripod: Tripod, where: Configuration, **options: Any) -> Viewer:
     """A viewer with all that the page can continue, drawn from the general engine."""
     viewer = Viewer(mechanism, tripod=tripod)
     model = ElasticModel(mechanism)
@@ -45,12 +46,12 @@ def drawn_everything(mechanism: Mechanism, tripod: Tripod, where: Configuration,
 
 
 @pytest.fixture(scope="module")
-def model(mechanism: Mechanism) -> ElasticModel:
+def model(mechanism: Robot) -> ElasticModel:
     return ElasticModel(mechanism)
 
 
 @pytest.fixture(scope="module")
-def saved(mechanism: Mechanism, tripod: Tripod, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(mechanism: Robot, tripod: Tripod, tmp_path_factory: pytest.TempPathFactory) -> Path:
     viewer = drawn_everything(mechanism, tripod, at_pose(mechanism, tripod, 10.0, -15.0, 0.5))
     return viewer.save_html(tmp_path_factory.mktemp("page") / "tripod.html")
 
@@ -85,7 +86,7 @@ def assert_machine(page: Any, where: Configuration) -> None:
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.493), (10.0, -15.0, 0.5), (-25.0, 20.0, 0.46)])
 def test_pictures_are_not_empty(
-    page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path, pose: tuple[float, float, float]
+    page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path, pose: tuple[float, float, float]
 ) -> None:
     """Hiding the machine, and an ellipsoid, changes what is seen; the machine fills the picture."""
     viewer = drawn_everything(mechanism, tripod, at_pose(mechanism, tripod, *pose))
@@ -110,7 +111,7 @@ def test_pictures_are_not_empty(
     assert page.browser.errors == []
 
 
-def test_the_tree_has_the_parts(shown: Any, mechanism: Mechanism) -> None:
+def test_the_tree_has_the_parts(shown: Any, mechanism: Robot) -> None:
     tree = shown.ask("""(() => {
         const paths = [];
         const walk = (node, path) => Object.entries(node.children).forEach(([name, child]) => {
@@ -129,7 +130,7 @@ def test_the_tree_has_the_parts(shown: Any, mechanism: Mechanism) -> None:
     assert shown.ask("document.title") == "pm3dof"
 
 
-def test_what_python_displays(shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel) -> None:
+def test_what_python_displays(shown: Any, mechanism: Robot, tripod: Tripod, model: ElasticModel) -> None:
     where = at_pose(mechanism, tripod, 10.0, -15.0, 0.5)
     assert_machine(shown, where)
     stiffness = cartesian_compliance(model, where).stiffness
@@ -150,7 +151,7 @@ def test_what_python_displays(shown: Any, mechanism: Mechanism, tripod: Tripod, 
         np.testing.assert_allclose(np.cross(arrow[:3, 2], tripod.guide_directions[leg]), 0.0, atol=1e-12)
 
 
-def test_a_slider_moves_the_machine(shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel) -> None:
+def test_a_slider_moves_the_machine(shown: Any, mechanism: Robot, tripod: Tripod, model: ElasticModel) -> None:
     """Dragged with the mouse; the machine, its ellipsoids, forces and colours then are those of the general engine."""
     theta_x = shown.drag_slider("theta_x [deg]", 0.33)
     z_e = shown.drag_slider("z_e [m]", 0.4)
@@ -192,7 +193,7 @@ def test_leg_colours(shown: Any) -> None:
     assert not np.allclose(shown.colour(slider), coloured, atol=1e-3)
 
 
-def test_home_button(shown: Any, mechanism: Mechanism) -> None:
+def test_home_button(shown: Any, mechanism: Robot) -> None:
     shown.drag_slider("theta_y [deg]", 0.8)
     shown.ask("pm3dof.viewer.gui_controllers.home.__li.querySelector('.property-name').click()")
     shown.browser.settle()
@@ -237,11 +238,11 @@ def test_below_the_clamp_there_is_no_stiffness(shown: Any, tripod: Tripod) -> No
 
 
 def test_closed_form_of_the_page(
-    shown: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel, reachable_poses: np.ndarray
+    shown: Any, mechanism: Robot, tripod: Tripod, model: ElasticModel, reachable_poses: np.ndarray
 ) -> None:
     """Travels, joints, closures, limits and stiffness at 200 poses, beside Python's closed form and general engine."""
-    from pm3dof_pin.tripod.elastic_stiffness import elastic_stiffness
-    from pm3dof_pin.tripod.kinematics import inverse_kinematics, joint_positions
+    from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+    from pm3dof_pin.chapter.kinematics import inverse_kinematics, joint_positions
 
     generator = np.random.default_rng(4)
     outside = generator.uniform([-1.0, -1.0, 0.39], [1.0, 1.0, 0.65], (100, 3))
@@ -314,7 +315,7 @@ def test_principal_axes_of_the_page(shown: Any) -> None:
 @pytest.mark.parametrize("of", ["stiffness", "compliance"])
 @pytest.mark.parametrize("others", ["free", "held"])
 def test_every_kind_of_ellipsoid_goes_on(
-    page: Any, mechanism: Mechanism, tripod: Tripod, model: ElasticModel, tmp_path: Path, of: str, others: str
+    page: Any, mechanism: Robot, tripod: Tripod, model: ElasticModel, tmp_path: Path, of: str, others: str
 ) -> None:
     viewer = drawn_everything(mechanism, tripod, mechanism.home, of=of, others=others)
     page.open(viewer.save_html(tmp_path / "page.html").as_uri())
@@ -337,7 +338,7 @@ def test_every_kind_of_ellipsoid_goes_on(
 
 
 def test_what_is_not_the_machines_own_is_left_behind(
-    page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path
+    page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path
 ) -> None:
     """An ellipsoid of other springs, and forces of another load, are of their pose only: hidden when a slider moves."""
     viewer = Viewer(mechanism, tripod=tripod)
@@ -351,7 +352,7 @@ def test_what_is_not_the_machines_own_is_left_behind(
     assert page.values("translation") == "drawn for another pose: hidden"
 
 
-def test_workspace_in_the_page(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+def test_workspace_in_the_page(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
     """The tip of the drawn tool is where the formula puts it, at a slider's pose too, and the box hides the shell."""
     from pm3dof_pin.viewer.shell import tool_tips
 

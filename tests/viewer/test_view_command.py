@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.kinematics.robot import Robot
 
 COMMAND = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "view"]
 
@@ -175,7 +175,7 @@ def test_a_page_of_a_pose_beyond_a_limit(tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_the_page_it_writes(page: Any, mechanism: Mechanism, tripod: Tripod, tmp_path: Path) -> None:
+def test_the_page_it_writes(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
     options = ["--shares", "z", "--frames", "--workspace", "felt_stiffness:z", "--of", "compliance", "--html"]
     result = run("10", "-15", "0.5", *options, "page.html", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

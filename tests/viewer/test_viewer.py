@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import BrowserError, FrameNotFoundError, InvalidValueError, OutputError
-from pm3dof_pin.mechanism import Mechanism
-from pm3dof_pin.tripod import Tripod
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.browser import VARIABLE, Browser, find_browser
 
@@ -22,7 +22,7 @@ def legend(viewer: Viewer) -> dict[str, dict[str, Any]]:
     return {entry["key"]: entry for entry in viewer.scene.panel["legend"]}
 
 
-def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: Mechanism) -> None:
+def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     viewer.stiffness_ellipsoid(np.eye(6))
     viewer.actuator_forces([1.0, 2.0, 3.0])
@@ -38,7 +38,7 @@ def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: M
     assert {"/ellipsoids/translation", "/forces/slider1_joint"} <= hidden
 
 
-def test_only_the_machines_own_goes_on(mechanism: Mechanism, tripod: Tripod) -> None:
+def test_only_the_machines_own_goes_on(mechanism: Robot, tripod: Tripod) -> None:
     """The page continues the elastic stiffness, holding forces and shares of the tripod itself, and nothing else."""
     from pm3dof_pin.dynamics import holding_forces
 
@@ -58,25 +58,25 @@ def test_only_the_machines_own_goes_on(mechanism: Mechanism, tripod: Tripod) -> 
     assert not legend(viewer)["translation_at_E1"]["live"]
 
 
-def test_nothing_goes_on_without_sliders(mechanism: Mechanism) -> None:
+def test_nothing_goes_on_without_sliders(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     viewer.stiffness_ellipsoid(cartesian_compliance(ElasticModel(mechanism), mechanism.home).stiffness)
     assert legend(viewer)["translation"]["live"] is None
     assert "machine" not in viewer.scene.panel
 
 
-def test_shares(mechanism: Mechanism) -> None:
+def test_shares(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     shares = Viewer(mechanism).colour_legs(model, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert sum(shares.values()) == pytest.approx(1.0)
     assert shares["passive_leg"] > 0.999  # at home nothing else gives sideways
     with pytest.raises(InvalidValueError, match="an elastic model of"):
-        Viewer(Mechanism.load("hexapod")).colour_legs(model)
+        Viewer(Robot.load("hexapod")).colour_legs(model)
 
 
-def test_the_tripod_has_to_be_this_mechanism(mechanism: Mechanism, tripod: Tripod) -> None:
+def test_the_tripod_has_to_be_this_mechanism(mechanism: Robot, tripod: Tripod) -> None:
     with pytest.raises(InvalidValueError, match="joints differ"):
-        Viewer(Mechanism.load("hexapod"), tripod=tripod)
+        Viewer(Robot.load("hexapod"), tripod=tripod)
     from dataclasses import replace
 
     longer = Tripod(replace(TripodParameters.load(), link_length=0.36))
@@ -84,10 +84,10 @@ def test_the_tripod_has_to_be_this_mechanism(mechanism: Mechanism, tripod: Tripo
         Viewer(mechanism, tripod=longer)
 
 
-def test_bad_input(mechanism: Mechanism) -> None:
+def test_bad_input(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     with pytest.raises(InvalidValueError, match="configuration"):
-        viewer.display(Mechanism.load("hexapod").home)
+        viewer.display(Robot.load("hexapod").home)
     with pytest.raises(InvalidValueError, match="forces"):
         viewer.actuator_forces([1.0, 2.0])
     with pytest.raises(InvalidValueError, match="scale"):
@@ -98,7 +98,7 @@ def test_bad_input(mechanism: Mechanism) -> None:
         viewer.stiffness_ellipsoid(np.eye(6), at="nowhere")
 
 
-def test_files_go_into_folders_that_exist(mechanism: Mechanism, tmp_path: Path) -> None:
+def test_files_go_into_folders_that_exist(mechanism: Robot, tmp_path: Path) -> None:
     viewer = Viewer(mechanism)
     for save in (viewer.save_html, viewer.save_picture):
         with pytest.raises(OutputError, match="there is no folder"):
@@ -108,7 +108,7 @@ def test_files_go_into_folders_that_exist(mechanism: Mechanism, tmp_path: Path) 
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
-def test_no_browser_to_take_pictures(mechanism: Mechanism, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_browser_to_take_pictures(mechanism: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path / "gone"))
     with pytest.raises(BrowserError, match=rf"{VARIABLE}=.*gone: expected the path of Chromium or Chrome"):
         Viewer(mechanism).save_picture(tmp_path / "picture.png")
@@ -126,7 +126,7 @@ def test_a_program_that_is_no_browser(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.browser
-def test_a_picture_is_written(browser: Any, mechanism: Mechanism, tmp_path: Path) -> None:
+def test_a_picture_is_written(browser: Any, mechanism: Robot, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     picture = imread(Viewer(mechanism).save_picture(tmp_path / "picture.png", width=400, height=300))
@@ -152,23 +152,23 @@ def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
         browser.open((tmp_path / "missing.html").as_uri())
 
 
-def test_loops_that_are_open_are_shown_as_they_are(mechanism: Mechanism, tripod: Tripod) -> None:
+def test_loops_that_are_open_are_shown_as_they_are(mechanism: Robot, tripod: Tripod) -> None:
     """Joints put together by hand: nothing is continued, and the page says how far the loops are open."""
     q = np.array(mechanism.home.q)
-    q[mechanism.coordinate_names.index("slider1_joint")] += 0.03
+    q[mechanism.q_names.index("slider1_joint")] += 0.03
     viewer = Viewer(mechanism, tripod=tripod)
     viewer.display(q)
     assert viewer.scene.panel["note"][-1] == "loops open by 3e-02 m"
     viewer.actuator_forces([1.0, 2.0, 3.0])
     assert legend(viewer)["forces"]["live"] is None
-    q[mechanism.coordinate_names.index("passive_slider_joint")] = 0.5
+    q[mechanism.q_names.index("passive_slider_joint")] = 0.5
     viewer.display(q)
     assert "out of reach" in viewer.scene.panel["warnings"][0]
     viewer.stiffness_ellipsoid(np.eye(6))
     assert legend(viewer)["translation"]["live"] is None
 
 
-def test_a_path_ends_when_something_else_is_displayed(mechanism: Mechanism) -> None:
+def test_a_path_ends_when_something_else_is_displayed(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     viewer.play([mechanism.home, mechanism.at_motion_coordinates([0.1, 0.0, 0.0])])
 

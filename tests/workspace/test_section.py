@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
+from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.tripod.limits import Limit, broken_limits, limit_violations
 from pm3dof_pin.workspace import WorkspaceSection, workspace_section
 
 HEIGHTS = (0.4, 0.4305, 0.487333, 0.53, 0.5535, 0.57)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
+from pm3dof_pin.chapter.limits import Limit, broken_limits
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.tripod import Tripod
-from pm3dof_pin.tripod.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.tripod.limits import Limit, broken_limits
 from pm3dof_pin.workspace import Workspace, height_range, workspace, workspace_section
 
 

@@ -1,0 +1,46 @@
+"""Arrays on their way in, checked, and on their way out, read-only."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Vector
+
+_Array = TypeVar("_Array", bound=NDArray[Any])
+
+
+def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
+    """Copy values into an array of finite numbers.
+
+    Args:
+        name: what the values are, for the message.
+        values: the numbers.
+        shapes: the shapes they may have.
+
+    Raises:
+        InvalidValueError: they are no numbers, not finite, or of another shape.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(name, values, "numbers") from error
+    if array.shape not in shapes:
+        raise InvalidValueError(name, f"an array of shape {array.shape}", f"shape {' or '.join(map(str, shapes))}")
+    if not np.isfinite(array).all():
+        raise InvalidValueError(name, array, "finite numbers")
+    return array
+
+
+def listed(numbers: Vector) -> str:
+    """Write the numbers of a vector in one line, for a message: (0.1 0 -2.5)."""
+    return f"({' '.join(f'{number:.4g}' for number in numbers)})"
+
+
+def frozen(array: _Array) -> _Array:
+    """Make an array read-only and return it."""
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,86 @@
+"""The stiffness of the chapter's section 8.2.3: a diagonal, as it was recovered from Table 8.3.
+
+The chapter prints coefficients and results, not the computation between them. What gives its numbers is, per axis,
+
+    motion axes       diag(k_t J_a^T J_a + k_a J_t^T J_t + diag(k_b, k_b, 0)),  k_b = E I / L^3,  L = z_e - z_b
+    constrained axes  T_x = T_y = k_b / L^2,  theta_z = G J / L^2
+    global            mean of the six
+
+It adds actuator and link as if they stood side by side, and its coefficients of the passive leg have other dimensions
+than the axes they are put on: it is the published index, not the stiffness a probe would feel at the tool.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.chapter import kernels
+from pm3dof_pin.chapter.reach import require_reach
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
+
+AXES = ("theta_x", "theta_y", "t_z", "t_x", "t_y", "theta_z")
+UNITS = {"theta_x": "N m/rad", "theta_y": "N m/rad", "t_z": "N/m", "t_x": "N/m", "t_y": "N/m", "theta_z": "N m/rad"}
+
+
+def chapter_stiffness(
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, unreachable: Literal["raise", "nan"] = "raise"
+) -> Array:
+    """Return the chapter's diagonal stiffness at each pose.
+
+    Args:
+        tripod: the machine.
+        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
+        assembly_mode: -1 or +1, once or for each leg.
+        unreachable: "raise", or "nan" to mark poses out of reach in the result.
+
+    Returns:
+        Stiffness in the order of :data:`AXES`, units of :data:`UNITS`, shape=(..., 6).
+
+    Raises:
+        UnreachablePoseError: a link cannot meet its guideway, and `unreachable` is "raise".
+        InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
+    """
+    pose_array, modes = tripod.checked(poses, assembly_mode)
+    if unreachable == "raise":
+        require_reach(tripod, pose_array, kernels.slider_travel(pose_array, tripod.legs, modes))
+        require_above_clamp(tripod, pose_array)
+    diagonal: Array = kernels.chapter_diagonal(pose_array, tripod.legs, modes, spring_table(tripod))
+    return diagonal
+
+
+def spring_table(tripod: Tripod) -> Array:
+    """Return k_a, k_t [N/m], E I, G J [N m^2], z_b [m] and an unused place, as the compiled kernels take them."""
+    p = tripod.parameters
+    springs = [p.actuator_stiffness, p.link_stiffness, p.bending_stiffness, p.torsional_stiffness]
+    return np.array([*springs, tripod.clamp_height, 0.0])
+
+
+def require_above_clamp(tripod: Tripod, poses: Array) -> None:
+    """Check that the passive leg sticks out of the middle platform at every pose.
+
+    Raises:
+        InvalidValueError: a pose is at or below the clamp.
+    """
+    if np.any(poses[..., 2] <= tripod.clamp_height):
+        expected = f"more than {tripod.clamp_height:.6g} m, where the middle platform clamps the passive leg"
+        raise InvalidValueError("z_e", float(poses[..., 2].min()), expected)
+
+
+def global_index(diagonal: ArrayLike) -> Array:
+    """Return the chapter's global stiffness, the mean of the six diagonal entries.
+
+    It adds N/m and N m/rad and so depends on the unit of length; it is reported because the chapter reports it.
+
+    Args:
+        diagonal: result of :func:`chapter_stiffness`, shape=(..., 6).
+
+    Returns:
+        shape=(...).
+    """
+    mean: Array = np.asarray(diagonal, dtype=float).mean(axis=-1)
+    return mean

@@ -1,0 +1,126 @@
+"""The printed working ranges beside the reachable set of the machine's own parameters: where they agree, where not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.chapter.kinematics import inverse_kinematics
+from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.typing import Array
+from pm3dof_pin.workspace import Workspace
+
+_BOX_TILTS, _BOX_HEIGHTS = 80, 84  # cells of the printed box: 1 deg and 2 mm with the chapter's ranges
+
+
+@dataclass(frozen=True)
+class RangeStatement:
+    """One comparison of a printed range with the computed one.
+
+    Attributes:
+        subject: what is compared: z_e, slider_travel, theta_x, theta_y, box, or binding_limits.
+        printed: the printed numbers, or none [unit].
+        computed: the computed numbers; of the binding limits, the shares in the order of Limit [unit].
+        unit: "m", "rad" or "1".
+        text: the comparison in words, angles in degrees.
+    """
+
+    subject: str
+    printed: tuple[float, ...]
+    computed: tuple[float, ...]
+    unit: str
+    text: str
+
+
+def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[RangeStatement]:
+    """Compare the chapter's working ranges of theta_x, theta_y and z_e with what its parameters give.
+
+    Args:
+        tripod: the machine; the printed ranges are part of its parameters.
+        workspace: its reachable set over all heights.
+
+    Returns:
+        Statements with their numbers, in the order a reader wants them.
+    """
+    return [
+        _heights(tripod, workspace),
+        _travel_at_printed_heights(tripod),
+        _tilts(tripod, workspace, 0),
+        _tilts(tripod, workspace, 1),
+        _box(tripod, workspace),
+        _binding_limits(workspace),
+    ]
+
+
+def _heights(tripod: Tripod, workspace: Workspace) -> RangeStatement:
+    printed, computed = tripod.parameters.height_range, workspace.height_range
+    shift = 1e3 * (computed - printed)
+    text = (
+        f"z_e runs from {computed[0]:.4f} to {computed[1]:.4f} m, printed {printed[0]:.3f} to {printed[1]:.3f} m: "
+        f"{shift[0]:+.1f} mm at the lower end, {shift[1]:+.1f} mm at the upper"
+    )
+    return RangeStatement("z_e", _numbers(printed), _numbers(computed), "m", text)
+
+
+def _travel_at_printed_heights(tripod: Tripod) -> RangeStatement:
+    """Slider travel of the level platform at the printed heights, NaN where no travel brings it there."""
+    printed = tripod.parameters.height_range
+    stops = tripod.bounds[:2]
+    poses = np.stack([np.zeros(2), np.zeros(2), printed], axis=-1)
+    travel = inverse_kinematics(tripod, poses, unreachable="nan")[:, 0]
+    text = (
+        f"a level platform at the printed heights needs the sliders at {travel[0]:.4f} and {travel[1]:.4f} m; "
+        f"they run from {stops[0]:.4f} to {stops[1]:.4f} m"
+    )
+    return RangeStatement("slider_travel", _numbers(stops), _numbers(travel), "m", text)
+
+
+def _tilts(tripod: Tripod, workspace: Workspace, axis: int) -> RangeStatement:
+    name = ("theta_x", "theta_y")[axis]
+    printed, computed = tripod.parameters.tilt_range, workspace.tilt_ranges[axis]
+    heights = workspace.tilt_range_heights[axis]
+    ranges = np.array([section.tilt_ranges[axis] for section in workspace.sections if not section.empty])
+    both_sides = float(np.minimum(-ranges[:, 0], ranges[:, 1]).max())
+    low, high, least, greatest, both = np.degrees([*printed, *computed, both_sides])
+    text = (
+        f"{name} runs from {least:.1f} deg (at z_e = {heights[0]:.4f} m) to {greatest:.1f} deg "
+        f"(at {heights[1]:.4f} m), printed {low:.0f} to {high:.0f} deg; "
+        f"to both sides at one height it reaches {both:.1f} deg"
+    )
+    return RangeStatement(name, _numbers(printed), (*_numbers(computed), both_sides), "rad", text)
+
+
+def _box(tripod: Tripod, workspace: Workspace) -> RangeStatement:
+    """Share of the printed box that is reachable, and share of the reachable set in the box, by counting cells."""
+    tilt, height = _numbers(tripod.parameters.tilt_range), _numbers(tripod.parameters.height_range)
+    tilts, heights = _cell_centres(tilt[0], tilt[1], _BOX_TILTS), _cell_centres(height[0], height[1], _BOX_HEIGHTS)
+    poses = np.stack(np.meshgrid(tilts, tilts, heights, indexing="ij"), axis=-1)
+    filled = float(np.mean(broken_limits(tripod, poses) == 0))
+    inside = filled * (tilt[1] - tilt[0]) ** 2 * (height[1] - height[0]) / workspace.volume
+    text = (
+        f"{filled:.1%} of the printed box of theta_x, theta_y and z_e is within all joint limits; "
+        f"{inside:.1%} of the reachable set is in the box"
+    )
+    return RangeStatement("box", (1.0,), (filled, inside), "1", text)
+
+
+def _cell_centres(first: float, last: float, count: int) -> Array:
+    return first + (last - first) * (np.arange(count) + 0.5) / count
+
+
+def _binding_limits(workspace: Workspace) -> RangeStatement:
+    shares = workspace.limit_shares
+    binding = ", ".join(f"{_word(limit)} {share:.0%}" for limit, share in shares.items() if share > 0.0)
+    idle = ", ".join(_word(limit) for limit, share in shares.items() if share == 0.0)
+    text = f"limits that end the reachable set, by their share of the boundary: {binding}; never: {idle or 'none'}"
+    return RangeStatement("binding_limits", (), tuple(shares.values()), "1", text)
+
+
+def _word(limit: Limit) -> str:
+    return str(limit.name).lower()
+
+
+def _numbers(values: Array) -> tuple[float, ...]:
+    return tuple(map(float, values))

@@ -1,0 +1,1 @@
+"""Geometric errors of any mechanism: parameters, sensitivities, error maps, tolerances, pose errors."""

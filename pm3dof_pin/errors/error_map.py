@@ -1,0 +1,246 @@
+"""Error maps: how errors of parts become errors of the tool, pose by pose, and what of them commands can undo.
+
+To first order dx = S p, with S the sensitivities and p the errors of the parts. A corrected command moves the tool by
+C du. In the tip-weighted metric, W = diag(1, 1, 1, eta, eta, eta), the best du leaves (1 - W C (W C)^+) W S p: what no
+command can remove. With fewer than six drives that is a good part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
+from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
+
+_CONTROL_TOLERANCE = 1e-9
+_NOTHING = 1e-20  # of the squared error: what rounding leaves of errors that commands undo altogether
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterShare:
+    """The part of one parameter in the errors of the tool.
+
+    Attributes:
+        name: the parameter.
+        group: its class of parts.
+        share: its part of the mean squared tip error over the map; all add up to 1.
+        uncompensable_share: its part of what commands cannot undo; 0 if they can undo everything.
+        tip_rms: tip error that it alone causes within its tolerance, root mean square over the map [m].
+    """
+
+    name: str
+    group: str
+    share: float
+    uncompensable_share: float
+    tip_rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorMap:
+    """First-order errors of the tool at n poses.
+
+    Attributes:
+        errors: the parameters, with their tolerances.
+        poses: the poses, of the mechanism as described.
+        sensitivities: the tool's motion by errors and commands.
+        sigmas: standard deviation of each parameter, shape=(number of parameters,) [m, rad].
+        eta: weight of the orientation in the tip error [m/rad].
+    """
+
+    errors: GeometricErrors
+    poses: Poses
+    sensitivities: Sensitivities
+    sigmas: Array
+    eta: float
+
+    @cached_property
+    def weighted(self) -> Array:
+        """W S, shape=(n, 6, number of parameters) [m a unit of the parameter]."""
+        return frozen(self.sensitivities.errors * tip_weights(self.eta)[:, None])
+
+    @cached_property
+    def uncompensable(self) -> Array:
+        """The part of W S that no command can undo, shape=(n, 6, number of parameters)."""
+        control = self.sensitivities.commands * tip_weights(self.eta)[:, None]
+        left, values, _ = np.linalg.svd(control, full_matrices=False)
+        used = left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :]
+        return frozen(self.weighted - used @ (np.swapaxes(used, 1, 2) @ self.weighted))
+
+    @property
+    def tip_rms(self) -> Array:
+        """Root-sum-square tip error of all parameters, shape=(n,) [m]."""
+        return _root_sum_square(self.weighted * self.sigmas)
+
+    @property
+    def position_rms(self) -> Array:
+        """Root-sum-square error of the tool point, shape=(n,) [m]."""
+        return _root_sum_square((self.sensitivities.errors * self.sigmas)[:, :3])
+
+    @property
+    def orientation_rms(self) -> Array:
+        """Root-sum-square error of the orientation, shape=(n,) [rad]."""
+        return _root_sum_square((self.sensitivities.errors * self.sigmas)[:, 3:])
+
+    @property
+    def uncompensable_rms(self) -> Array:
+        """Tip error that is left with the best commands, shape=(n,) [m]."""
+        return _root_sum_square(self.uncompensable * self.sigmas)
+
+    @property
+    def compensable_rms(self) -> Array:
+        """Tip error that the best commands undo: the rest, at right angles to what is left, shape=(n,) [m]."""
+        return _root_sum_square((self.weighted - self.uncompensable) * self.sigmas)
+
+    @property
+    def worst_case(self) -> Array:
+        """Greatest error of each component while all parameters stay within their tolerances, shape=(n, 6) [m, rad]."""
+        return np.asarray(np.abs(self.sensitivities.errors) @ self.errors.tolerances)
+
+    @property
+    def worst_tip(self) -> Array:
+        """A tip error that is not exceeded while all parameters stay within their tolerances, shape=(n,) [m].
+
+        The smaller of two bounds: of the worst components together, and of the sum of what each parameter does.
+        """
+        together = np.linalg.norm(self.worst_case * tip_weights(self.eta), axis=1)
+        added = np.linalg.norm(self.weighted, axis=1) @ self.errors.tolerances
+        return np.asarray(np.minimum(together, added))
+
+    def covariance(self) -> Array:
+        """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
+        scaled = self.sensitivities.errors * self.sigmas
+        return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
+
+    def ranking(self) -> list[ParameterShare]:
+        """Return all parameters, the most critical first."""
+        squares = _mean_squares(self.weighted * self.sigmas)
+        left = _mean_squares(self.uncompensable * self.sigmas)
+        if left.sum() < _NOTHING * squares.sum():
+            left[:] = 0.0
+        shares = [
+            ParameterShare(
+                parameter.name,
+                parameter.group,
+                float(squares[k] / squares.sum()),
+                float(left[k] / left.sum()) if left.sum() > 0.0 else 0.0,
+                float(np.sqrt(squares[k])),
+            )
+            for k, parameter in enumerate(self.errors.parameters)
+        ]
+        return sorted(shares, key=lambda share: -share.share)
+
+    def least_sensitive(self, part: float = 0.2) -> NDArray[np.bool_]:
+        """Tell which poses are in the region least sensitive to errors, shape=(n,).
+
+        Args:
+            part: of all poses, the part with the smallest tip error.
+
+        Raises:
+            InvalidValueError: the part is not in (0, 1].
+        """
+        if not 0.0 < part <= 1.0:
+            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
+        size = self.tip_rms
+        return np.asarray(size <= np.sort(size)[max(1, round(part * len(size))) - 1])
+
+
+def error_map(
+    errors: GeometricErrors,
+    poses: Poses,
+    *,
+    eta: float = TIP_LENGTH,
+    distribution: Distribution = "normal",
+) -> ErrorMap:
+    """Compute the errors of the tool that tolerances of the parts lead to.
+
+    Args:
+        errors: the parameters, with their tolerances.
+        poses: poses of the mechanism as described.
+        eta: weight of the orientation in the tip error [m/rad].
+        distribution: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions.
+
+    Raises:
+        InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
+        SingularConfigurationError: at a pose the tool can move with all commands held.
+    """
+    if not len(poses) or not len(errors):
+        raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
+    sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / np.sqrt(3.0)
+    return ErrorMap(errors, poses, sensitivities(errors, poses), frozen(np.array(sigmas)), eta)
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarlo:
+    """Errors of simulated machines, found by closing their loops: no linearisation.
+
+    Attributes:
+        values: p of each machine, shape=(machines, number of parameters) [m, rad].
+        differences: pose errors at fixed commands [translation; rotation vector], shape=(machines, n, 6) [m, rad].
+    """
+
+    values: Array
+    differences: Array
+
+    def tip_rms(self, eta: float = TIP_LENGTH) -> Array:
+        """Return the root mean square tip error over the machines, shape=(n,) [m]."""
+        return np.asarray(np.sqrt(np.mean(np.sum((self.differences * tip_weights(eta)) ** 2, axis=2), axis=0)))
+
+
+def monte_carlo(
+    errors: GeometricErrors,
+    poses: Poses,
+    machines: int,
+    generator: np.random.Generator,
+    *,
+    distribution: Distribution = "normal",
+) -> MonteCarlo:
+    """Draw machines within the tolerances and find where their tools really are.
+
+    Args:
+        errors: the parameters, with their tolerances.
+        poses: poses of the mechanism as described.
+        machines: number of machines.
+        generator: source of the random numbers.
+        distribution: what the tolerances are.
+
+    Raises:
+        ConvergenceError: the loops of a machine do not close at a command.
+    """
+    values = np.array([errors.sample(generator, distribution) for _ in range(machines)])
+    differences = [
+        pose_difference(poses.transforms, errors.apply(p).forward(poses.commands, guess=poses.q).transforms)
+        for p in values
+    ]
+    return MonteCarlo(frozen(values), frozen(np.array(differences)))
+
+
+def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+    """Return the change of commands that undoes most of small pose errors, shape=(n, number of actuated joints).
+
+    Args:
+        commands: the tool's motion by the commands, shape=(n, 6, number of actuated joints).
+        differences: pose errors, shape=(n, 6) [m, rad].
+        eta: weight of the orientation [m/rad].
+    """
+    weights = tip_weights(eta)
+    control = np.asarray(commands, dtype=float) * weights[:, None]
+    wanted = np.asarray(differences, dtype=float) * weights
+    return np.asarray(-np.einsum("nij,nj->ni", np.linalg.pinv(control, rcond=_CONTROL_TOLERANCE), wanted))
+
+
+def _root_sum_square(effects: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum(effects**2, axis=(1, 2))))
+
+
+def _mean_squares(effects: Array) -> Array:
+    """Mean over the poses of what each parameter adds to the squared tip error, shape=(number of parameters,)."""
+    return np.asarray(np.mean(np.sum(effects**2, axis=1), axis=0))

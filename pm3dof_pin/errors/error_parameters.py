@@ -1,0 +1,453 @@
+"""Geometric errors of any mechanism: where a joint or frame really sits, as named parameters with tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Matrix, Vector
+
+Motion = Literal["translation", "rotation"]
+Distribution = Literal["normal", "uniform"]
+
+LENGTH_TOLERANCE = 1e-4
+"""Tolerance of a length where none is given [m]."""
+ANGLE_TOLERANCE = 5e-4
+"""Tolerance of an angle where none is given [rad]: 0.1 mm over 0.2 m."""
+
+_NEARLY_PARALLEL = 0.99
+
+
+@dataclass(frozen=True)
+class GeometricParameter:
+    """One small displacement of a joint or frame from where the description has it.
+
+    Everything that hangs on the place moves with it. A displacement along (about) the axis of a prismatic (revolute)
+    joint is an offset of its coordinate: the actuator's zero.
+
+    Attributes:
+        name: its name, `place.tx` or `place.rz` as a rule.
+        place: the joint or frame.
+        motion: "translation" or "rotation".
+        axis: unit vector in the place's own axes, those of its origin before the joint moves.
+        group: class of parts it belongs to: legs, platform, tool ...
+        tolerance: standard deviation of a normal, or half width of a uniform distribution [m, rad].
+    """
+
+    name: str
+    place: str
+    motion: Motion
+    axis: tuple[float, float, float]
+    group: str
+    tolerance: float
+
+    @property
+    def unit(self) -> str:
+        """Return "m" or "rad"."""
+        return "m" if self.motion == "translation" else "rad"
+
+
+class GeometricErrors:
+    """The geometric error parameters of one mechanism. Not to be changed once made.
+
+    The parameters p at one place displace its placement M to M D, D = (exp3(sum of the rotations), sum of the
+    translations), in the place's own axes: finite, not linearised.
+
+    Example:
+        >>> errors = GeometricErrors.load("pm3dof")
+        >>> errors.apply({"slider1_joint.tx": 1e-4}).forward([0.24, 0.24, 0.24])
+
+    Args:
+        mechanism: the mechanism as described.
+        parameters: what may be wrong; by default everything, see :func:`all_parameters`. Redundant parameters do no
+            harm: :mod:`pm3dof_pin.calibration.identifiability` finds them.
+        command_offsets: what the command of each actuated joint reads at joint coordinate 0, shape=(number of actuated
+            joints,) [m, rad]; 0 by default.
+
+    Attributes:
+        mechanism: the mechanism as described.
+        parameters: the parameters, in the order of p.
+        names: their names.
+        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
+        command_offsets: see the argument.
+
+    Raises:
+        InvalidValueError: two parameters have one name, an axis is no unit vector, or a tolerance is not positive.
+        FrameNotFoundError: a place is neither a joint nor a frame of the mechanism.
+    """
+
+    def __init__(
+        self,
+        mechanism: Robot,
+        parameters: Iterable[GeometricParameter] | None = None,
+        *,
+        command_offsets: ArrayLike | None = None,
+    ) -> None:
+        self.mechanism = mechanism
+        self.parameters = tuple(all_parameters(mechanism) if parameters is None else parameters)
+        self.names = tuple(parameter.name for parameter in self.parameters)
+        self._index = {name: index for index, name in enumerate(self.names)}
+        _check(self.parameters)
+        self.tolerances = frozen(np.array([parameter.tolerance for parameter in self.parameters], dtype=float))
+        actuated = len(mechanism.actuated_joints)
+        offsets = np.zeros(actuated) if command_offsets is None else command_offsets
+        self.command_offsets = frozen(finite_array("command_offsets", offsets, (actuated,)))
+        self._places = _places_in_order(mechanism, {parameter.place for parameter in self.parameters})
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> GeometricErrors:
+        """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
+
+        Args:
+            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+
+        Raises:
+            UnknownRobotError: no such robot.
+            DescriptionError: a file is unreadable or not of its form.
+            FrameNotFoundError: a file names a joint or frame that the URDF does not have.
+        """
+        files = find_robot(name_or_path)
+        mechanism = Robot.load(name_or_path)
+        path = files.urdf.with_suffix(".errors.yaml")
+        if not path.is_file():
+            return cls(mechanism)
+        file = read_error_file(path)
+        return cls(mechanism, _parameters_of(mechanism, file), command_offsets=_command_offsets(mechanism, file))
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{len(self.indices(group))} {group}" for group in self.groups)
+        return f"GeometricErrors({self.mechanism.name}: {len(self)} parameters: {counts})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild, (self.mechanism, self.parameters, np.array(self.command_offsets))
+
+    @cached_property
+    def groups(self) -> tuple[str, ...]:
+        """Classes of parts, in the order of their first parameter."""
+        return tuple(dict.fromkeys(parameter.group for parameter in self.parameters))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter, "m" or "rad"."""
+        return tuple(parameter.unit for parameter in self.parameters)
+
+    @property
+    def zeros(self) -> Vector:
+        """The p of the mechanism as described, shape=(number of parameters,)."""
+        return np.zeros(len(self))
+
+    def indices(self, group: str) -> NDArray[np.intp]:
+        """Return the indices in p of a class of parts.
+
+        Raises:
+            InvalidValueError: there is no such class.
+        """
+        found = np.array([k for k, parameter in enumerate(self.parameters) if parameter.group == group], dtype=np.intp)
+        if not found.size:
+            raise InvalidValueError("group", group, f"one of {', '.join(self.groups)}")
+        return found
+
+    def select(self, names: Iterable[str]) -> GeometricErrors:
+        """Return the errors with these parameters only, in this order.
+
+        Raises:
+            InvalidValueError: there is no parameter of this name.
+        """
+        chosen = [self.parameters[self._parameter(name)] for name in names]
+        return GeometricErrors(self.mechanism, chosen, command_offsets=self.command_offsets)
+
+    def without(self, names: Iterable[str]) -> GeometricErrors:
+        """Return the errors without these parameters.
+
+        Raises:
+            InvalidValueError: there is no parameter of this name.
+        """
+        dropped = {self._parameter(name) for name in names}
+        return self.select(name for index, name in enumerate(self.names) if index not in dropped)
+
+    def values(self, values: ArrayLike | Mapping[str, float]) -> Vector:
+        """Return p as a checked array.
+
+        Args:
+            values: p, shape=(number of parameters,) [m, rad], or some parameters by name, the others being 0.
+
+        Raises:
+            InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
+        """
+        if isinstance(values, Mapping):
+            p = self.zeros
+            for name, value in values.items():
+                p[self._parameter(name)] = value
+            values = p
+        return finite_array("geometric errors", values, (len(self),))
+
+    def named(self, values: ArrayLike | Mapping[str, float]) -> dict[str, float]:
+        """Return p by name [m, rad]."""
+        return dict(zip(self.names, self.values(values).tolist(), strict=True))
+
+    def sample(self, generator: np.random.Generator, distribution: Distribution = "normal") -> Vector:
+        """Draw p at random within its tolerances.
+
+        Args:
+            generator: source of the random numbers.
+            distribution: "normal", the tolerance being the standard deviation, or "uniform", it being the half width.
+        """
+        unit = (
+            generator.standard_normal(len(self))
+            if distribution == "normal"
+            else generator.uniform(-1.0, 1.0, len(self))
+        )
+        return self.tolerances * unit
+
+    def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
+        """Return the displacement D of each place, in its own axes, places nearer to the root first."""
+        p = self.values(values)
+        turns = {place: np.zeros(3) for place in self._places}
+        shifts = {place: np.zeros(3) for place in self._places}
+        for value, parameter in zip(p, self.parameters, strict=True):
+            (shifts if parameter.motion == "translation" else turns)[parameter.place] += value * np.array(
+                parameter.axis
+            )
+        return {place: pin.SE3(pin.exp3(turns[place]), shifts[place]) for place in self._places}
+
+    def local_twists(self, values: ArrayLike | Mapping[str, float]) -> Matrix:
+        """Return the twist of each place against its parameters, in the axes of the displaced place.
+
+        Returns:
+            Columns [v; omega] at the place's origin, shape=(6, number of parameters). At p = 0 they are the axes; the
+            derivative of exp3 makes them exact elsewhere.
+        """
+        displacements = self.displacements(values)
+        columns = np.zeros((6, len(self)))
+        for index, parameter in enumerate(self.parameters):
+            rotation, axis = displacements[parameter.place].rotation, np.array(parameter.axis)
+            if parameter.motion == "translation":
+                columns[:3, index] = rotation.T @ axis
+            else:
+                columns[3:, index] = pin.Jexp3(pin.log3(rotation)) @ axis
+        return columns
+
+    def apply(self, values: ArrayLike | Mapping[str, float]) -> Robot:
+        """Build the mechanism with these errors, as a new one.
+
+        Args:
+            values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
+
+        Raises:
+            InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
+        """
+        nominal = self.mechanism
+        model = nominal.model.copy()
+        for place, displacement in self.displacements(values).items():
+            if model.existJointName(place):
+                joint = model.getJointId(place)
+                model.jointPlacements[joint] = model.jointPlacements[joint] * displacement
+            else:
+                _displace_frame(model, nominal.frame_id(place), displacement)
+        return nominal.replace(model=model)
+
+    def _parameter(self, name: str) -> int:
+        if name not in self._index:
+            raise InvalidValueError("geometric parameter", name, f"one of {', '.join(self.names)}")
+        return self._index[name]
+
+
+def all_parameters(
+    mechanism: Robot, *, length_tolerance: float = LENGTH_TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE
+) -> tuple[GeometricParameter, ...]:
+    """Return everything that can sit wrong: six parameters for each joint and for the tool, and the closure points.
+
+    A closure point (3d) has three, a closure frame (6d) six. A frame that is a moving link itself has none of its own,
+    nor has a joint with six freedoms. Classes: "legs" for what does not carry the tool, "tool_chain" for the joints
+    that do, "platform" for closure frames on them, "tool" for the tool frame.
+
+    Args:
+        mechanism: the mechanism.
+        length_tolerance: tolerance of the translations [m].
+        angle_tolerance: tolerance of the rotations [rad].
+    """
+    model = mechanism.model
+    carriers = set(model.supports[model.frames[mechanism.tool_frame_id].parentJoint]) if mechanism.tool_frame else set()
+    tolerances = {"translation": length_tolerance, "rotation": angle_tolerance}
+    parameters: dict[str, GeometricParameter] = {}
+
+    def add(place: str, group: str, motions: Sequence[Motion]) -> None:
+        for motion in motions:
+            for axis in AXES:
+                parameter = _parameter(place, motion, axis, _unit_vector(axis), group, tolerances[motion])
+                parameters.setdefault(parameter.name, parameter)
+
+    for index, joint in enumerate(model.joints):
+        if index > 0 and joint.nv < 6:
+            group = "tool_chain" if index in carriers else "legs"
+            add(model.names[index], group, ("translation", "rotation"))
+    if mechanism.tool_frame is not None and _is_fixed_to_body(mechanism, mechanism.tool_frame):
+        add(mechanism.tool_frame, "tool", ("translation", "rotation"))
+    for loop in mechanism.closures:
+        for frame in (loop.frame_a, loop.frame_b):
+            if _is_fixed_to_body(mechanism, frame):
+                on_tool_chain = model.frames[mechanism.frame_id(frame)].parentJoint in carriers - {0}
+                motions: Sequence[Motion] = ("translation",) if loop.type == "3d" else ("translation", "rotation")
+                add(frame, "platform" if on_tool_chain else "legs", motions)
+    return tuple(parameters.values())
+
+
+def _rebuild(mechanism: Robot, parameters: Sequence[GeometricParameter], offsets: Vector) -> GeometricErrors:
+    return GeometricErrors(mechanism, parameters, command_offsets=offsets)
+
+
+def _check(parameters: Sequence[GeometricParameter]) -> None:
+    seen: set[str] = set()
+    for parameter in parameters:
+        if parameter.name in seen:
+            raise InvalidValueError("geometric parameter", parameter.name, "each name once")
+        seen.add(parameter.name)
+        if not np.isclose(np.linalg.norm(parameter.axis), 1.0, atol=1e-9):
+            raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
+        if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
+            raise InvalidValueError(f"tolerance of {parameter.name}", parameter.tolerance, "a positive number")
+
+
+def _parameter(
+    place: str, motion: Motion, label: str, axis: tuple[float, float, float], group: str, tolerance: float
+) -> GeometricParameter:
+    return GeometricParameter(f"{place}.{motion[0]}{label}", place, motion, axis, group, tolerance)
+
+
+def _unit_vector(axis: str) -> tuple[float, float, float]:
+    x, y, z = (float(axis == name) for name in AXES)
+    return (x, y, z)
+
+
+def _parameters_of(mechanism: Robot, file: ErrorFile) -> list[GeometricParameter]:
+    parameters = []
+    for entry in file.entries:
+        words: list[tuple[Motion, str, float]] = [
+            *(("translation", word, entry.length_tolerance) for word in entry.translations),
+            *(("rotation", word, entry.angle_tolerance) for word in entry.rotations),
+        ]
+        for place in entry.places:
+            for motion, word, tolerance in words:
+                for label, axis in _directions(mechanism, place, word, file):
+                    parameters.append(_parameter(place, motion, label, axis, entry.group, tolerance))
+    return parameters
+
+
+def _directions(
+    mechanism: Robot, place: str, word: str, file: ErrorFile
+) -> list[tuple[str, tuple[float, float, float]]]:
+    """Return the directions that a word of the file stands for, with their labels."""
+    if word in AXES:
+        return [(word, _unit_vector(word))]
+    if not mechanism.model.existJointName(place):
+        raise JointNotFoundError(place, f"{file.path}: '{word}'", list(mechanism.model.names)[1:])
+    if word == "along":
+        return [("_along", _as_tuple(joint_axis(mechanism, place)))]
+    return [(f"_across{k}", direction) for k, direction in enumerate(across_directions(mechanism, place), start=1)]
+
+
+def across_directions(mechanism: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return two unit vectors across the axis of a joint with one freedom, in its own axes.
+
+    The first is horizontal where the joint's frame has z up: turning about it changes a guideway's slope, turning about
+    the second its heading.
+
+    Raises:
+        JointNotFoundError: the model has no such joint.
+        InvalidValueError: the joint has several freedoms.
+    """
+    along = joint_axis(mechanism, joint)
+    reference = np.array([1.0, 0.0, 0.0] if abs(along[2]) > _NEARLY_PARALLEL else [0.0, 0.0, 1.0])
+    first = np.cross(reference, along)
+    first /= np.linalg.norm(first)
+    return _as_tuple(first), _as_tuple(np.cross(along, first))
+
+
+def joint_axis(mechanism: Robot, joint: str) -> Vector:
+    """Return the axis of a joint with one freedom in its own axes, a unit vector, shape=(3,).
+
+    Raises:
+        JointNotFoundError: the model has no such joint.
+        InvalidValueError: the joint has several freedoms.
+    """
+    column = mechanism.single_joint(joint).v_index
+    model, data = mechanism.model, mechanism.model.createData()
+    jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), model.getJointId(joint))
+    twist = jacobian.reshape(6, model.nv)[:, column]
+    direction = twist[3:] if twist[3:].any() else twist[:3]
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _as_tuple(vector: Vector) -> tuple[float, float, float]:
+    x, y, z = (float(number) for number in vector)
+    return (x, y, z)
+
+
+def _command_offsets(mechanism: Robot, file: ErrorFile) -> Vector:
+    """Distance along each drive's axis from the frame its command counts from, at joint coordinate 0."""
+    neutral = mechanism.configuration(pin.neutral(mechanism.model))
+    offsets = np.zeros(len(mechanism.actuated_joints))
+    for joint, frame in file.command_zeros.items():
+        if joint not in mechanism.actuated_joints:
+            raise JointNotFoundError(joint, f"{file.path}: command_zeros", mechanism.actuated_joints)
+        placement = neutral.frame_placement(joint)
+        start = neutral.frame_placement(frame).translation
+        axis = placement.rotation @ joint_axis(mechanism, joint)
+        offsets[mechanism.actuated_joints.index(joint)] = axis @ (placement.translation - start)
+    return offsets
+
+
+def _is_fixed_to_body(mechanism: Robot, frame: str) -> bool:
+    """Tell whether a frame is fixed to a moving link or the world, and is not such a link itself."""
+    frames = mechanism.model.frames
+    entry = frames[mechanism.frame_id(frame)]
+    if entry.type != pin.FrameType.BODY:
+        return bool(entry.type == pin.FrameType.OP_FRAME)
+    return bool(frames[entry.parentFrame].type == pin.FrameType.FIXED_JOINT and entry.parentFrame > 0)
+
+
+def frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
+    """Return the frames that hang on a frame, itself first; joints and what they carry are among them."""
+    found = [frame]
+    for index in range(frame + 1, model.nframes):
+        if model.frames[index].parentFrame in found:
+            found.append(index)
+    return found
+
+
+def _displace_frame(model: pin.Model, frame: int, displacement: pin.SE3) -> None:
+    """Move a frame, and what hangs on the same body beyond it, by a displacement in the frame's axes."""
+    placement = model.frames[frame].placement.copy()
+    body, moved = model.frames[frame].parentJoint, placement * displacement * placement.inverse()
+    for index in frame_and_descendants(model, frame):
+        entry = model.frames[index]
+        if entry.type == pin.FrameType.JOINT and model.parents[entry.parentJoint] == body:
+            model.jointPlacements[entry.parentJoint] = moved * model.jointPlacements[entry.parentJoint]
+        elif entry.parentJoint == body:
+            entry.placement = moved * entry.placement
+
+
+def _places_in_order(mechanism: Robot, places: set[str]) -> tuple[str, ...]:
+    """Order places so that each is displaced before what hangs on it."""
+    model = mechanism.model
+
+    def key(place: str) -> tuple[bool, int]:
+        is_frame = not model.existJointName(place)
+        return is_frame, mechanism.frame_id(place) if is_frame else model.getJointId(place)
+
+    return tuple(sorted(places, key=key))

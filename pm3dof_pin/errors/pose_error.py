@@ -1,0 +1,208 @@
+"""The error of a pose: position, orientation and energy, (8.11)-(8.17) of the chapter with the errata.
+
+Poses are homogeneous transforms, shape=(..., 4, 4), or split into positions and rotations. D. Zhang, Parallel Robotic
+Machine Tools (Springer 2010), section 8.3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
+
+TIP_LENGTH = 0.1
+"""eta where nothing else is said [m/rad]: the distance at which a turn counts as much as the way it makes there."""
+
+
+def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
+    """Return the distance between two positions, (8.16), shape=(...) [m].
+
+    Args:
+        ideal: wanted poses, shape=(..., 4, 4).
+        real: poses reached, shape=(..., 4, 4).
+    """
+    return np.asarray(np.linalg.norm(_position(real) - _position(ideal), axis=-1))
+
+
+def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
+    """Return the angle between two orientations, in [0, pi], shape=(...) [rad].
+
+    (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) where there is no error. This is the angle
+    of the relative rotation. acos((tr - 1) / 2) would lose half its digits near zero, and 2 asin of the Frobenius norm
+    of R - R' near pi; the half angle's sine and cosine together lose none.
+
+    Args:
+        ideal: wanted poses, shape=(..., 4, 4).
+        real: poses reached, shape=(..., 4, 4).
+    """
+    return np.asarray(np.linalg.norm(pose_difference(ideal, real)[..., 3:], axis=-1))
+
+
+def energy(ideal: ArrayLike, real: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+    """Return the energy function of the pose error, E = E_xyz + eta E_orientation, (8.15), shape=(...) [m].
+
+    Args:
+        ideal: wanted poses, shape=(..., 4, 4).
+        real: poses reached, shape=(..., 4, 4).
+        eta: weight of the orientation [m/rad]; the chapter leaves its unit out.
+    """
+    return position_error(ideal, real) + _checked_eta(eta) * orientation_error(ideal, real)
+
+
+def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
+    """Return what moves the wanted pose to the one reached: [translation; rotation vector], world axes.
+
+    The rotations are composed, R' = exp(rotation vector) R; (8.13) adds increments to Euler angles.
+
+    Args:
+        ideal: wanted poses, shape=(..., 4, 4).
+        real: poses reached, shape=(..., 4, 4).
+
+    Returns:
+        shape=(..., 6) [m, rad].
+    """
+    wanted, reached = np.broadcast_arrays(_checked(ideal), _checked(real))
+    turn = reached[..., :3, :3] @ np.swapaxes(wanted[..., :3, :3], -1, -2)
+    return np.concatenate([reached[..., :3, 3] - wanted[..., :3, 3], rotation_vector(turn)], axis=-1)
+
+
+def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
+    """Return the pose that a difference leads to, the inverse of :func:`pose_difference`.
+
+    Args:
+        pose: shape=(..., 4, 4).
+        difference: [translation; rotation vector], world axes, shape=(..., 6) [m, rad].
+    """
+    start, step = _checked(pose), np.asarray(difference, dtype=float)
+    moved = np.array(np.broadcast_to(start, (*np.broadcast_shapes(start.shape[:-2], step.shape[:-1]), 4, 4)))
+    moved[..., :3, :3] = rotation_matrix(step[..., 3:]) @ start[..., :3, :3]
+    moved[..., :3, 3] += step[..., :3]
+    return moved
+
+
+def tip_error(difference: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+    """Return the tip-weighted size of pose differences, sqrt(|translation|^2 + eta^2 |rotation|^2), shape=(...) [m].
+
+    The smooth companion of (8.15): a quadratic form, so that it can be projected, averaged and fitted.
+
+    Args:
+        difference: shape=(..., 6) [m, rad].
+        eta: weight of the rotation [m/rad].
+    """
+    return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta), axis=-1))
+
+
+def tip_weights(eta: float = TIP_LENGTH) -> Array:
+    """Return the weights (1, 1, 1, eta, eta, eta) of the tip-weighted size, shape=(6,)."""
+    return np.repeat([1.0, _checked_eta(eta)], 3)
+
+
+def rotation_vector(rotation: ArrayLike) -> Array:
+    """Return the rotation vectors of rotation matrices, without loss at small angles and at pi, shape=(..., 3) [rad].
+
+    Through the unit quaternion, taken from the largest of its four components (S. Shepperd, J. Guidance and Control 1,
+    1978).
+
+    Args:
+        rotation: shape=(..., 3, 3).
+    """
+    r = np.asarray(rotation, dtype=float)
+    quaternion = _quaternion(r)
+    scalar, vector = quaternion[..., 0], quaternion[..., 1:]
+    sine = np.linalg.norm(vector, axis=-1)
+    angle = 2.0 * np.arctan2(sine, scalar)
+    ratio = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
+    return np.asarray(ratio[..., None] * vector)
+
+
+def rotation_matrix(vector: ArrayLike) -> Array:
+    """Return the rotation matrices of rotation vectors, shape=(..., 3, 3).
+
+    Args:
+        vector: shape=(..., 3) [rad].
+    """
+    turn = np.asarray(vector, dtype=float)
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    cross = np.zeros((*turn.shape[:-1], 3, 3))
+    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -turn[..., 2], turn[..., 1], -turn[..., 0]
+    cross -= np.swapaxes(cross, -1, -2)
+    # sin(a) / a and (1 - cos a) / a^2, in forms that keep every digit near zero
+    first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def chapter_angles(rotation: ArrayLike) -> Array:
+    """Return (psi, theta, phi) of a pose, (8.11): R = Rz(psi) Ry(theta) Rx(phi), shape=(..., 3) [rad].
+
+    theta is in [-pi/2, pi/2]. At its ends only psi + phi or psi - phi is determined.
+
+    Args:
+        rotation: shape=(..., 3, 3).
+    """
+    r = np.asarray(rotation, dtype=float)
+    theta = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 2, 1], r[..., 2, 2]))
+    phi = np.arctan2(r[..., 2, 1], r[..., 2, 2])
+    # from the second column and row after phi is taken off, so that psi makes up for what phi lacks near theta = pi/2
+    sine, cosine = np.sin(phi), np.cos(phi)
+    psi = np.arctan2(sine * r[..., 0, 2] - cosine * r[..., 0, 1], cosine * r[..., 1, 1] - sine * r[..., 1, 2])
+    return np.stack([psi, theta, phi], axis=-1)
+
+
+def chapter_rotation(angles: ArrayLike) -> Array:
+    """Return Rz(psi) Ry(theta) Rx(phi), shape=(..., 3, 3): (8.12) with entry (3, 1) = -sin(theta).
+
+    Args:
+        angles: (psi, theta, phi), shape=(..., 3) [rad].
+    """
+    psi, theta, phi = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
+    zero = np.zeros_like(psi)
+    turns = [np.stack(parts, axis=-1) for parts in ((zero, zero, psi), (zero, theta, zero), (phi, zero, zero))]
+    about_z, about_y, about_x = (rotation_matrix(turn) for turn in turns)
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def quaternion(rotation: ArrayLike) -> Array:
+    """Return unit quaternions (w, x, y, z) with w >= 0, shape=(..., 4).
+
+    Args:
+        rotation: shape=(..., 3, 3).
+    """
+    return _quaternion(np.asarray(rotation, dtype=float))
+
+
+def _quaternion(r: Array) -> Array:
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    d = np.einsum("...ii->...i", r)
+    squares = np.concatenate([trace[..., None], 2.0 * d - trace[..., None]], axis=-1) + 1.0  # 4 w^2, 4 x^2 ...
+    antisymmetric = r - np.swapaxes(r, -1, -2)
+    symmetric = r + np.swapaxes(r, -1, -2)
+    products = np.zeros((*r.shape[:-2], 4, 4))  # 4 q q^T
+    products[..., 0, 1], products[..., 0, 2] = antisymmetric[..., 2, 1], antisymmetric[..., 0, 2]
+    products[..., 0, 3] = antisymmetric[..., 1, 0]
+    products[..., 1, 2], products[..., 1, 3] = symmetric[..., 0, 1], symmetric[..., 0, 2]
+    products[..., 2, 3] = symmetric[..., 1, 2]
+    products += np.swapaxes(products, -1, -2)
+    np.einsum("...ii->...i", products)[...] = squares
+    largest = np.argmax(squares, axis=-1)[..., None, None]
+    column = np.take_along_axis(products, largest, axis=-1)[..., 0]
+    unit = column / np.linalg.norm(column, axis=-1, keepdims=True)
+    return np.asarray(np.where(unit[..., :1] < 0.0, -unit, unit))
+
+
+def _checked(pose: ArrayLike) -> Array:
+    array = np.asarray(pose, dtype=float)
+    if array.shape[-2:] != (4, 4):
+        raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (..., 4, 4)")
+    return array
+
+
+def _position(pose: ArrayLike) -> Array:
+    return _checked(pose)[..., :3, 3]
+
+
+def _checked_eta(eta: float) -> float:
+    if not (np.isfinite(eta) and eta >= 0.0):
+        raise InvalidValueError("eta", eta, "a length in metres per radian, not negative")
+    return float(eta)

@@ -1,0 +1,235 @@
+"""How the tool moves with every geometric error and every command: exact Jacobians of the closed-loop kinematics.
+
+With the joints' velocities dq, the commands du among them, and small errors dp, a closed loop stays closed and the tool
+moves by
+
+    0  = G dq + P_G dp,      dx = J dq + P_x dp
+
+G is the constraint Jacobian, J the tool's, P_G and P_x what the errors alone do to closures and tool. An error is a
+twist of everything beyond its place, like the rate of a joint that stood there, so one piece of code gives all four.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Derivatives of the tool's pose, [position; rotation vector] in world axes, at n poses.
+
+    Attributes:
+        errors: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1].
+        commands: by the coordinates of the actuated joints, shape=(n, 6, number of actuated joints).
+    """
+
+    errors: Array
+    commands: Array
+
+
+def sensitivities(
+    errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float] | None = None
+) -> Sensitivities:
+    """Compute how the tool's pose changes with errors and commands.
+
+    Args:
+        errors: the parameters.
+        poses: assembled poses of the mechanism as described, or of `errors.apply(values)`.
+        values: p at which to differentiate, that of the poses; 0 by default.
+
+    Raises:
+        InvalidValueError: an error would strain the mechanism, since its loops cannot close with it (those of an
+            overconstrained or planar mechanism); see :func:`closable`.
+        SingularConfigurationError: at a pose the tool can move with all commands held.
+    """
+    loops = _Loops(errors, poses, errors.zeros if values is None else values)
+    rates, strain = loops.followed_rates()
+    strained = np.flatnonzero(strain.max(axis=0, initial=0.0) > RANK_TOLERANCE)
+    if strained.size:
+        names = [*poses.robot.actuated_joints, *errors.names]
+        raise InvalidValueError(
+            "geometric errors",
+            ", ".join(names[k] for k in strained),
+            "errors with which the loops close; leave these out (closable() does)",
+        )
+    return loops.tool_motions(rates)
+
+
+def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
+    """Return the errors without those with which the loops cannot close.
+
+    A planar four-bar with parallel axes cannot close when one axis is tilted: it would bend or bind. Such an error is
+    no matter of kinematics. Each parameter is judged by itself.
+
+    Args:
+        errors: the parameters.
+        poses: assembled poses of the mechanism as described.
+    """
+    _, strain = _Loops(errors, poses, errors.zeros).followed_rates()
+    strains = strain[:, len(poses.robot.actuated_joints) :].max(axis=0, initial=0.0)
+    return errors.without(name for name, value in zip(errors.names, strains, strict=True) if value > RANK_TOLERANCE)
+
+
+class _Loops:
+    """Closures and tool as linear functions of joint velocities and errors, at many poses.
+
+    Columns are the twists [v; omega] that one unit of each velocity, then of each error, gives to whatever hangs on it;
+    linear part at the world's origin, world axes.
+    """
+
+    def __init__(self, errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float]) -> None:
+        self._errors = errors
+        self._mechanism = poses.robot
+        self._model = poses.robot.model
+        self._joints, twists = _tree(self._model, poses.q)
+        self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
+        self._beyond = {place: self._carried(place) for place in dict.fromkeys(p.place for p in errors.parameters)}
+
+    def followed_rates(self) -> tuple[Array, Array]:
+        """Return the velocities that follow one unit of each command and error, and what the loops cannot follow.
+
+        Returns:
+            Velocities, shape=(n, nv, commands + errors); scaled closure velocities left open, shape=(n, commands +
+            errors).
+
+        Raises:
+            SingularConfigurationError: the tool can move with all commands held.
+        """
+        mechanism, nv = self._mechanism, self._model.nv
+        driven = mechanism.actuated_indices
+        free = np.setdiff1d(np.arange(nv), driven)
+        inputs = np.concatenate([driven, np.arange(nv, self._columns.shape[2])])
+        rates = np.zeros((len(self._columns), nv, len(inputs)))
+        rates[:, driven, np.arange(len(driven))] = 1.0
+        if not mechanism.closures:
+            self._require_driven(free)
+            return rates, np.zeros((len(rates), len(inputs)))
+        closures = self._closures() / mechanism.closure_scale[:, None]
+        velocity_scale = mechanism.velocity_scale[free]
+        left, values, right = np.linalg.svd(closures[:, :, free] * velocity_scale, full_matrices=False)
+        noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
+        inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
+        kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
+        self._require_held(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
+        pushed = closures[:, :, inputs]
+        in_range = np.swapaxes(left, 1, 2) @ pushed
+        followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
+        rates[:, free] = -velocity_scale[:, None] * followed
+        strain = pushed - left @ (np.where(values > noise, 1.0, 0.0)[:, :, None] * in_range)
+        unit = np.abs(pushed).max(axis=1) + 1.0
+        return rates, np.abs(strain).max(axis=1) / unit
+
+    def tool_motions(self, rates: Array) -> Sensitivities:
+        """Return the tool's motion for velocities and the errors that go with them."""
+        driven, tool = len(self._mechanism.actuated_indices), self._tool()
+        motions = tool[:, :, : self._model.nv] @ rates
+        motions[:, :, driven:] += tool[:, :, self._model.nv :]
+        return Sensitivities(frozen(motions[:, :, driven:]), frozen(motions[:, :, :driven]))
+
+    def _error_twists(self, local: Array) -> Array:
+        twists = np.zeros((len(self._joints), 6, len(self._errors)))
+        for place in dict.fromkeys(p.place for p in self._errors.parameters):
+            which = [k for k, p in enumerate(self._errors.parameters) if p.place == place]
+            frame = self._place(place)
+            rotation, origin = frame[:, :3, :3], frame[:, :3, 3]
+            angular = rotation @ local[3:, which]
+            twists[:, 3:, which] = angular
+            twists[:, :3, which] = rotation @ local[:3, which] + np.cross(origin[:, None, :], angular, axisb=1, axisc=1)
+        return twists
+
+    def _place(self, place: str) -> Array:
+        """Return where the displaced origin of a place is, before its joint moves, shape=(n, 4, 4)."""
+        model = self._model
+        if model.existJointName(place):
+            joint = model.getJointId(place)
+            return np.asarray(self._joints[:, model.parents[joint]] @ model.jointPlacements[joint].homogeneous)
+        return self._frame(self._mechanism.frame_id(place))
+
+    def _frame(self, frame: int) -> Array:
+        entry = self._model.frames[frame]
+        return np.asarray(self._joints[:, entry.parentJoint] @ entry.placement.homogeneous)
+
+    def _carried(self, place: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the joints and the frames that move with a place."""
+        model = self._model
+        frames: list[int] = []
+        if model.existJointName(place):
+            roots = [model.getJointId(place)]
+        else:
+            frames = frame_and_descendants(model, self._mechanism.frame_id(place))
+            roots = [model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT]
+        joints = [j for j in range(1, model.njoints) if any(root in list(model.supports[j]) for root in roots)]
+        return np.array(joints, dtype=np.intp), np.array(frames, dtype=np.intp)
+
+    def _carriers(self, frame: int) -> Array:
+        """Tell which columns move a frame, 1 or 0, shape=(nv + number of errors,)."""
+        model = self._model
+        body = model.frames[frame].parentJoint
+        moves = np.zeros(self._columns.shape[2])
+        for joint in list(model.supports[body])[1:]:
+            start = model.joints[joint].idx_v
+            moves[start : start + model.joints[joint].nv] = 1.0
+        for index, parameter in enumerate(self._errors.parameters):
+            joints, frames = self._beyond[parameter.place]
+            moves[model.nv + index] = float(body in joints or frame in frames)
+        return moves
+
+    def _closures(self) -> Array:
+        """Return the closures' velocities for all columns, as Configuration.constraint_jacobian has them."""
+        blocks = []
+        for loop in self._mechanism.closures:
+            a, b = (self._mechanism.frame_id(name) for name in (loop.frame_a, loop.frame_b))
+            relative = self._columns * (self._carriers(b) - self._carriers(a))
+            point, axes = self._frame(b)[:, :3, 3], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
+            angular = relative[:, 3:]
+            rows = axes @ (relative[:, :3] + np.cross(angular, point[:, None, :], axisa=1, axisc=1))
+            blocks += [rows] if loop.type == "3d" else [rows, axes @ angular]
+        return np.concatenate(blocks, axis=1)
+
+    def _tool(self) -> Array:
+        """Return the tool's twist for all columns, linear part at the tool point, shape=(n, 6, nv + errors)."""
+        tool = self._mechanism.tool_frame_id
+        columns = self._columns * self._carriers(tool)
+        point = self._frame(tool)[:, None, :3, 3]
+        linear = columns[:, :3] + np.cross(columns[:, 3:], point, axisa=1, axisc=1)
+        return np.concatenate([linear, columns[:, 3:]], axis=1)
+
+    def _require_driven(self, free: NDArray[np.intp]) -> None:
+        self._require_held(free, np.broadcast_to(np.eye(len(free)), (len(self._columns), len(free), len(free))))
+
+    def _require_held(self, free: NDArray[np.intp], idle: Array) -> None:
+        """Check that the velocities which held commands leave possible do not move the tool."""
+        length = self._mechanism.characteristic_length
+        tool = self._tool()[:, :, free] * self._mechanism.velocity_scale[free]
+        tool[:, :3] /= length
+        loose = np.flatnonzero(np.abs(tool @ idle).max(axis=(1, 2), initial=0.0) > RANK_TOLERANCE)
+        if loose.size:
+            raise SingularConfigurationError(
+                f"{self._mechanism.name}: the tool can move with all commands held at pose "
+                f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
+            )
+
+
+def _tree(model: pin.Model, q: Array) -> tuple[Array, Array]:
+    """Return joint placements, shape=(n, joints, 4, 4), and the twists of all velocities, shape=(n, 6, nv)."""
+    data = model.createData()
+    placements = np.empty((len(q), model.njoints, 4, 4))
+    twists = np.empty((len(q), 6, model.nv))
+    for row, positions in enumerate(q):
+        pin.computeJointJacobians(model, data, positions)
+        twists[row] = data.J.reshape(6, model.nv)
+        for joint in range(model.njoints):
+            placements[row, joint] = data.oMi[joint].homogeneous
+    return placements, twists

@@ -1,0 +1,181 @@
+"""Closing the loops with care: one damped least-squares solver for every kind of target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
+from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation, rotation_of_angles
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.typing import Indices, Matrix, Vector
+
+CLOSURE_TOLERANCE = 1e-12
+"""Greatest residual that counts as closed [m, rad]."""
+
+_FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
+_LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
+_LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
+_STATIONARY = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """What the assembly solver found.
+
+    Attributes:
+        converged: the loops are closed, and the tool is where it was wanted, within the tolerance.
+        steps: iterations done.
+        residual: greatest entry of what is left of the closure error and the pose error [m, rad].
+        configuration: where the solver stopped; assembled only if `converged`.
+    """
+
+    converged: bool
+    steps: int
+    residual: float
+    configuration: Configuration
+
+
+def assemble(
+    mechanism: Mechanism,
+    guess: Configuration | ArrayLike,
+    *,
+    joints: Mapping[str, ArrayLike] | None = None,
+    tool: Mapping[ToolComponent, float] | None = None,
+    tolerance: float = CLOSURE_TOLERANCE,
+    max_steps: int = 100,
+) -> Assembly:
+    """Close the loops of a mechanism, with joints or components of the tool's placement at given values.
+
+    A failure is no error: see `converged`. The methods of :class:`~pm3dof_pin.kinematics.robot.Robot` raise instead.
+
+    Levenberg-Marquardt on the closure error and the pose error, lengths divided by the characteristic length. The
+    damping falls with the square of the residual (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
+    quadratic where the solutions are no isolated points (a mechanism free to move) or constraints are redundant too;
+    there each step is the shortest one. At a singular configuration convergence is linear.
+
+    Args:
+        mechanism: the mechanism.
+        guess: configuration to start from.
+        joints: coordinates of joints that stay where they are [m, rad]; shape=(joint's nq,) for a joint with several
+            degrees of freedom.
+        tool: components of the tool's placement in the base, x, y, z [m], rx, ry, rz [rad], R = Rx Ry Rz.
+        tolerance: greatest residual that counts as converged [m, rad]. One more step is tried beyond it.
+        max_steps: iterations to give up after.
+
+    Raises:
+        InvalidValueError: an argument is not finite or of the wrong shape.
+        JointNotFoundError: a joint is not in the model.
+        DescriptionError: a component of the tool is given and the mechanism has no tool frame.
+    """
+    start = mechanism.checked_positions(guess.q if isinstance(guess, Configuration) else guess)
+    q, free = mechanism.held_positions(start, joints or {})
+    equations = _Equations(mechanism, free, tool or {})
+    point, steps = _iterate(equations, equations.at(q), tolerance, max_steps)
+    return Assembly(point.residual <= tolerance, steps, point.residual, mechanism.configuration(point.q))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """The equations at one q: residual [m, rad], scaled error, and its derivative by the scaled free velocities."""
+
+    q: Vector
+    residual: float
+    error: Vector
+    jacobian: Matrix
+
+    @property
+    def cost(self) -> float:
+        return float(self.error @ self.error)
+
+    @cached_property
+    def factors(self) -> tuple[Vector, Vector, Matrix]:
+        """The error in the left singular directions, the singular values, and the right singular directions."""
+        left, values, right = np.linalg.svd(self.jacobian, full_matrices=False)
+        return left.T @ self.error, values, right
+
+    def move(self, damping: float) -> Vector:
+        """Return the scaled velocities of one damped step."""
+        error, values, right = self.factors
+        noise = np.finfo(float).eps * max(self.jacobian.shape, default=0) * values.max(initial=0.0)
+        kept = values > noise
+        weights = np.zeros_like(values)
+        weights[kept] = values[kept] / (values[kept] ** 2 + damping * self.cost)
+        move = -(right.T @ (weights * error))
+        longest = np.abs(move).max(initial=0.0)
+        return move if longest <= _LONGEST_STEP else move * (_LONGEST_STEP / longest)
+
+
+class _Equations:
+    """Closure equations and, if wanted, tool pose equations, in the velocities that are free to move."""
+
+    def __init__(self, mechanism: Mechanism, free: Indices, tool: Mapping[ToolComponent, float]) -> None:
+        self._kinematics = mechanism.loop_kinematics
+        self._model = mechanism.model
+        self._free = free
+        self._rows = [TOOL_COMPONENTS.index(component) for component in tool]
+        self._target = finite_array("tool placement", list(tool.values()), (len(tool),))
+        self._turned = {"rx", "ry", "rz"} <= set(tool)
+        self._tool = mechanism.tool_frame_id if tool else 0
+        scale = np.repeat([mechanism.characteristic_length, 1.0], 3)[self._rows]
+        self._scale = np.concatenate([mechanism.closure_scale, scale])
+        self._velocity_scale = mechanism.velocity_scale[free]
+
+    def at(self, q: Vector) -> _Point:
+        error, jacobian = self._kinematics.closures(q)
+        if self._rows:
+            pose_error, pose_jacobian = self._tool_equations(q)
+            error, jacobian = np.concatenate([error, pose_error]), np.vstack([jacobian, pose_jacobian])
+        scaled = jacobian[:, self._free] * self._velocity_scale / self._scale[:, None]
+        return _Point(q, float(np.abs(error).max(initial=0.0)), error / self._scale, scaled)
+
+    def moved(self, q: Vector, move: Vector) -> Vector:
+        velocity = np.zeros(self._model.nv)
+        velocity[self._free] = self._velocity_scale * move
+        moved: Vector = pin.integrate(self._model, q, velocity)
+        return moved
+
+    def _tool_equations(self, q: Vector) -> tuple[Vector, Matrix]:
+        placement = self._kinematics.frame_placement(q, self._tool)
+        jacobian = self._kinematics.frame_jacobian(q, self._tool, pin.LOCAL_WORLD_ALIGNED)
+        angles = angles_of_rotation(placement.rotation)
+        error = np.concatenate([placement.translation, angles])[self._rows] - self._target
+        turns = np.array(self._rows) >= 3
+        if self._turned:  # by the rotation that is left, which is regular where the angles are not
+            wanted = np.empty(3)
+            wanted[np.array(self._rows)[turns] - 3] = self._target[turns]
+            left = pin.log3(placement.rotation @ rotation_of_angles(wanted).T)
+            jacobian[3:] = np.linalg.solve(pin.Jexp3(-left), jacobian[3:])
+            error[turns] = left[np.array(self._rows)[turns] - 3]
+        elif turns.any():
+            jacobian[3:] = angle_rates(angles) @ jacobian[3:]
+            error[turns] = np.remainder(error[turns] + np.pi, 2.0 * np.pi) - np.pi
+        return error, jacobian[self._rows]
+
+
+def _iterate(equations: _Equations, point: _Point, tolerance: float, max_steps: int) -> tuple[_Point, int]:
+    damping = _FIRST_DAMPING
+    for step in range(max_steps):
+        was_closed = point.residual <= tolerance
+        move = point.move(damping)
+        left = point.error + point.jacobian @ move
+        predicted = point.cost - float(left @ left)
+        if predicted <= _STATIONARY * point.cost or damping > _GREATEST_DAMPING:
+            return point, step
+        trial = equations.at(equations.moved(point.q, move))
+        gain = (point.cost - trial.cost) / predicted
+        if gain > _LEAST_GAIN:
+            point = trial
+            damping = max(damping / 10.0, _LEAST_DAMPING) if gain > _GOOD_GAIN else damping
+        else:
+            damping *= 10.0
+        if was_closed:
+            return point, step + 1
+    return point, max_steps

@@ -1,0 +1,154 @@
+"""The freedoms of a configuration: the velocities that keep its loops closed, and how their number was decided.
+
+Freedoms are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: velocities along an
+axis, and rows of Jacobians that are such velocities, are divided by :attr:`Mechanism.characteristic_length`; angular
+velocities stay as they are. A singular value counts as zero when it is below the tolerance times a reference, see
+:class:`RankDecision`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Matrix, Vector
+
+RANK_TOLERANCE = 1e-6
+"""Singular values below this times their reference count as zero."""
+
+ASSEMBLED_TOLERANCE = 1e-6
+"""Closure residual up to which the freedoms of a configuration mean something [characteristic lengths, or rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RankDecision:
+    """How the rank of a scaled matrix was decided.
+
+    Attributes:
+        rank: number of singular values above the threshold.
+        threshold: the tolerance times the reference, which is the greatest singular value of the matrix before it was
+            restricted to the freedoms.
+        singular_values: singular values of the scaled matrix, falling, shape=(min(rows, columns),).
+    """
+
+    rank: int
+    threshold: float
+    singular_values: Vector
+
+    @property
+    def gap(self) -> float:
+        """Least singular value that counts over the greatest that does not; infinite if none is left out."""
+        kept, dropped = self.singular_values[: self.rank], self.singular_values[self.rank :]
+        if not kept.size or not dropped.size or dropped[0] == 0.0:
+            return float("inf")
+        return float(kept[-1] / dropped[0])
+
+    def least(self, expected_rank: int) -> float:
+        """Return the smallest of the singular values that an expected rank counts; 0 if there are not so many."""
+        return float(self.singular_values[expected_rank - 1]) if 0 < expected_rank <= len(self.singular_values) else 0.0
+
+
+def null_space(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> tuple[Matrix, RankDecision]:
+    """Compute a basis Z of the freedoms, G Z = 0.
+
+    Args:
+        configuration: an assembled configuration.
+        tolerance: singular values of G below this times the greatest one count as zero.
+
+    Returns:
+        Z, shape=(nv, nv - rank), orthonormal in scaled numbers; and how the rank of G was decided.
+
+    Raises:
+        InvalidValueError: the loops are not closed.
+    """
+    freedoms = Freedoms(configuration, tolerance)
+    return frozen(freedoms.scale[:, None] * freedoms.basis), freedoms.constraint_rank
+
+
+class Freedoms:
+    """The scaled freedoms of a configuration, and what they do to the actuated joints and the tool.
+
+    Raises:
+        InvalidValueError: the loops are not closed.
+    """
+
+    def __init__(self, configuration: Configuration, tolerance: float) -> None:
+        mechanism = configuration.mechanism
+        if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
+            raise InvalidValueError("configuration", configuration, "one whose loops are closed")
+        self.scale = mechanism.velocity_scale
+        self.twist_scale = np.repeat([mechanism.characteristic_length, 1.0], 3)
+        self._configuration = configuration
+        self._tolerance = tolerance
+        closures = configuration.constraint_jacobian * self.scale / mechanism.closure_scale[:, None]
+        self.closures = Restriction(closures, np.eye(mechanism.model.nv), tolerance)
+        self.constraint_rank = self.closures.rank
+        self.basis = self.closures.motions
+        self.count = self.basis.shape[1]
+
+    @cached_property
+    def actuators(self) -> Matrix:
+        """Rows that take the actuated joints' rates out of a scaled velocity."""
+        return np.eye(len(self.scale))[self._configuration.mechanism.actuated_indices]
+
+    @cached_property
+    def tool(self) -> Matrix:
+        """Jacobian of the tool in scaled numbers."""
+        scaled: Matrix = self._configuration.tool_jacobian * self.scale / self.twist_scale[:, None]
+        return scaled
+
+    @property
+    def actuators_and_tool(self) -> Matrix:
+        """Both, one above the other."""
+        return np.vstack([self.actuators, self.tool])
+
+    @cached_property
+    def locked(self) -> Restriction:
+        """The freedoms seen at the actuated joints."""
+        return self.over(self.actuators)
+
+    @cached_property
+    def held(self) -> Restriction:
+        """The freedoms seen at the tool."""
+        return self.over(self.tool)
+
+    @cached_property
+    def idle(self) -> Restriction:
+        """The freedoms seen at actuated joints and tool."""
+        return self.over(self.actuators_and_tool)
+
+    def over(self, rows: Matrix) -> Restriction:
+        """See the freedoms at rows of scaled numbers, shape=(k, nv)."""
+        return Restriction(rows, self.basis, self._tolerance)
+
+
+class Restriction:
+    """Rows of scaled numbers over the motions of a basis.
+
+    Args:
+        rows: shape=(k, nv).
+        basis: orthonormal motions, shape=(nv, f).
+        tolerance: singular values of `rows @ basis` below this times the greatest of `rows` count as zero.
+
+    Attributes:
+        rows: the rows, shape=(k, nv).
+        rank: the decision on `rows @ basis`.
+        motions: orthonormal motions of the basis that the rows do not see, shape=(nv, f - rank).
+        image: orthonormal values that the rows take on the basis, shape=(k, rank).
+        inverse: shortest motion of the basis for given values of the rows, shape=(nv, k).
+    """
+
+    def __init__(self, rows: Matrix, basis: Matrix, tolerance: float) -> None:
+        self.rows = rows
+        left, values, right = np.linalg.svd(rows @ basis)
+        threshold = tolerance * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
+        rank = int(np.count_nonzero(values > threshold))
+        self.rank = RankDecision(rank, threshold, frozen(values))
+        self.motions: Matrix = basis @ right[rank:].T
+        self.image: Matrix = left[:, :rank]
+        self.inverse: Matrix = (basis @ right[:rank].T / values[:rank]) @ self.image.T

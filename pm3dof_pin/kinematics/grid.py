@@ -1,0 +1,75 @@
+"""Product grids over the coordinates of a robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """All combinations of the values of some coordinates, the others standing at one value.
+
+    Attributes:
+        coordinates: all coordinates of the robot, in their order.
+        axes: values by coordinate, in the order of the grid's dimensions, shape=(n,) each [m, rad].
+        fixed: values of the other coordinates [m, rad].
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    axes: Mapping[str, Array]
+    fixed: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        """Check names and values.
+
+        Raises:
+            InvalidValueError: a coordinate that the robot does not have, one without a value, or values that are not
+                finite numbers in one dimension.
+        """
+        names = tuple(coordinate.name for coordinate in self.coordinates)
+        for name, value in {**self.axes, **self.fixed}.items():
+            values: Array = np.asarray(value)
+            if name not in names:
+                raise InvalidValueError("coordinate", name, f"one of {', '.join(names)}")
+            if values.ndim != (name in self.axes) or not values.size or not np.isfinite(values).all():
+                raise InvalidValueError(f"values of {name}", values, "finite numbers")
+        missing = [name for name in names if name not in self.axes and name not in self.fixed]
+        if missing:
+            raise InvalidValueError("coordinates without a value", ", ".join(missing), "one value or a range for each")
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions."""
+        return tuple(self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values along each dimension."""
+        return tuple(len(values) for values in self.axes.values())
+
+    @property
+    def size(self) -> int:
+        """Number of poses."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def values(self) -> Array:
+        """The coordinates of every pose, shape=(*shape, number of coordinates) [m, rad]."""
+        mesh = dict(zip(self.axes, np.meshgrid(*self.axes.values(), indexing="ij"), strict=True))
+        columns = [mesh.get(c.name, np.full(self.shape, self.fixed.get(c.name, np.nan))) for c in self.coordinates]
+        return frozen(np.stack(columns, axis=-1))
+
+    def part(self, slices: tuple[slice, ...]) -> Grid:
+        """Return the part of the grid between indices along each dimension."""
+        axes = {name: values[part] for (name, values), part in zip(self.axes.items(), slices, strict=True)}
+        return Grid(self.coordinates, axes, self.fixed)

@@ -1,0 +1,170 @@
+"""A batch of poses of one robot: solved configurations with everything that maps and reports read from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array, Mask
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
+
+REACH = 1
+"""Bit of :attr:`Poses.broken_limits` for a pose that was not solved; the k-th limit group has bit k + 1."""
+
+_LIMIT_TOLERANCE = 1e-9
+
+
+class Poses:
+    """A batch of poses, of any shape. Read-only.
+
+    Made by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and its siblings. A pose that was not solved
+    is NaN throughout.
+
+    Args:
+        robot: the robot.
+        q: joint configurations with closed loops, NaN where there is none, shape=(..., nq) [m, rad].
+        residual: greatest closure error, shape=(...) [m, rad]; computed by Pinocchio if not given.
+        broken_limits: sums of bits, shape=(...); computed by Pinocchio if not given.
+
+    Attributes:
+        robot: the robot.
+        q: joint configurations, shape=(..., nq) [m, rad].
+    """
+
+    def __init__(
+        self, robot: Robot, q: Array, *, residual: Array | None = None, broken_limits: NDArray[np.uint32] | None = None
+    ) -> None:
+        self.robot = robot
+        self.q: Array = frozen(np.array(q, dtype=float))
+        if residual is not None:
+            self.__dict__["residual"] = frozen(np.array(residual))
+        if broken_limits is not None:
+            self.__dict__["broken_limits"] = frozen(np.array(broken_limits, dtype=np.uint32))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot, np.array(self.q))
+
+    def __repr__(self) -> str:
+        return f"Poses({self.robot.name}, shape={self.shape}, {int(self.solved.sum())} solved)"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the batch."""
+        return self.q.shape[:-1]
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[Configuration]:
+        """Iterate over the configurations of a batch in one dimension."""
+        return (self.configuration(index) for index in range(len(self)))
+
+    def __getitem__(self, index: Any) -> Poses:
+        """Return part of the batch; indices are those of its own dimensions."""
+        known = {name: self.__dict__[name][index] for name in ("residual", "broken_limits") if name in self.__dict__}
+        return Poses(self.robot, self.q[index], **known)
+
+    def reshape(self, *shape: int) -> Poses:
+        """Return the same poses in another shape."""
+        known = {
+            name: self.__dict__[name].reshape(shape) for name in ("residual", "broken_limits") if name in self.__dict__
+        }
+        return Poses(self.robot, self.q.reshape(*shape, self.q.shape[-1]), **known)
+
+    def configuration(self, index: int | tuple[int, ...] = ()) -> Configuration:
+        """Return the configuration at an index, with all its Jacobians.
+
+        Raises:
+            InvalidValueError: the pose was not solved.
+        """
+        return self.robot.configuration(self.q[index])
+
+    @cached_property
+    def solved(self) -> Mask:
+        """Whether a configuration with closed loops was found, shape=(...)."""
+        return frozen(np.asarray(np.isfinite(self.q).all(axis=-1)))
+
+    @cached_property
+    def coordinates(self) -> Array:
+        """Values of the robot's coordinates, shape=(..., number of coordinates) [m, rad]."""
+        return frozen(self.robot.read(self.robot.coordinates, self.q, self._transforms_if_needed))
+
+    @cached_property
+    def commands(self) -> Array:
+        """What the drives' counters show, shape=(..., number of commands) [m, rad]."""
+        return frozen(self.robot.read(self.robot.command_coordinates, self.q))
+
+    @cached_property
+    def transforms(self) -> Array:
+        """Homogeneous transforms of the tool frame in the base, shape=(..., 4, 4).
+
+        Raises:
+            DescriptionError: the robot has no tool frame.
+        """
+        model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
+        transforms = np.full((*self.shape, 4, 4), np.nan)
+        for index in zip(*np.nonzero(self.solved), strict=True):
+            pin.forwardKinematics(model, data, self.q[index])
+            transforms[index] = pin.updateFramePlacement(model, data, frame).homogeneous
+        return frozen(transforms)
+
+    @property
+    def positions(self) -> Array:
+        """Positions of the tool point, shape=(..., 3) [m]."""
+        return self.transforms[..., :3, 3]
+
+    @property
+    def rotations(self) -> Array:
+        """Orientations of the tool, shape=(..., 3, 3)."""
+        return self.transforms[..., :3, :3]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Greatest absolute entry of the closure error, shape=(...) [m, rad]."""
+        residual = np.full(self.shape, np.nan)
+        for index in zip(*np.nonzero(self.solved), strict=True):
+            residual[index] = np.abs(self.robot.loop_kinematics.closures(self.q[index])[0]).max(initial=0.0)
+        return frozen(residual)
+
+    @cached_property
+    def broken_limits(self) -> NDArray[np.uint32]:
+        """Which limits a pose breaks: a sum of :data:`REACH` and the bits of the robot's limit groups, shape=(...)."""
+        robot = self.robot
+        flags = np.where(self.solved, 0, REACH).astype(np.uint32)
+        outside = (self.q < robot.lower_limits - _LIMIT_TOLERANCE) | (self.q > robot.upper_limits + _LIMIT_TOLERANCE)
+        for bit, group in enumerate(robot.limit_groups, start=1):
+            for name in group.joints:
+                joint = robot.model.joints[robot.model.getJointId(name)]
+                broken = outside[..., joint.idx_q : joint.idx_q + joint.nq].any(axis=-1)
+                flags |= np.where(broken, 1 << bit, 0).astype(np.uint32)
+            for index in group.closures:
+                flags |= np.where(self._beyond_swing(index), 1 << bit, 0).astype(np.uint32)
+        return frozen(flags)
+
+    @property
+    def within_limits(self) -> Mask:
+        """Whether a pose is solved and breaks no limit of a joint or closure, shape=(...)."""
+        return np.asarray(self.broken_limits == 0)
+
+    def _beyond_swing(self, closure: int) -> Mask:
+        beyond = np.zeros(self.shape, dtype=bool)
+        limit = self.robot.closures[closure].swing_limit
+        if limit is None:
+            raise InvalidValueError("limit group", self.robot.closures[closure], "a closure with a swing limit")
+        for index in zip(*np.nonzero(self.solved), strict=True):
+            beyond[index] = self.configuration(index).swing(closure) > limit + _LIMIT_TOLERANCE
+        return beyond
+
+    @property
+    def _transforms_if_needed(self) -> Array | None:
+        return self.transforms if any(c.tool is not None for c in self.robot.coordinates) else None

@@ -1,0 +1,351 @@
+"""A robot: a mechanism whose poses can be solved, from its coordinates, its commands or placements of its tool."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.closures import read_closures
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
+from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.careful import close_all
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.model_files import read_model
+from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
+
+_HOME = "home"
+
+
+class Robot(Mechanism):
+    """A mechanism that can be placed: loops are closed from coordinates, commands or placements of the tool.
+
+    Poses are geometry: joint limits are not checked, :attr:`Poses.broken_limits` tells which of them a pose breaks.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("pm3dof")
+        >>> poses = robot.solve([0.1, -0.2, 0.5])
+        >>> poses.commands.round(6)
+        array([0.259193, 0.259443, 0.21842 ])
+    """
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> Robot:
+        """Load a robot from its description.
+
+        Args:
+            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+            characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
+
+        Raises:
+            UnknownRobotError: no such robot.
+            DescriptionError: a file is missing, unreadable or not of its form.
+            FrameNotFoundError: the closures file names a frame that the URDF does not have.
+            JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+        """
+        files = find_robot(name_or_path)
+        closures = read_closures(files.closures)
+        return cls(
+            read_model(files.urdf, files.srdf),
+            closures.closures,
+            actuated_joints=closures.actuated_joints,
+            tool_frame=closures.tool_frame,
+            motion_coordinates=closures.motion_coordinates,
+            springs=closures.springs,
+            commands=getattr(closures, "commands", ()),
+            coordinates=getattr(closures, "coordinates", ()),
+            limit_groups=getattr(closures, "limit_groups", ()),
+            characteristic_length=characteristic_length,
+            source=files.closures,
+        )
+
+    @cached_property
+    def home(self) -> Configuration:
+        """The named configuration "home", or else Pinocchio's neutral one, its loops closed if that is possible nearby.
+
+        The actuated joints stay in place if the loops close so. If no closed configuration is found, it is the one
+        described: see its :attr:`Configuration.closure_residual`.
+        """
+        described = self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
+        if described.closure_residual <= CLOSURE_TOLERANCE:
+            return described
+        drives = {name: described.joint_position(name) for name in self.actuated_joints}
+        for joints in (drives, {}):
+            result = assemble(self, described, joints=joints)
+            if result.converged:
+                return result.configuration
+        return described
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The independent numbers that place the tool.
+
+        Those that the description declares; else the tool's placement if it has six degrees of freedom; else the
+        commands.
+        """
+        if self.declared_coordinates:
+            return self.declared_coordinates
+        if self.tool_frame is not None and self._tool_mobility() == len(TOOL_COMPONENTS):
+            return tuple(
+                Coordinate(component, "m" if index < 3 else "rad", tool=component)
+                for index, component in enumerate(TOOL_COMPONENTS)
+            )
+        return self.command_coordinates
+
+    @cached_property
+    def command_coordinates(self) -> tuple[Coordinate, ...]:
+        """The commands, written as coordinates."""
+        return tuple(
+            Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)
+            for command in self.commands
+        )
+
+    @cached_property
+    def home_coordinates(self) -> Vector:
+        """Values of the coordinates at home, shape=(number of coordinates,) [m, rad]."""
+        return self.at([self.home.q])[0].coordinates
+
+    def coordinate(self, name: str) -> Coordinate:
+        """Return a coordinate by name.
+
+        Raises:
+            InvalidValueError: the robot has no such coordinate.
+        """
+        for coordinate in self.coordinates:
+            if coordinate.name == name:
+                return coordinate
+        raise InvalidValueError("coordinate", name, f"one of {', '.join(c.name for c in self.coordinates)}")
+
+    def range_of(self, coordinate: Coordinate) -> tuple[float, float]:
+        """Return the declared range of a coordinate, or that of its joint; infinite where there is none [m, rad]."""
+        lower, upper = -np.inf, np.inf
+        if coordinate.joint is not None:
+            joint = self.single_joint(coordinate.joint)
+            ends = np.array([self.lower_limits[joint.q_index], self.upper_limits[joint.q_index]])
+            if not joint.is_continuous:
+                lower, upper = np.sort(coordinate.scale * ends + coordinate.offset)
+        return (
+            float(lower) if coordinate.lower is None else coordinate.lower,
+            float(upper) if coordinate.upper is None else coordinate.upper,
+        )
+
+    def grid(self, **values: float | tuple[float, float, int]) -> Grid:
+        """Make a product grid over coordinates; those that are not named stay at home.
+
+        Args:
+            values: by coordinate, (first, last, count) for a dimension of the grid, or one value [m, rad].
+
+        Raises:
+            InvalidValueError: an unknown coordinate, or a range that is not two finite ends and a count of at least 1.
+        """
+        axes: dict[str, Array] = {}
+        fixed = {c.name: float(v) for c, v in zip(self.coordinates, self.home_coordinates, strict=True)}
+        for name, value in values.items():
+            self.coordinate(name)
+            fixed.pop(name)
+            if isinstance(value, tuple):
+                if len(value) != 3 or int(value[2]) != value[2] or value[2] < 1:
+                    raise InvalidValueError(f"range of {name}", value, "first, last and a count of at least 1")
+                axes[name] = np.linspace(value[0], value[1], int(value[2]))
+            else:
+                fixed[name] = float(value)
+        return Grid(self.coordinates, axes, fixed)
+
+    def at(self, q: ArrayLike) -> Poses:
+        """Return the poses at joint configurations whose loops are closed, shape=(..., nq) [m, rad]."""
+        return Poses(self, np.asarray(q, dtype=float))
+
+    def solve(
+        self,
+        values: Grid | ArrayLike,
+        *,
+        guess: ArrayLike | None = None,
+        on_failure: OnFailure = "raise",
+        engine: Engine = "program",
+    ) -> Poses:
+        """Find the poses at values of the coordinates.
+
+        Without a guess a pose is found by continuation from home, which fixes the assembly mode.
+
+        Args:
+            values: a grid, or values in the order of the coordinates, shape=(..., number of coordinates) [m, rad].
+            guess: configurations to start from, shape=(nq,) or (..., nq).
+            on_failure: "raise", or "nan" for poses that are out of reach.
+            engine: what closes the loops.
+
+        Raises:
+            UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
+            InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise".
+        """
+        numbers = values.values if isinstance(values, Grid) else values
+        return self._meet(self.coordinates, "coordinates", numbers, guess, on_failure, engine)
+
+    def forward(
+        self,
+        commands: ArrayLike,
+        *,
+        guess: ArrayLike | None = None,
+        on_failure: OnFailure = "raise",
+        engine: Engine = "program",
+    ) -> Poses:
+        """Find the poses at commands, as :meth:`solve` does at coordinates.
+
+        Args:
+            commands: what the drives' counters show, shape=(..., number of commands) [m, rad].
+            guess: see :meth:`solve`; it picks the assembly mode.
+            on_failure: see :meth:`solve`.
+            engine: see :meth:`solve`.
+
+        Raises:
+            UnreachablePoseError: see :meth:`solve`.
+            InvalidValueError: see :meth:`solve`.
+        """
+        return self._meet(self.command_coordinates, "commands", commands, guess, on_failure, engine)
+
+    def reach(
+        self,
+        placements: ArrayLike,
+        *,
+        guess: ArrayLike | None = None,
+        on_failure: OnFailure = "raise",
+        engine: Engine = "program",
+    ) -> Poses:
+        """Find poses that bring the tool to placements, as :meth:`solve` does to coordinates.
+
+        Args:
+            placements: homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions alone, the
+                orientation being left free, shape=(..., 3) [m].
+            guess: see :meth:`solve`; it picks the assembly mode.
+            on_failure: see :meth:`solve`.
+            engine: see :meth:`solve`.
+
+        Raises:
+            UnreachablePoseError: see :meth:`solve`.
+            DescriptionError: the robot has no tool frame.
+            InvalidValueError: see :meth:`solve`; or a matrix is no placement.
+        """
+        array = np.asarray(placements, dtype=float)
+        if array.shape[-2:] == (4, 4):
+            _require_placements(array)
+            values = np.concatenate([array[..., :3, 3], angles_of_rotation(array[..., :3, :3])], axis=-1)
+        else:
+            values = array
+        components = TOOL_COMPONENTS if array.shape[-2:] == (4, 4) else TOOL_COMPONENTS[:3]
+        coordinates = tuple(
+            Coordinate(component, "m" if component in "xyz" else "rad", tool=component) for component in components
+        )
+        return self._meet(coordinates, "tool placements", values, guess, on_failure, engine)
+
+    def assemble(
+        self, guess: Configuration | ArrayLike | None = None, *, joints: Mapping[str, ArrayLike] | None = None
+    ) -> Configuration:
+        """Close the loops near a guess.
+
+        Args:
+            guess: configuration to start from, one near to which is found; the home configuration by default.
+            joints: coordinates of joints that stay [m, rad]; shape=(joint's nq,) for one with several.
+
+        Raises:
+            ConvergenceError: no closed configuration was found.
+            JointNotFoundError: a joint is not in the model.
+            InvalidValueError: the guess or a coordinate is not finite or of the wrong shape.
+        """
+        result = assemble(self, self.home if guess is None else guess, joints=joints)
+        if not result.converged:
+            advice = "try a guess nearer to an assembled configuration"
+            raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
+        return result.configuration
+
+    def read(self, coordinates: tuple[Coordinate, ...], q: Array, transforms: Array | None = None) -> Array:
+        """Read coordinates off joint configurations.
+
+        Args:
+            coordinates: the coordinates.
+            q: joint configurations, shape=(..., nq) [m, rad].
+            transforms: placements of the tool, shape=(..., 4, 4), if a coordinate is one of its components.
+
+        Returns:
+            shape=(..., number of coordinates) [m, rad].
+        """
+        tool = None
+        if transforms is not None:
+            tool = np.concatenate([transforms[..., :3, 3], angles_of_rotation(transforms[..., :3, :3])], axis=-1)
+        columns = []
+        for coordinate in coordinates:
+            if coordinate.joint is None:
+                assert coordinate.tool is not None
+                assert tool is not None
+                columns.append(tool[..., TOOL_COMPONENTS.index(coordinate.tool)])
+                continue
+            joint = self.single_joint(coordinate.joint)
+            value = (
+                np.arctan2(q[..., joint.q_index + 1], q[..., joint.q_index])
+                if joint.is_continuous
+                else q[..., joint.q_index]
+            )
+            columns.append(coordinate.scale * value + coordinate.offset)
+        return np.stack(columns, axis=-1) if columns else np.empty((*q.shape[:-1], 0))
+
+    def _meet(
+        self,
+        coordinates: tuple[Coordinate, ...],
+        what: str,
+        values: ArrayLike,
+        guess: ArrayLike | None,
+        on_failure: OnFailure,
+        engine: Engine,
+    ) -> Poses:
+        names = ", ".join(coordinate.name for coordinate in coordinates)
+        targets = np.asarray(values, dtype=float)
+        if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
+            expected = f"shape (..., {len(coordinates)}): {names}"
+            raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
+        if on_failure == "raise":
+            finite_array(f"{what} ({names})", targets, targets.shape)
+        shape = targets.shape[:-1]
+        nq = self.model.nq
+        starts = None
+        if guess is not None:
+            starts = np.asarray(guess, dtype=float)
+            if starts.shape not in ((nq,), (*shape, nq)):
+                expected = f"shape ({nq},) or {(*shape, nq)}"
+                raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
+            starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
+        rows = targets.reshape(-1, len(coordinates))
+        q, residuals = close_all(self, self.home.q, coordinates, rows, starts)
+        failed = np.flatnonzero(~np.isfinite(q).all(axis=-1))
+        if failed.size and on_failure == "raise":
+            row = failed[0]
+            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[row], strict=True))
+            index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
+            raise UnreachablePoseError(
+                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residuals[row]:.3e} m or "
+                "rad; the pose may be out of reach"
+            )
+        return Poses(self, q.reshape(*shape, nq))
+
+    def _tool_mobility(self) -> int:
+        try:
+            return instantaneous_mobility(generic_configuration(self.home)).tool_mobility
+        except (ConvergenceError, InvalidValueError):
+            return 0
+
+
+def _require_placements(matrices: Array) -> None:
+    rotation = matrices[..., :3, :3]
+    defect = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(initial=0.0)
+    if not defect <= 1e-9 or (np.linalg.det(rotation) < 0.0).any() or (matrices[..., 3, :] != [0, 0, 0, 1]).any():
+        raise InvalidValueError("placement", matrices, "a rotation matrix, a position and the last row 0 0 0 1")

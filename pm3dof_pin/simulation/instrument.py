@@ -1,0 +1,78 @@
+"""What an instrument sees of a pose, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
+
+Measured = Literal["pose", "position"]
+
+TARGET_SIGMA = 15e-6
+"""Noise of each coordinate of a target, a laser tracker's [m]."""
+TARGET_COUNT = 4
+TARGET_RADIUS = 0.15
+"""Distance of the targets from the tool point [m]."""
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """What is measured of a pose, and its noise. By default that of :meth:`with_targets`.
+
+    Attributes:
+        measured: "pose", or "position" for the tool point alone.
+        position_sigma: noise of each coordinate [m].
+        angle_sigma: noise about each axis [rad]; of no matter for positions.
+    """
+
+    measured: Measured = "pose"
+    position_sigma: float = TARGET_SIGMA / 2.0
+    angle_sigma: float = TARGET_SIGMA / (TARGET_RADIUS * np.sqrt(2.0))
+
+    def __post_init__(self) -> None:
+        """Check the noise.
+
+        Raises:
+            InvalidValueError: a noise is not positive.
+        """
+        for name, sigma in (("position_sigma", self.position_sigma), ("angle_sigma", self.angle_sigma)):
+            if not (np.isfinite(sigma) and sigma > 0.0):
+                raise InvalidValueError(name, sigma, "a positive number")
+
+    @classmethod
+    def with_targets(
+        cls, sigma: float = TARGET_SIGMA, count: int = TARGET_COUNT, radius: float = TARGET_RADIUS
+    ) -> Instrument:
+        """Return a tracker that sees targets evenly on a circle about the tool point.
+
+        The centre of n targets is known n^(1/2) times better than one of them, the orientation about an axis in the
+        plane of the circle to sigma / (radius (n / 2)^(1/2)), about its normal better still, which is not made use of.
+
+        Args:
+            sigma: noise of each coordinate of a target [m].
+            count: number of targets, at least 3.
+            radius: radius of the circle [m].
+
+        Raises:
+            InvalidValueError: fewer than 3 targets, or a size or noise that is not positive.
+        """
+        if not (np.isfinite(sigma) and sigma > 0.0):
+            raise InvalidValueError("noise of a target", sigma, "a positive number of metres")
+        if count < 3 or not radius > 0.0:
+            raise InvalidValueError("targets", f"{count} at {radius} m", "at least 3 at a positive radius")
+        return cls("pose", sigma / np.sqrt(count), sigma / (radius * np.sqrt(count / 2.0)))
+
+    @property
+    def sigmas(self) -> Array:
+        """Noise of each measured coordinate of a pose, shape=(6,), or (3,) for positions [m, rad]."""
+        full = np.repeat([self.position_sigma, self.angle_sigma], 3)
+        return full if self.measured == "pose" else full[:3]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of a measured pose [translation; rotation vector], shape=(6, 6) [m^2, rad^2]."""
+        return np.diag(np.repeat([self.position_sigma, self.angle_sigma], 3) ** 2)

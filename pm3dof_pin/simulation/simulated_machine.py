@@ -1,0 +1,248 @@
+"""A simulated real machine: the closed-chain mechanism with all its errors, richer than any model fitted to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.errors.error_parameters import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    Distribution,
+    GeometricErrors,
+    GeometricParameter,
+    across_directions,
+    all_parameters,
+)
+from pm3dof_pin.errors.pose_error import moved_pose
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.error_sources import (
+    ElasticDeflection,
+    GeometricSource,
+    GuideWaviness,
+    ThermalGrowth,
+    Vibration,
+    correlated_normal,
+)
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.typing import Array
+
+_POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Under which conditions commands are carried out.
+
+    Attributes:
+        temperature_rises: of each screw over the temperature at which the machine is as described, one number, or
+            shape=(n, number of actuated joints) [K].
+        wrenches: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default.
+    """
+
+    temperature_rises: ArrayLike = 0.0
+    wrenches: ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedMachine:
+    """A machine with errors of every class, each of which may be left out.
+
+    Attributes:
+        nominal: the mechanism as described, which is what its controller knows.
+        geometric: joints and frames that sit wrong.
+        waviness: errors of the drives along their travel.
+        thermal: growth of screws and members.
+        elastic: deflection under load.
+        vibration: scatter.
+    """
+
+    nominal: Robot
+    geometric: GeometricSource | None = None
+    waviness: GuideWaviness | None = None
+    thermal: ThermalGrowth | None = None
+    elastic: ElasticDeflection | None = None
+    vibration: Vibration | None = None
+
+    @classmethod
+    def random(
+        cls,
+        errors: GeometricErrors,
+        generator: np.random.Generator,
+        *,
+        everything: bool = True,
+        distribution: Distribution = "normal",
+        waviness: GuideWaviness | None = None,
+        thermal: ThermalGrowth | None = None,
+        elastic: ElasticDeflection | None = None,
+        vibration: Vibration | None = None,
+    ) -> SimulatedMachine:
+        """Draw a machine whose geometry is wrong within tolerances.
+
+        Args:
+            errors: the parameters somebody means to identify, with their tolerances.
+            generator: source of the random numbers.
+            everything: whether all six freedoms of every joint and frame are wrong, not only what `errors` lists; the
+                others within the smallest tolerances that `errors` has.
+            distribution: of the errors.
+            waviness: see :class:`SimulatedMachine`.
+            thermal: see there.
+            elastic: see there.
+            vibration: see there.
+        """
+        truth = richer(errors) if everything else errors
+        source = GeometricSource(truth, truth.sample(generator, distribution))
+        return cls(errors.mechanism, source, waviness, thermal, elastic, vibration)
+
+    def only(self, source: str) -> SimulatedMachine:
+        """Return the machine with one of its sources of error alone.
+
+        Args:
+            source: "geometric", "waviness", "thermal", "elastic" or "vibration".
+
+        Raises:
+            InvalidValueError: there is no such source.
+        """
+        sources = {
+            "geometric": SimulatedMachine(self.nominal, geometric=self.geometric),
+            "waviness": SimulatedMachine(self.nominal, waviness=self.waviness),
+            "thermal": SimulatedMachine(self.nominal, thermal=self.thermal),
+            "elastic": SimulatedMachine(self.nominal, elastic=self.elastic),
+            "vibration": SimulatedMachine(self.nominal, vibration=self.vibration),
+        }
+        if source not in sources:
+            raise InvalidValueError("source", source, f"one of {', '.join(sources)}")
+        return sources[source]
+
+    def poses(self, commands: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """Return where the tool really is, without any scatter.
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            conditions: temperatures and loads; the same for all commands or one each.
+
+        Returns:
+            Homogeneous transforms, shape=(n, 4, 4).
+
+        Raises:
+            ConvergenceError: the loops do not close at a command.
+            InvalidValueError: commands or conditions of a wrong shape or not finite.
+            DescriptionError: deflections are wanted, and the description has no springs.
+        """
+        return self._carried_out(np.array(commands, dtype=float), conditions or Conditions())
+
+    def measure(
+        self,
+        commands: ArrayLike,
+        generator: np.random.Generator,
+        conditions: Conditions | None = None,
+        instrument: Instrument | None = None,
+    ) -> Array:
+        """Return what an instrument sees: the poses with vibration and its own noise.
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            generator: source of the random numbers.
+            conditions: temperatures and loads.
+            instrument: whose noise is added; poses come out whole even of one that sees positions only.
+
+        Returns:
+            Homogeneous transforms, shape=(n, 4, 4).
+
+        Raises:
+            PM3DofError: see :meth:`poses`.
+        """
+        wanted = np.array(commands, dtype=float)
+        noise = correlated_normal((instrument or Instrument()).covariance, len(wanted), generator)
+        if self.vibration is not None:
+            noise = noise + self.vibration.tool_displacements(len(wanted), generator)
+            wanted = wanted + self.vibration.command_errors(len(wanted), wanted.shape[1], generator)
+        return moved_pose(self._carried_out(wanted, conditions or Conditions()), noise)
+
+    def _carried_out(self, commands: Array, conditions: Conditions) -> Array:
+        drives = len(self.nominal.actuated_joints)
+        guesses = self.nominal.forward(commands).q
+        rises = _rows("temperature_rises", conditions.temperature_rises, commands.shape)
+        reached = np.array(commands)
+        if self.waviness is not None:
+            reached += self.waviness.command_errors(commands)
+        if self.thermal is not None:
+            reached += self.thermal.command_errors(commands, rises)
+        offsets = np.zeros((len(commands), drives, 2))
+        if self.waviness is not None and self.waviness.straightness:
+            offsets = self.waviness.offsets(commands)
+        wrenches = None
+        if conditions.wrenches is not None:
+            wrenches = _rows("wrenches", conditions.wrenches, (len(commands), 6))
+        return self._at(reached, guesses, rises.mean(axis=1), offsets, wrenches)
+
+    def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
+        """Return the poses; rows that share one geometry are done together."""
+        crooked = self.geometric.applied() if self.geometric is not None else self.nominal
+        states = np.column_stack([rises if self.thermal is not None else 0.0 * rises, offsets.reshape(len(rises), -1)])
+        transforms = np.empty((len(commands), 4, 4))
+        for state in np.unique(states, axis=0):
+            rows = np.flatnonzero((states == state).all(axis=1))
+            mechanism = _beside_their_lines(crooked, state[1:].reshape(-1, 2))
+            if self.thermal is not None:
+                mechanism = self.thermal.grown(mechanism, float(state[0]))
+            poses = mechanism.forward(commands[rows], guess=guesses[rows])
+            transforms[rows] = self._deflected(poses, None if wrenches is None else wrenches[rows])
+        return transforms
+
+    def _deflected(self, poses: Poses, wrenches: Array | None) -> Array:
+        if self.elastic is None:
+            return poses.transforms
+        return moved_pose(poses.transforms, self.elastic.displacements(poses, wrenches))
+
+
+def richer(errors: GeometricErrors) -> GeometricErrors:
+    """Return the errors of every joint and frame of a mechanism, with the tolerances of those that are listed.
+
+    What is not listed gets the smallest tolerance of its kind that is, or the usual one where none of its kind is.
+    Errors with which the loops cannot close are left out.
+
+    Args:
+        errors: parameters that are to be identified.
+    """
+    mechanism = errors.mechanism
+    least = {
+        motion: min((p.tolerance for p in errors.parameters if p.motion == motion), default=usual)
+        for motion, usual in (("translation", LENGTH_TOLERANCE), ("rotation", ANGLE_TOLERANCE))
+    }
+    listed = {(p.place, p.motion): p.tolerance for p in errors.parameters}
+    everything = [
+        replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(mechanism)
+    ]
+    poses = reachable_poses(mechanism, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+    return closable(GeometricErrors(mechanism, everything), poses)
+
+
+def _beside_their_lines(mechanism: Robot, offsets: Array) -> Robot:
+    """Return a mechanism whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
+    if not offsets.any():
+        return mechanism
+    parameters, values = [], {}
+    for joint, distances in zip(mechanism.actuated_joints, offsets, strict=True):
+        for k, (direction, distance) in enumerate(zip(across_directions(mechanism, joint), distances, strict=True)):
+            name = f"{joint}.beside{k}"
+            parameters.append(GeometricParameter(name, joint, "translation", direction, "waviness", 1.0))
+            values[name] = float(distance)
+    return GeometricErrors(mechanism, parameters).apply(values)
+
+
+def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.asarray(values, dtype=float)
+    try:
+        rows = np.array(np.broadcast_to(array, shape))
+    except ValueError as error:
+        raise InvalidValueError(name, f"an array of shape {array.shape}", f"one that fits shape {shape}") from error
+    if not np.isfinite(rows).all():
+        raise InvalidValueError(name, "not finite", "finite numbers")
+    return rows

@@ -1,0 +1,161 @@
+"""Simulated worlds: a machine with its errors, its surroundings and an instrument, to measure in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from pm3dof_pin.calibration.measurements import Measurements, command_units
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.simulation.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
+from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, richer
+from pm3dof_pin.typing import Array
+
+WorldName = Literal["everything", "geometry"]
+WORLDS: tuple[WorldName, ...] = get_args(WorldName)
+
+TEMPERATURE = "temperature_screws_K"
+"""Column of the screws' temperature rise."""
+LOAD = "load_tool_N"
+"""Column of the weight that hangs on the tool."""
+
+_WARMEST = 8.0
+_LINKS_SHARE = 0.5  # of the screws' temperature rise
+_VIBRATION = (2e-6, 1e-5)  # m, rad
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A machine and its surroundings.
+
+    Attributes:
+        machine: the machine.
+        warmest: screws are between 0 and so much warmer than when the machine was as described; known to those who
+            measure [K].
+        heaviest: a weight between 0 and so much hangs on the tool point, likewise known [N].
+    """
+
+    machine: SimulatedMachine
+    warmest: float = 0.0
+    heaviest: float = 0.0
+
+    @classmethod
+    def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
+        """Draw a world.
+
+        Args:
+            name: "everything": all six freedoms of all joints and frames are wrong, drives are wavy, screws and links
+                warm up, bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only
+                for machines all of whose drives slide. "geometry": only the listed parameters are wrong.
+            errors: the parameters that are to be identified, with their tolerances.
+            generator: source of the random numbers.
+
+        Raises:
+            InvalidValueError: there is no such world.
+        """
+        if name not in WORLDS:
+            raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
+        if name == "geometry":
+            return cls(SimulatedMachine.random(errors, generator, everything=False))
+        truth = richer(errors)
+        machine = SimulatedMachine.random(truth, generator, everything=False)
+        mechanism = errors.mechanism
+        position, angle = _VIBRATION
+        machine = replace(machine, vibration=Vibration(np.diag(np.repeat([position, angle], 3) ** 2)))
+        if mechanism.springs:
+            machine = replace(machine, elastic=ElasticDeflection())
+        if set(command_units(mechanism)) != {"m"}:
+            return cls(machine)
+        # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
+        lengths = {p.place for p in truth.parameters if p.motion == "translation"}
+        links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures if loop.frame_a in lengths}
+        machine = replace(
+            machine,
+            waviness=GuideWaviness.random(len(mechanism.actuated_joints), generator),
+            thermal=ThermalGrowth.from_command_zeros(errors, links),
+        )
+        return cls(machine, _WARMEST)
+
+    def only(self, source: str) -> World:
+        """Return the world in which the machine has one of its sources of error alone.
+
+        Args:
+            source: see :meth:`SimulatedMachine.only`.
+
+        Raises:
+            InvalidValueError: there is no such source, or the machine does not have it.
+        """
+        alone = self.machine.only(source)
+        if getattr(alone, source) is None:
+            raise InvalidValueError("source", source, "one that this machine has")
+        return World(
+            alone,
+            self.warmest if source == "thermal" else 0.0,
+            self.heaviest if source == "elastic" else 0.0,
+        )
+
+    def loaded(self, heaviest: float) -> World:
+        """Return the world with weights on the tool point.
+
+        Args:
+            heaviest: the greatest of them [N].
+
+        Raises:
+            InvalidValueError: it is negative or not finite, or the machine does not give way: it has no springs.
+        """
+        if not 0.0 <= heaviest < np.inf:
+            raise InvalidValueError("heaviest", heaviest, "a weight that is not negative")
+        if heaviest > 0.0 and self.machine.elastic is None:
+            raise InvalidValueError("heaviest", heaviest, "0, since this machine has no springs to give way")
+        return replace(self, heaviest=heaviest)
+
+    def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
+        """Draw temperatures and loads of some moments, by the name of their column, shape=(count,) each."""
+        greatest = {TEMPERATURE: self.warmest, LOAD: self.heaviest}
+        return {name: generator.uniform(0.0, most, count) for name, most in greatest.items() if most}
+
+    def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
+        """Return where the tool really is, shape=(n, 4, 4).
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            conditions: see :meth:`conditions`.
+
+        Raises:
+            ConvergenceError: the loops do not close at a command.
+        """
+        return self.machine.poses(commands, self._surroundings(commands, conditions))
+
+    def measure(
+        self, commands: Array, generator: np.random.Generator, instrument: Instrument | None = None
+    ) -> Measurements:
+        """Measure the machine at commands, each at its own temperature and load.
+
+        Args:
+            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            generator: source of the random numbers.
+            instrument: what it is measured with.
+
+        Raises:
+            ConvergenceError: the loops do not close at a command.
+        """
+        conditions = self.conditions(len(commands), generator)
+        surroundings = self._surroundings(commands, conditions)
+        seen = self.machine.measure(commands, generator, surroundings, instrument)
+        return replace(Measurements.of_poses(commands, seen, instrument), conditions=conditions)
+
+    def _surroundings(self, commands: Array, conditions: Mapping[str, Array]) -> Conditions:
+        surroundings = Conditions()
+        if TEMPERATURE in conditions:
+            rises = np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1)
+            surroundings = replace(surroundings, temperature_rises=rises)
+        if LOAD in conditions:
+            wrenches = np.zeros((len(commands), 6))
+            wrenches[:, 2] = -conditions[LOAD]
+            surroundings = replace(surroundings, wrenches=wrenches)
+        return surroundings

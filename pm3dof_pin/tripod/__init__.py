@@ -1,5 +1,0 @@
-"""The tripod family in closed form: n actuated prismatic-universal-spherical legs and a passive leg."""
-
-from pm3dof_pin.tripod.tripod import Tripod
-
-__all__ = ["Tripod"]
