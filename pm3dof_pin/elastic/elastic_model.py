@@ -95,7 +95,7 @@ class ElasticModel:
         self._check_joints()
         virtual = insert_virtual_joints(mechanism, self.springs)
         self.mechanism = virtual.mechanism
-        self._q_indices = virtual.q_indices
+        self.rigid_indices = virtual.q_indices
         self.blocks = tuple(_block(self.mechanism, spring, virtual.joints.get(spring.name)) for spring in self.springs)
         self.spring_indices: Indices = frozen(np.concatenate([block.indices for block in self.blocks]))
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
@@ -146,7 +146,7 @@ class ElasticModel:
             expected = f"shape (..., {self.rigid.model.nq}), a q of the rigid mechanism"
             raise InvalidValueError("q", f"array of shape {rigid.shape}", expected)
         positions = np.zeros((*rigid.shape[:-1], self.mechanism.model.nq))
-        positions[..., self._q_indices] = rigid
+        positions[..., self.rigid_indices] = rigid
         return positions
 
     def project(self, q: ArrayLike) -> Vector:
@@ -159,7 +159,7 @@ class ElasticModel:
         if elastic.shape[-1:] != (self.mechanism.model.nq,):
             expected = f"shape (..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
             raise InvalidValueError("q", f"array of shape {elastic.shape}", expected)
-        positions: Vector = elastic[..., self._q_indices]
+        positions: Vector = elastic[..., self.rigid_indices]
         return positions
 
     def configuration(self, configuration: Configuration | ArrayLike) -> Configuration:

@@ -25,6 +25,7 @@ class Tree:
         samples: closed configurations, shape=(s, nq). About eight near home, but not home alone: a singular one
             misleads the choice of columns.
         frames: frames whose placements are wanted, besides those of the closures and the tool.
+        positions: numbers to take for q in place of new inputs, shape=(nq,).
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
 
     Attributes:
@@ -46,13 +47,16 @@ class Tree:
         samples: ArrayLike,
         frames: Iterable[str] = (),
         *,
+        positions: Objects | None = None,
         dense: bool = False,
     ) -> None:
         model, rows = mechanism.model, np.array(samples, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != model.nq:
             raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {model.nq})")
         self.mechanism = mechanism
-        self.q: Objects = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
+        if positions is None:
+            positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
+        self.q: Objects = positions
         self.geometry = Geometry(graph, mechanism, frames, dense=dense)
         self.links: list[Link] = []
         screws: dict[int, Screw] = {}

@@ -1,0 +1,304 @@
+"""The Cartesian compliance of a frame on recorded numbers: C = X X^T, X its twist for normalised spring strains.
+
+With the springs' compliance c = U U^T and v_s = U y, y is what the springs strain in units of them: the energy is
+y^T y / 2, and a wrench on the frame makes y as short as the closures allow. The equations of
+:mod:`pm3dof_pin.programs.tool_motion`, made triangular once more, are
+
+    [R; 0] x = [A1; A2] y,
+
+and with A1 projected onto the null space of A2, X = R^-1 A1. Stiff and soft springs meet in orthogonal transformations
+only; rigid directions and serial arms need no special treatment. Where the strains of a branch are more than its
+equations, they are turned into as many first.
+
+Ranks are decided on the equations before the springs enter: how stiff they are has no say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.programs.elimination import (
+    ZERO,
+    Doubt,
+    Objects,
+    Reflection,
+    eliminate,
+    is_zero,
+    objects,
+    product,
+    reflect,
+    samples,
+    solve_upper,
+    total,
+    zeros,
+)
+from pm3dof_pin.programs.graph import Graph, Scalar, minimum, sqrt
+from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit
+from pm3dof_pin.programs.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Root:
+    """The root X of a compliance, C = X X^T.
+
+    Attributes:
+        twists: X, shape=(6, number of strains).
+        pivot: the least pivot, that of the frame's own triangle included; small where a rank is in doubt.
+        dropped: the largest entry dropped as zero.
+    """
+
+    twists: Objects
+    pivot: Scalar
+    dropped: Scalar
+
+
+def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: np.ndarray, frame: str) -> Tree:
+    """Record the tree of an elastic mechanism with its virtual joints at zero.
+
+    Args:
+        graph: the graph to record in.
+        model: the elastic mechanism.
+        positions: q of the rigid mechanism, shape=(nq,).
+        poses: its values at the sample poses, shape=(s, nq).
+        frame: the frame that is asked for.
+    """
+    embedded = zeros(1, model.mechanism.model.nq)[0]
+    embedded[model.rigid_indices] = positions
+    return Tree(graph, model.mechanism, model.embed(poses), (frame,), positions=embedded)
+
+
+def compliance_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> Root:
+    """Record the root of the compliance of a frame.
+
+    Args:
+        graph: the graph to record in.
+        model: the elastic mechanism.
+        tree: its tree, of :func:`elastic_tree`.
+        frame: the frame.
+
+    Raises:
+        ProgramError: the frame can move with all springs at rest, at all sample poses.
+    """
+    doubt = Doubt()
+    held = held_by(model, tree, frame, doubt)
+    root = spring_root(graph, model, tree)
+    unit = length_unit(model.mechanism.characteristic_length)
+    triangle, strains, order = _condensed(held, root, doubt)
+    inverse = solve_upper(triangle, objects(np.eye(6).tolist(), 6))
+    twists = product(inverse, strains)[np.argsort(order)]
+    twists[:3] = twists[:3] * unit
+    size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
+    return Root(twists, minimum(doubt.pivot, 6.0 / size), doubt.dropped)
+
+
+def held_by(model: ElasticModel, tree: Tree, frame: str, doubt: Doubt) -> list[Branch]:
+    """Record how branches and their springs hold a frame; sources are the springs' rates."""
+    numbers = {int(index): k for k, index in enumerate(model.spring_indices)}
+    return branches(
+        tree,
+        frame,
+        joint_columns(tree, model.passive_indices, frame),
+        joint_columns(tree, model.spring_indices, frame),
+        doubt,
+        joined=[[numbers[int(index)] for index in block.indices] for block in model.blocks],
+    )
+
+
+def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
+    """Record the root U of the springs' compliance, v_s = U y, slides in units of length, shape=(s, s)."""
+    values = spring_parameters(model)
+    size = len(model.spring_indices)
+    root = zeros(size, size)
+    _, powers = model.compliance_root
+    start = 0
+    for block in model.blocks:
+        stop = start + len(block.indices)
+        length = _length(graph, model, tree, block, values)
+        for i in range(start, stop):
+            factor = 1.0 if length is None else _power(length, powers[i])
+            for j in range(start, i + 1):
+                if name := _root_name(values, block, i - start, j - start):
+                    root[i, j] = graph.parameter(name, values[name]) * factor
+        start = stop
+    return root
+
+
+def spring_parameters(model: ElasticModel) -> dict[str, float]:
+    """Return the numbers of the springs that are parameters of programs, by name."""
+    root, _ = model.compliance_root
+    slides = np.array([mechanism_slides(model, int(index)) for index in model.spring_indices])
+    scaled = root / np.where(slides, length_unit(model.mechanism.characteristic_length), 1.0)[:, None]
+    values: dict[str, float] = {}
+    start = 0
+    for block in model.blocks:
+        for i in range(len(block.indices)):
+            for j in range(i + 1):
+                if scaled[start + i, start + j] != 0.0:
+                    values[f"spring/{block.name}/U{i}{j}"] = float(scaled[start + i, start + j])
+        if block.length is not None:
+            values[f"spring/{block.name}/length"] = block.length.at_zero
+        start += len(block.indices)
+    return values
+
+
+def mechanism_slides(model: ElasticModel, index: int) -> bool:
+    """Tell whether an entry of v is the rate of a slide."""
+    return bool(model.mechanism.velocity_scale[index] != 1.0)
+
+
+def _root_name(values: dict[str, float], block: SpringBlock, i: int, j: int) -> str | None:
+    name = f"spring/{block.name}/U{i}{j}"
+    return name if name in values else None
+
+
+def _length(
+    graph: Graph, model: ElasticModel, tree: Tree, block: SpringBlock, values: dict[str, float]
+) -> Scalar | None:
+    if block.length is None:
+        return None
+    joint = model.mechanism.single_joint(block.length.joint)
+    name = f"spring/{block.name}/length"
+    return graph.parameter(name, values[name]) + tree.q[joint.q_index]  # type: ignore[no-any-return]
+
+
+def _power(length: Scalar, power: float) -> Scalar:
+    """Return a power with a multiple of 1/2 as its exponent."""
+    halves = round(2.0 * power)
+    result: Scalar = sqrt(length) if halves % 2 else 1.0
+    for _ in range(abs(halves) // 2):
+        result = result * length
+    return 1.0 / result if halves < 0 else result
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Equations twist @ x + strain @ y = 0, and the springs' rates in them before they were strains."""
+
+    twist: Objects
+    strain: Objects
+    motion: Objects
+
+
+def _branch_rows(branch: Branch, root: Objects, doubt: Doubt) -> _Rows:
+    """Bring the springs into a branch: its relations taken into account, no more strains than equations."""
+    columns = list(branch.sources)
+    own = root[np.ix_(columns, columns)]
+    relations = branch.relations
+    if rank(relations) < len(relations):
+        relations = eliminate(relations, range(len(columns)), doubt).pivot_rows
+    strain = compressed(projected(product(relations, own), product(branch.motion, own), doubt))
+    return _Rows(branch.twist, strain, branch.motion)
+
+
+def _condensed(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
+    """Return R and the projected A1 of the frame, and the order of its twist's entries in both."""
+    rows = [_branch_rows(branch, root, doubt) for branch in held]
+    strains, motions = _diagonal([r.strain for r in rows]), _diagonal([r.motion for r in rows])
+    twists = np.vstack([r.twist for r in rows])
+    result = eliminate(np.hstack([twists, strains, motions]), range(6), doubt)
+    width = 6 + strains.shape[1]
+    if len(result.columns) < 6:
+        raise ProgramError("the frame can move with all springs at rest, at every sample pose")
+    relations, rates = result.rest[:, 6:width], result.rest[:, width:]
+    above = _diagonal([branch.relations for branch in held])
+    if rank(np.vstack([above, rates])) < rank(above) + len(rates):
+        if len(above):
+            return _condensed_as_one(held, root, doubt)
+        relations = _independent(relations, rates, doubt)
+    order = list(result.columns)
+    return result.pivot_rows[:, order], projected(relations, result.pivot_rows[:, 6:width], doubt), order
+
+
+def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
+    """Do the same where relations within branches and among them depend on each other."""
+    twists, motions = np.vstack([b.twist for b in held]), _diagonal([b.motion for b in held])
+    own = _diagonal([root[np.ix_(b.sources, b.sources)] for b in held])
+    result = eliminate(np.hstack([twists, motions]), range(6), doubt)
+    rates = np.vstack([_diagonal([b.relations for b in held]), result.rest[:, 6:]])
+    relations = _independent(product(rates, own), rates, doubt)
+    order = list(result.columns)
+    strains = projected(relations, product(result.pivot_rows[:, 6:], own), doubt)
+    return result.pivot_rows[:, order], strains, order
+
+
+def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
+    """Return independent relations with the same solutions; which depend on others is seen by the springs' rates."""
+    width = relations.shape[1]
+    return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
+
+
+def _diagonal(blocks: Sequence[Objects]) -> Objects:
+    """Return a block-diagonal matrix."""
+    matrix = zeros(sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks))
+    row, column = 0, 0
+    for block in blocks:
+        matrix[row : row + len(block), column : column + block.shape[1]] = block
+        row, column = row + len(block), column + block.shape[1]
+    return matrix
+
+
+def projected(relations: Objects, rows: Objects, doubt: Doubt) -> Objects:
+    """Return the part of rows at right angles to independent relations, in an orthonormal basis of that space.
+
+    Args:
+        relations: shape=(k, n).
+        rows: shape=(m, n).
+        doubt: where to record the pivots.
+
+    Returns:
+        shape=(m, n - k).
+    """
+    stack = [list(row) for row in (*relations, *rows)]
+    left = list(range(relations.shape[1]))
+    for i in range(len(relations)):
+        entries = {c: stack[i][c] for c in left if not is_zero(stack[i][c])}
+        whole = sqrt(total([entry * entry for entry in relations[i]]))
+        reflection = _turn(entries, stack[i + 1 :])
+        left.remove(reflection.indices[0])
+        doubt.note_pivot(reflection.size / whole)
+    return objects(stack[len(relations) :], relations.shape[1])[:, left]
+
+
+def compressed(rows: Objects) -> Objects:
+    """Return rows turned by an orthogonal matrix from the right, such that no more columns than rows are left."""
+    if rows.shape[1] <= len(rows):
+        return rows
+    stack = [list(row) for row in rows]
+    left, taken = list(range(rows.shape[1])), []
+    for i, row in enumerate(stack):
+        entries = {c: row[c] for c in left if not is_zero(row[c])}
+        if not entries:
+            continue
+        reflection = _turn(entries, stack[i + 1 :])
+        for c in reflection.indices:
+            row[c] = 0.0
+        row[reflection.indices[0]] = reflection.pivot
+        left.remove(reflection.indices[0])
+        taken.append(reflection.indices[0])
+    return objects(stack, rows.shape[1])[:, taken]
+
+
+def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
+    """Apply the reflection that leaves only the largest entry of a row to other rows."""
+    places = sorted(entries, key=lambda c: -float(np.median(np.abs(samples(entries[c])))))
+    reflection = reflect([entries[c] for c in places], places)
+    for row in rows:
+        reflection.apply(row)
+    return reflection
+
+
+def rank(rows: Objects) -> int:
+    """Return the rank at the middle one of the sample poses, of numbers compared with 1."""
+    if not rows.size:
+        return 0
+    count = max(np.size(samples(entry)) for entry in rows.ravel())
+    values = np.empty((count, *rows.shape))
+    for (i, j), entry in np.ndenumerate(rows):
+        values[:, i, j] = samples(entry)
+    sizes = np.linalg.svd(values, compute_uv=False)
+    return int(np.median((sizes > ZERO).sum(axis=1)))

@@ -1,0 +1,282 @@
+"""Orthogonal elimination on recorded numbers: sparse, with columns chosen while recording, and with doubt recorded.
+
+The rows of a system are NumPy arrays of dtype object; structural zeros stay zeros. Which column is eliminated next is
+decided once for all poses, by the values at the sample poses: a column that is zero at all of them is dropped, and
+pivots are chosen by medians. What this takes for granted is recorded in a `Doubt`, to be asked at every pose.
+
+Quantities are to be scaled so that one is the size of a column well away from zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.programs.graph import Number, Scalar, absolute, less, maximum, minimum, select, sqrt
+
+Objects = NDArray[np.object_]
+Array = NDArray[np.float64]
+
+ZERO = 1e-9
+"""Columns shorter than this times the longest at all sample poses are dropped."""
+
+_SHARE = 0.1  # of the best pivot's relative length, which is enough for a pivot that keeps more zeros
+
+
+class Doubt:
+    """What the choices made while recording rest on.
+
+    Attributes:
+        pivot: the least pivot; where it is small, the columns or rows are nearly dependent.
+        dropped: the largest entry dropped as zero.
+    """
+
+    def __init__(self) -> None:
+        self.pivot: Scalar = 1.0
+        self.dropped: Scalar = 0.0
+
+    def note_pivot(self, size: Scalar) -> None:
+        """Record the size of a pivot."""
+        self.pivot = minimum(self.pivot, size)
+
+    def drop(self, entries: Sequence[Scalar]) -> None:
+        """Record entries taken for zero."""
+        for entry in entries:
+            if not is_zero(entry):
+                self.dropped = maximum(self.dropped, absolute(entry))
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane.
+
+    Attributes:
+        indices: what it acts on; the first is the pivot.
+        vector: v; of a rotation, cosine and sine.
+        scaled: g, a multiple of v; None for a rotation.
+        pivot: what the pivot's entry becomes.
+        size: its magnitude, the length of the vector.
+    """
+
+    indices: tuple[int, ...]
+    vector: tuple[Scalar, ...]
+    scaled: tuple[Scalar, ...] | None
+    pivot: Scalar
+    size: Scalar
+
+    def apply(self, numbers: list[Scalar] | dict[int, Scalar], *, transposed: bool = False) -> None:
+        """Multiply a vector by the matrix or its transpose, in place."""
+        values = [numbers[k] for k in self.indices]
+        if len(values) == 1 or all(map(is_zero, values)):
+            return
+        if self.scaled is None:
+            (first, second), (cosine, sine) = values, self.vector
+            sine = -sine if transposed else sine
+            numbers[self.indices[0]] = cosine * first + sine * second
+            numbers[self.indices[1]] = cosine * second - sine * first
+            return
+        part = total([v * x for v, x in zip(self.vector, values, strict=True)])
+        for k, x, g in zip(self.indices, values, self.scaled, strict=True):
+            numbers[k] = x - part * g
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """A system after the elimination of columns.
+
+    Attributes:
+        columns: the eliminated columns, in their order.
+        dropped: columns that are zero when the others are eliminated.
+        pivot_rows: one row for each eliminated column, upper triangular in them, shape=(r, n).
+        rest: the other rows, zero in all these columns, shape=(m - r, n).
+        reflections: the orthogonal matrices that were applied to the rows, in their order.
+        rest_rows: which rows of the system became the rest.
+    """
+
+    columns: tuple[int, ...]
+    dropped: tuple[int, ...]
+    pivot_rows: Objects
+    rest: Objects
+    reflections: tuple[Reflection, ...] = field(repr=False)
+    rest_rows: tuple[int, ...]
+
+    def complement(self) -> Objects:
+        """Return the rows that take the system to its rest, orthonormal, shape=(m - r, m)."""
+        count = len(self.rest_rows) + len(self.columns)
+        rows = zeros(len(self.rest_rows), count)
+        for row, place in zip(rows, self.rest_rows, strict=True):
+            numbers: list[Scalar] = [0.0] * count
+            numbers[place] = 1.0
+            for reflection in reversed(self.reflections):
+                reflection.apply(numbers, transposed=True)
+            row[:] = numbers
+        return rows
+
+    @property
+    def cost(self) -> int:
+        """Operations that applying the reflections to one more column costs."""
+        return sum(4 * len(r.indices) for r in self.reflections if len(r.indices) > 1)
+
+
+def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Elimination:
+    """Eliminate columns from a system of rows by Householder's reflections; the sparsest first, of equals the last.
+
+    Args:
+        system: shape=(m, n).
+        columns: the columns to eliminate.
+        doubt: where to record pivots and what is dropped.
+    """
+    rows = [list(row) for row in system]
+    active = list(range(len(rows)))
+    waiting = list(columns)
+    original = {c: _lengths([row[c] for row in rows]) for c in waiting}
+    largest = max((float(np.median(lengths)) for lengths in original.values()), default=0.0)
+    done: list[int] = []
+    dropped: list[int] = []
+    pivots: list[int] = []
+    reflections: list[Reflection] = []
+    while waiting:
+        fronts = {c: [i for i in active if not is_zero(rows[i][c])] for c in waiting}
+        sizes = {}
+        for c, front in fronts.items():
+            lengths = _lengths([rows[i][c] for i in front])
+            if not front or lengths.max() <= ZERO * largest:
+                doubt.drop([rows[i][c] for i in front])
+                for i in front:
+                    rows[i][c] = 0.0
+                dropped.append(c)
+            else:
+                sizes[c] = float(np.median(lengths) / np.median(original[c]))
+        waiting = list(sizes)
+        if not waiting:
+            break
+        enough = _SHARE * max(sizes.values())
+        chosen = min((c for c in waiting if sizes[c] >= enough), key=lambda c: (len(fronts[c]), -c))
+        front = _largest_first(fronts[chosen], [rows[i][chosen] for i in fronts[chosen]])
+        reflection = reflect([rows[i][chosen] for i in front], front)
+        for c in range(system.shape[1]):
+            column: dict[int, Scalar] = {i: rows[i][c] for i in front}
+            if c == chosen:
+                column = {**dict.fromkeys(front, 0.0), front[0]: reflection.pivot}
+            else:
+                reflection.apply(column)
+            for i in front:
+                rows[i][c] = column[i]
+        doubt.note_pivot(reflection.size)
+        reflections.append(reflection)
+        waiting.remove(chosen)
+        done.append(chosen)
+        pivots.append(front[0])
+        active.remove(front[0])
+    n = system.shape[1]
+    return Elimination(
+        tuple(done),
+        tuple(dropped),
+        objects([rows[i] for i in pivots], n),
+        objects([rows[i] for i in active], n),
+        tuple(reflections),
+        tuple(active),
+    )
+
+
+def reflect(entries: Sequence[Scalar], indices: Sequence[int]) -> Reflection:
+    """Return the matrix that takes a vector, given by its entries that are not zero, to its first index."""
+    if len(entries) == 1:
+        return Reflection(tuple(indices), (1.0,), None, entries[0], absolute(entries[0]))
+    size = sqrt(total([entry * entry for entry in entries]))
+    if len(entries) == 2:
+        inverse = 1.0 / size
+        return Reflection(tuple(indices), (entries[0] * inverse, entries[1] * inverse), None, size, size)
+    pivot = select(less(entries[0], 0.0), size, -size)
+    vector = (entries[0] - pivot, *entries[1:])
+    factor = -1.0 / (pivot * vector[0])
+    return Reflection(tuple(indices), vector, tuple(factor * v for v in vector), pivot, size)
+
+
+def least_squares(matrix: Objects, right: Objects, doubt: Doubt) -> Objects:
+    """Return x that minimises |A x - b|; unknowns that columns leave undetermined are 0.
+
+    Args:
+        matrix: A, shape=(m, n).
+        right: b, shape=(m,) or (m, k).
+        doubt: where to record pivots and what is dropped.
+
+    Returns:
+        shape=(n,) or (n, k).
+    """
+    n = matrix.shape[1]
+    b = right.reshape(len(matrix), -1)
+    result = eliminate(np.hstack([matrix, b]), range(n), doubt)
+    solution = zeros(n, b.shape[1])
+    if result.columns:
+        triangle = result.pivot_rows[:, list(result.columns)]
+        solution[list(result.columns)] = solve_upper(triangle, result.pivot_rows[:, n:])
+    return solution.reshape(n, *right.shape[1:])
+
+
+def solve_upper(triangle: Objects, right: Objects) -> Objects:
+    """Return R^-1 B for an upper triangular R, shape=(n, n), and B, shape=(n, k)."""
+    solution = zeros(*right.shape)
+    for i in reversed(range(len(triangle))):
+        inverse = 1.0 / triangle[i, i]
+        for c in range(right.shape[1]):
+            terms = [triangle[i, j] * solution[j, c] for j in range(i + 1, len(triangle))]
+            solution[i, c] = (right[i, c] - total(terms)) * inverse
+    return solution
+
+
+def total(terms: Sequence[Scalar]) -> Scalar:
+    """Return the sum."""
+    result: Scalar = 0.0
+    for term in terms:
+        result = result + term
+    return result
+
+
+def product(a: Objects, b: Objects) -> Objects:
+    """Return the matrix product; unlike `@` also where an axis is empty."""
+    result = zeros(a.shape[0], b.shape[1])
+    for i, row in enumerate(a):
+        for j in range(b.shape[1]):
+            result[i, j] = total([x * y for x, y in zip(row, b[:, j], strict=True) if not (is_zero(x) or is_zero(y))])
+    return result
+
+
+def is_zero(number: Scalar) -> bool:
+    """Tell whether a number is known to be 0 while recording."""
+    return number.is_zero if isinstance(number, Number) else number == 0.0
+
+
+def samples(number: Scalar) -> Array | float:
+    """Return the values at the sample poses."""
+    return number.samples if isinstance(number, Number) else float(number)
+
+
+def zeros(rows: int, columns: int) -> Objects:
+    """Return a matrix of zeros."""
+    matrix = np.empty((rows, columns), dtype=object)
+    matrix[:] = 0.0
+    return matrix
+
+
+def objects(rows: Sequence[Sequence[Scalar]], columns: int) -> Objects:
+    """Return rows as a matrix, which may have none."""
+    matrix = zeros(len(rows), columns)
+    for k, row in enumerate(rows):
+        matrix[k, :] = row
+    return matrix
+
+
+def _lengths(entries: Sequence[Scalar]) -> Array:
+    """Return the length of a vector at every sample pose; one of size 0 where it has no entries."""
+    squares = sum((np.square(samples(entry)) for entry in entries), np.zeros(1))
+    lengths: Array = np.sqrt(squares)
+    return lengths
+
+
+def _largest_first(indices: Sequence[int], entries: Sequence[Scalar]) -> list[int]:
+    sizes = {k: float(np.median(np.abs(samples(entry)))) for k, entry in zip(indices, entries, strict=True)}
+    return sorted(indices, key=lambda k: -sizes[k])

@@ -1,0 +1,208 @@
+"""The motion of a frame as a linear function of sources: springs that give, commands, errors of the geometry.
+
+Unknowns are the frame's twist x, the rates of passive joints and the sources. The equations are the chain from the
+ground to the frame, x - J v = 0, and the relative velocity of the two frames of every closure, which is zero. The
+velocity of a frame that the same joints carry is written with x instead of these joints: a row operation that keeps the
+chain's joints out of the closures. What then hangs together through passive joints and sources is a *branch*. From
+every branch the passive joints are eliminated by orthogonal transformations, sparsest first; what is left says how it
+holds the frame.
+
+Lengths are measured in a unit near the mechanism's characteristic length, a power of two, so that numbers that are
+compared with 1 are of that size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.programs.elimination import (
+    Doubt,
+    Objects,
+    eliminate,
+    is_zero,
+    objects,
+    product,
+    zeros,
+)
+from pm3dof_pin.programs.joints import Screw, cross
+from pm3dof_pin.programs.tree import Tree
+
+PIVOT = 1e-5
+"""Pivots below this leave a rank in doubt."""
+
+DROPPED = 1e-9
+"""Entries dropped as zero that are larger than this leave a rank in doubt."""
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A joint rate or a source.
+
+    Attributes:
+        screw: the motion at unit rate.
+        frames: frames that it moves, among those of the closures and the frame looked at.
+    """
+
+    screw: Screw
+    frames: frozenset[str]
+
+    @property
+    def slides(self) -> bool:
+        """Whether it does not turn anything; its rate then is measured in units of length."""
+        return all(map(is_zero, self.screw.angular))
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, s its sources.
+
+    Attributes:
+        sources: numbers of its sources.
+        twist: shape=(n, 6).
+        motion: shape=(n, number of its sources).
+        relations: equations among its sources, shape=(k, number of its sources).
+    """
+
+    sources: tuple[int, ...]
+    twist: Objects
+    motion: Objects
+    relations: Objects
+
+
+def length_unit(characteristic_length: float) -> float:
+    """Return the power of two next to a length."""
+    return float(2.0 ** np.round(np.log2(characteristic_length)))
+
+
+def joint_columns(tree: Tree, indices: Iterable[int], frame: str) -> list[Column]:
+    """Return the columns of joint rates by their index in v."""
+    loops = tree.mechanism.closures
+    names = {name: tree.support(name) for name in {frame, *(n for loop in loops for n in (loop.frame_a, loop.frame_b))}}
+    return [Column(tree.screws[k], frozenset(name for name, support in names.items() if k in support)) for k in indices]
+
+
+def branches(
+    tree: Tree,
+    frame: str,
+    passive: Sequence[Column],
+    sources: Sequence[Column],
+    doubt: Doubt,
+    *,
+    joined: Iterable[Sequence[int]] = (),
+) -> list[Branch]:
+    """Eliminate the passive joints.
+
+    Args:
+        tree: the mechanism.
+        frame: the frame whose twist is asked for.
+        passive: the passive joints' columns.
+        sources: the sources' columns.
+        doubt: where to record pivots and what is dropped.
+        joined: numbers of sources that are to be in one branch.
+    """
+    columns = [*passive, *sources]
+    twist, rates = _rows(tree, frame, columns)
+    result = []
+    for rows, members in _components(rates, [[len(passive) + k for k in group] for group in joined]):
+        joints = [c for c in members if c < len(passive)]
+        inputs = [c for c in members if c >= len(passive)]
+        branch = _branch(
+            rates[np.ix_(rows, joints)],
+            rates[np.ix_(rows, inputs)],
+            twist[rows],
+            tuple(c - len(passive) for c in inputs),
+            doubt,
+        )
+        if len(branch.twist) or len(branch.relations):
+            result.append(branch)
+    return result
+
+
+def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects]:
+    """Return the equations as coefficients of the frame's twist and of the columns, scaled, shape=(m, 6) and (m, n)."""
+    unit = length_unit(tree.mechanism.characteristic_length)
+    tool = tree.frame(frame).translation
+    twists, rates = (
+        [objects(np.eye(6).tolist(), 6)],
+        [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
+    )
+    for loop in tree.mechanism.closures:
+        signs = {name: [float(name in c.frames) for c in columns] for name in (loop.frame_a, loop.frame_b, frame)}
+        relative = np.subtract(signs[loop.frame_b], signs[loop.frame_a])
+        choices = {factor: relative - factor * np.array(signs[frame]) for factor in (0.0, 1.0, -1.0)}
+        factor = min(choices, key=lambda choice: np.count_nonzero(choices[choice]))
+        size = 3 if loop.type == "3d" else 6
+        point = tree.frame(loop.frame_a if factor < 0.0 else loop.frame_b).translation
+        lever = (point - tool) * (1.0 / unit)
+        twist = objects(np.eye(6).tolist(), 6)
+        for k in range(3):
+            twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
+        twists.append(twist[:size] * factor)
+        rates.append(_velocities(columns, choices[factor], point, unit)[:size])
+    return np.vstack(twists), np.vstack(rates)
+
+
+def _velocities(columns: Sequence[Column], factors: Iterable[float], point: Objects, unit: float) -> Objects:
+    """Return the twists of a point for columns times factors, shape=(6, n)."""
+    rows = zeros(6, len(columns))
+    for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
+        if factor:
+            rows[:3, k] = column.screw.velocity(point) * (factor if column.slides else factor / unit)
+            rows[3:, k] = column.screw.angular * factor
+    return rows
+
+
+def _components(rates: Objects, joined: Iterable[Sequence[int]]) -> list[tuple[list[int], list[int]]]:
+    """Return the rows and the columns that hang together."""
+    owner = list(range(rates.shape[0] + rates.shape[1]))
+
+    def find(k: int) -> int:
+        while owner[k] != k:
+            k = owner[k]
+        return k
+
+    def join(a: int, b: int) -> None:
+        owner[find(a)] = find(b)
+
+    m = rates.shape[0]
+    for i, row in enumerate(rates):
+        for c, entry in enumerate(row):
+            if not is_zero(entry):
+                join(i, m + c)
+    for group in joined:
+        for c in group[1:]:
+            join(m + group[0], m + c)
+    parts: dict[int, tuple[list[int], list[int]]] = {}
+    for k in range(len(owner)):
+        rows, members = parts.setdefault(find(k), ([], []))
+        (rows if k < m else members).append(k if k < m else k - m)
+    return [part for part in parts.values() if part[0]]
+
+
+def _branch(passive: Objects, motion: Objects, twist: Objects, sources: tuple[int, ...], doubt: Doubt) -> Branch:
+    """Eliminate the passive joints of one branch, and what its rows know of the twist where they are more than that."""
+    count = passive.shape[1]
+    ports = [i for i, row in enumerate(twist) if not all(map(is_zero, row))]
+    carried = zeros(len(motion), len(ports) + len(sources))
+    for k, row in enumerate(ports):
+        carried[row, k] = 1.0
+    carried[:, len(ports) :] = motion
+    first = eliminate(passive, range(count), doubt)
+    filled = sum(not is_zero(entry) for entry in carried.ravel())
+    if 2 * len(first.rest_rows) * filled < first.cost * carried.shape[1]:
+        rest = product(first.complement(), carried)
+    else:
+        rest = eliminate(np.hstack([passive, carried]), range(count), Doubt()).rest[:, count:]
+    relations = zeros(0, len(sources))
+    if len(rest) > len(ports):
+        second = eliminate(rest, range(len(ports)), doubt)
+        rest, relations = second.pivot_rows, second.rest[:, len(ports) :]
+    return Branch(
+        sources,
+        product(rest[:, : len(ports)], twist[ports]),
+        rest[:, len(ports) :],
+        relations[[k for k, row in enumerate(relations) if not all(map(is_zero, row))]],
+    )
