@@ -92,7 +92,7 @@ def _closed_again(srdf: Path, calibrated: Robot) -> str:
     for state in tree.getroot().findall("group_state"):
         name = state.get("name", "")
         described = calibrated.configuration(calibrated.named_configurations[name])
-        commands = dict(zip(calibrated.actuated_joints, described.actuated_positions, strict=True))
+        commands = {name: described.joint_position(name) for name in calibrated.actuated_joints}
         result = assemble(calibrated, described, joints=commands)
         if not result.converged:
             logger.warning("named configuration '%s' is left out: its loops do not close any more", name)

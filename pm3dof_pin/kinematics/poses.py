@@ -113,7 +113,7 @@ class Poses:
         """
         model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
         transforms = np.full((*self.shape, 4, 4), np.nan)
-        for index in zip(*np.nonzero(self.solved), strict=True):
+        for index in map(tuple, np.argwhere(self.solved)):
             pin.forwardKinematics(model, data, self.q[index])
             transforms[index] = pin.updateFramePlacement(model, data, frame).homogeneous
         return frozen(transforms)
@@ -132,7 +132,7 @@ class Poses:
     def residual(self) -> Array:
         """Greatest absolute entry of the closure error, shape=(...) [m, rad]."""
         residual = np.full(self.shape, np.nan)
-        for index in zip(*np.nonzero(self.solved), strict=True):
+        for index in map(tuple, np.argwhere(self.solved)):
             residual[index] = np.abs(self.robot.loop_kinematics.closures(self.q[index])[0]).max(initial=0.0)
         return frozen(residual)
 
@@ -161,7 +161,7 @@ class Poses:
         limit = self.robot.closures[closure].swing_limit
         if limit is None:
             raise InvalidValueError("limit group", self.robot.closures[closure], "a closure with a swing limit")
-        for index in zip(*np.nonzero(self.solved), strict=True):
+        for index in map(tuple, np.argwhere(self.solved)):
             beyond[index] = self.configuration(index).swing(closure) > limit + _LIMIT_TOLERANCE
         return beyond
 

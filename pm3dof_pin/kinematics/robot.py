@@ -65,9 +65,9 @@ class Robot(Mechanism):
             tool_frame=closures.tool_frame,
             motion_coordinates=closures.motion_coordinates,
             springs=closures.springs,
-            commands=getattr(closures, "commands", ()),
-            coordinates=getattr(closures, "coordinates", ()),
-            limit_groups=getattr(closures, "limit_groups", ()),
+            commands=closures.commands,
+            coordinates=closures.coordinates,
+            limit_groups=closures.limit_groups,
             characteristic_length=characteristic_length,
             source=files.closures,
         )
@@ -172,7 +172,7 @@ class Robot(Mechanism):
         self,
         values: Grid | ArrayLike,
         *,
-        guess: ArrayLike | None = None,
+        guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
@@ -197,7 +197,7 @@ class Robot(Mechanism):
         self,
         commands: ArrayLike,
         *,
-        guess: ArrayLike | None = None,
+        guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
@@ -217,17 +217,17 @@ class Robot(Mechanism):
 
     def reach(
         self,
-        placements: ArrayLike,
+        placements: pin.SE3 | ArrayLike,
         *,
-        guess: ArrayLike | None = None,
+        guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
         """Find poses that bring the tool to placements, as :meth:`solve` does to coordinates.
 
         Args:
-            placements: homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions alone, the
-                orientation being left free, shape=(..., 3) [m].
+            placements: `pin.SE3` or homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions
+                alone, the orientation being left free, shape=(..., 3) [m].
             guess: see :meth:`solve`; it picks the assembly mode.
             on_failure: see :meth:`solve`.
             engine: see :meth:`solve`.
@@ -237,7 +237,7 @@ class Robot(Mechanism):
             DescriptionError: the robot has no tool frame.
             InvalidValueError: see :meth:`solve`; or a matrix is no placement.
         """
-        array = np.asarray(placements, dtype=float)
+        array = _numbers("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
         if array.shape[-2:] == (4, 4):
             _require_placements(array)
             values = np.concatenate([array[..., :3, 3], angles_of_rotation(array[..., :3, :3])], axis=-1)
@@ -304,12 +304,12 @@ class Robot(Mechanism):
         coordinates: tuple[Coordinate, ...],
         what: str,
         values: ArrayLike,
-        guess: ArrayLike | None,
+        guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
         engine: Engine,
     ) -> Poses:
         names = ", ".join(coordinate.name for coordinate in coordinates)
-        targets = np.asarray(values, dtype=float)
+        targets = _numbers(what, values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
             expected = f"shape (..., {len(coordinates)}): {names}"
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
@@ -319,7 +319,7 @@ class Robot(Mechanism):
         nq = self.model.nq
         starts = None
         if guess is not None:
-            starts = np.asarray(guess, dtype=float)
+            starts = _numbers("guess", guess.q if isinstance(guess, Configuration) else guess)
             if starts.shape not in ((nq,), (*shape, nq)):
                 expected = f"shape ({nq},) or {(*shape, nq)}"
                 raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
@@ -342,6 +342,13 @@ class Robot(Mechanism):
             return instantaneous_mobility(generic_configuration(self.home)).tool_mobility
         except (ConvergenceError, InvalidValueError):
             return 0
+
+
+def _numbers(name: str, values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(name, values, "numbers") from error
 
 
 def _require_placements(matrices: Array) -> None:

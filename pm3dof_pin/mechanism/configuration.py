@@ -144,14 +144,10 @@ class Configuration:
         return self._jacobian(self._mechanism.frame_id(name))
 
     @property
-    def actuated_positions(self) -> Vector:
-        """Coordinates u of the actuated joints, in their order, shape=(number of actuated joints,) [m, rad]."""
-        return self._joint_positions(self._mechanism.actuated_joints)
-
-    @property
-    def motion_coordinates(self) -> Vector:
-        """Values of the mechanism's motion coordinates, in their order [m, rad]; empty if it has none."""
-        return self._joint_positions(self._mechanism.motion_coordinates)
+    def commands(self) -> Vector:
+        """What the drives' counters show, in their order, shape=(number of actuated joints,) [m, rad]."""
+        commands = self._mechanism.commands
+        return frozen(np.array([c.scale * self.joint_position(c.joint) + c.offset for c in commands]))
 
     def joint_position(self, name: str) -> float:
         """Return the coordinate of a joint with one freedom [m, rad]; the angle in (-pi, pi] of a continuous joint.
@@ -202,6 +198,3 @@ class Configuration:
 
     def _jacobian(self, frame_id: int) -> Matrix:
         return frozen(self._mechanism.loop_kinematics.frame_jacobian(self._q, frame_id, pin.LOCAL_WORLD_ALIGNED))
-
-    def _joint_positions(self, names: tuple[str, ...]) -> Vector:
-        return frozen(np.array([self.joint_position(name) for name in names]))

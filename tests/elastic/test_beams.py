@@ -263,7 +263,7 @@ def test_a_four_bar_of_beams_overconstrained_in_space(rigid_tree: RigidTree, cra
     """
     ground, lengths, motor = 0.5, (0.3, 0.6, 0.4), 3e3
     tree, springs = _four_bar(rigid_tree, ground, lengths, motor)
-    where = tree.assemble([crank, 0.6 - crank, 1.5, 0.0], held={"crank_joint": crank})
+    where = tree.assemble([crank, 0.6 - crank, 1.5, 0.0], joints={"crank_joint": crank})
     points = [np.zeros(3)]
     points += [where.frame_placement(name).translation for name in ("crank_end", "coupler_end")]
     points.append(np.array([ground, 0.0, 0.0]))

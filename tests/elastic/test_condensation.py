@@ -369,7 +369,7 @@ def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Robot]) -> N
     results = {}
     for kind, tree in trees.items():
         model = ElasticModel(tree, [JointSpring("motor", "crank_joint", 70.0, "N m/rad")])
-        where = tree.assemble(np.full(tree.model.nq, 0.8), held={"crank_joint": 1.0})
+        where = tree.assemble(np.full(tree.model.nq, 0.8), joints={"crank_joint": 1.0})
         results[kind] = cartesian_compliance(model, where)
         np.testing.assert_allclose(compliance_over(model, [where.q])[0], results[kind].compliance, atol=1e-16)
     assert results["3d"].motions.redundant_constraints == 1
@@ -396,7 +396,7 @@ def test_a_parallel_singularity_frees_the_tool(rigid_tree: Callable[..., Robot])
     with pytest.raises(FreeDirectionError, match=r"translation along \(-?0, -?1, -?0\)"):
         _ = cartesian_compliance(model, in_line).compliance
     guess = np.array([0.0, 0.7, -0.2, 0.5, 0.2, -0.5])
-    bent = tree.assemble(guess, held={"left_joint": -0.2, "right_joint": 0.2})
+    bent = tree.assemble(guess, joints={"left_joint": -0.2, "right_joint": 0.2})
     compliance = cartesian_compliance(model, bent).compliance
     assert compliance[1, 1] > 0.0
 
@@ -492,7 +492,7 @@ def test_a_passive_leg_that_is_drawn_in(elastic: ElasticModel) -> None:
     q = np.array(elastic.rigid.home.q)
     for joint in ("slider1_joint", "slider2_joint", "slider3_joint"):
         q[elastic.rigid.single_joint(joint).q_index] = -0.2
-    where = elastic.rigid.assemble(q, held={f"slider{k}_joint": -0.2 for k in (1, 2, 3)})
+    where = elastic.rigid.assemble(q, joints={f"slider{k}_joint": -0.2 for k in (1, 2, 3)})
     with pytest.raises(InvalidValueError, match=r"passive_leg.*positive"):
         cartesian_compliance(elastic, where)
 

@@ -1,4 +1,4 @@
-"""Forward kinematics of many commands, against the single-pose solver and the closed form."""
+"""Batches of poses: commands, coordinates and tool placements belong together, on every robot."""
 
 from __future__ import annotations
 
@@ -7,46 +7,101 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.poses import REACH, Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.tool_angles import rotation_of_angles
+from pm3dof_pin.typing import Array, Engine
+
+ROBOTS = ("pm3dof", "hexapod", "three_rps")
 
 
-def test_they_are_assembled_and_keep_the_commands(case: Poses) -> None:
-    again = case.robot.forward(case.commands)
-    np.testing.assert_allclose(again.commands, case.commands, atol=1e-15)
-    for configuration in again:
-        assert configuration.closure_residual < 1e-12
+@pytest.fixture(scope="module", params=ROBOTS)
+def poses(request: pytest.FixtureRequest) -> Poses:
+    """60 random poses within the limits of a robot."""
+    return draw(Robot.load(request.param), 60, np.random.default_rng(4))
 
 
-def test_the_tripod_reaches_the_poses_of_its_inverse_kinematics(
-    tripod: Tripod, mechanism: Robot, reachable_poses: np.ndarray
+@pytest.fixture(params=["program", "pinocchio"])
+def engine(request: pytest.FixtureRequest) -> Engine:
+    chosen: Engine = request.param
+    return chosen
+
+
+def test_commands_of_a_pose_give_the_pose_back(poses: Poses, engine: Engine) -> None:
+    again = poses.robot.forward(poses.commands, engine=engine)
+    np.testing.assert_allclose(again.commands, poses.commands, atol=1e-15)
+    np.testing.assert_allclose(again.transforms, poses.transforms, atol=1e-10)
+    assert again.residual.max() < 1e-12
+
+
+def test_coordinates_of_a_pose_give_the_pose_back(poses: Poses, engine: Engine) -> None:
+    again = poses.robot.solve(poses.coordinates, engine=engine)
+    np.testing.assert_allclose(again.coordinates, poses.coordinates, atol=1e-14)
+    np.testing.assert_allclose(again.commands, poses.commands, atol=1e-11)
+
+
+def test_the_tool_is_brought_to_placements(poses: Poses) -> None:
+    again = poses.robot.reach(poses.transforms, guess=poses.q)
+    np.testing.assert_allclose(again.commands, poses.commands, atol=1e-10)
+
+
+def test_the_hexapods_coordinates_are_the_placement_of_its_tool() -> None:
+    robot = Robot.load("hexapod")
+    values = robot.home_coordinates + np.array([0.003, -0.002, 0.004, 0.05, -0.03, 0.02])
+    pose = robot.solve(values)
+    np.testing.assert_allclose(pose.positions, values[:3], atol=1e-13)
+    np.testing.assert_allclose(pose.rotations, rotation_of_angles(values[3:]), atol=1e-13)
+
+
+def test_the_tripod_agrees_with_its_closed_form(
+    tripod: Tripod, mechanism: Robot, reachable_poses: Array, engine: Engine
 ) -> None:
-    """Far commands too end in the machine's own assembly mode."""
-    poses = reachable_poses[:400]
-    u = inverse_kinematics(tripod, poses)
-    np.testing.assert_allclose(mechanism.forward(u).transforms, placement(poses), atol=1e-11)
-
-
-def test_motion_coordinates_can_be_held(tripod: Tripod, mechanism: Robot, reachable_poses: np.ndarray) -> None:
-    poses = reachable_poses[:50]
-    solved = mechanism.solve(poses)
-    u = inverse_kinematics(tripod, poses)
-    np.testing.assert_allclose(solved.commands, u, atol=1e-12)
+    values = reachable_poses[:400]
+    solved = mechanism.solve(values, engine=engine)
+    np.testing.assert_allclose(solved.commands, inverse_kinematics(tripod, values), atol=1e-12)
+    np.testing.assert_allclose(solved.transforms, placement(values), atol=1e-12)
     assert solved.within_limits.all()
-    np.testing.assert_array_equal(solved[3:5].q, solved.q[3:5])
+    assert not mechanism.forward(inverse_kinematics(tripod, values), engine=engine).broken_limits.any()
 
 
-def test_a_command_out_of_reach_is_named(mechanism: Robot) -> None:
-    with pytest.raises(UnreachablePoseError, match=r"u1 = 0\.5"):
+def test_the_same_limits_are_broken_as_in_closed_form(tripod: Tripod, mechanism: Robot, engine: Engine) -> None:
+    values = np.random.default_rng(3).uniform([-0.9, -0.9, 0.36], [0.9, 0.9, 0.62], (400, 3))
+    solved = mechanism.solve(values, on_failure="nan", engine=engine)
+    expected = broken_limits(tripod, values)
+    assert [group.name for group in mechanism.limit_groups] == ["stroke", "universal", "spherical", "tilt", "height"]
+    reached = solved.solved
+    np.testing.assert_array_equal(solved.broken_limits[reached], expected[reached])
+    # the closed form flags a tilt that is too far even where nothing can be reached
+    assert np.all(expected[~reached] & REACH)
+    np.testing.assert_array_equal(solved.broken_limits[~reached], REACH)
+
+
+def test_a_batch_keeps_its_shape_and_marks_what_it_cannot_reach(mechanism: Robot) -> None:
+    grid = mechanism.grid(theta_x=(-0.2, 0.2, 3), z_e=(0.45, 1.05, 4))
+    solved = mechanism.solve(grid, on_failure="nan")
+    assert solved.shape == grid.shape == (3, 4)
+    np.testing.assert_array_equal(solved.solved[:, 0], True)
+    np.testing.assert_array_equal(solved.solved[:, -1], False)
+    assert np.isnan(solved.commands[:, -1]).all()
+    np.testing.assert_array_equal(solved[1:, :2].q, solved.q[1:, :2])
+    np.testing.assert_array_equal(solved.reshape(12).q[4], solved.q[1, 0])
+
+
+def test_a_pose_out_of_reach_is_named(mechanism: Robot) -> None:
+    with pytest.raises(UnreachablePoseError, match=r"u1 = 0\.5 m, u2 = -0\.5 m.*1 of 2 poses.*residual"):
         mechanism.forward([[0.24, 0.24, 0.24], [0.5, -0.5, 0.24]])
 
 
-def test_shapes_are_checked(mechanism: Robot) -> None:
-    with pytest.raises(InvalidValueError, match=r"shape \(\.\.\., 3\)"):
+def test_arguments_are_checked(mechanism: Robot) -> None:
+    with pytest.raises(InvalidValueError, match=r"shape \(\.\.\., 3\): u1, u2, u3"):
         mechanism.forward([0.0, 0.0])
     with pytest.raises(InvalidValueError, match="finite"):
-        mechanism.forward([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
+        mechanism.solve([[0.0, 0.0, 0.5], [np.nan, 0.0, 0.5]])
     with pytest.raises(InvalidValueError, match="guess"):
-        mechanism.forward([[0.0, 0.0, 0.0]], guess=np.zeros(3))
+        mechanism.forward([[0.24, 0.24, 0.24]], guess=np.zeros(3))
+    with pytest.raises(InvalidValueError, match="theta_x, theta_y, z_e"):
+        mechanism.grid(height=0.5)
     assert len(mechanism.forward(np.empty((0, 3)))) == 0

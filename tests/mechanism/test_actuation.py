@@ -17,7 +17,7 @@ GUESS = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
 @pytest.fixture(params=range(10))
 def pose(five_bar: Robot, request: pytest.FixtureRequest) -> Configuration:
     tip = np.random.default_rng(request.param).uniform([-0.15, 0.3], [0.15, 0.55])
-    return five_bar.at_motion_coordinates(tip, GUESS)
+    return five_bar.solve(tip, guess=GUESS).configuration()
 
 
 def five_bar_jacobian(configuration: Configuration) -> np.ndarray:
@@ -41,7 +41,7 @@ def test_five_bar_against_finite_differences(five_bar: Robot, pose: Configuratio
     columns = []
     for direction in np.eye(2):
         ahead, behind = (
-            five_bar.at_motion_coordinates(pose.motion_coordinates + step * direction, pose).actuated_positions
+            five_bar.solve(five_bar.at(pose.q).coordinates + step * direction, guess=pose).configuration().commands
             for step in (1e-6, -1e-6)
         )
         columns.append((ahead - behind) / 2e-6)
@@ -58,26 +58,26 @@ def test_without_coordinates_the_tools_own_twists_serve(five_bar: Robot, pose: C
 
 def test_gough_platform_against_its_closed_form(gough: Any) -> None:
     rng = np.random.default_rng(7)
-    guess = gough.mechanism.assemble(held={"platform_joint": [0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 1.0]})
+    guess = gough.mechanism.assemble(joints={"platform_joint": [0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 1.0]})
     for _ in range(10):
         rotation, position = (
             pin.exp3(rng.uniform(-0.2, 0.2, 3)),
             np.array([0.0, 0.0, 0.12]) + rng.uniform(-0.02, 0.02, 3),
         )
-        configuration = gough.mechanism.inverse_geometry(pin.SE3(rotation, position), guess)
+        configuration = gough.mechanism.reach(pin.SE3(rotation, position), guess=guess).configuration()
         arms = gough.heads @ rotation.T
         legs = arms + position - gough.feet
         units = legs / np.linalg.norm(legs, axis=1, keepdims=True)
         wrenches = np.hstack([units, np.cross(arms, units)])
         length = gough.mechanism.characteristic_length
         unit_twists = np.diag([length, length, length, 1.0, 1.0, 1.0])
-        sign = np.sign(configuration.actuated_positions)[:, None]
+        sign = np.sign(configuration.commands)[:, None]
         np.testing.assert_allclose(tool_motions(configuration), unit_twists, atol=1e-12)
         np.testing.assert_allclose(actuation_jacobian(configuration), sign * wrenches @ unit_twists, atol=1e-12)
 
 
 def test_motions_keep_the_loops_closed_and_idle_freedoms_at_rest(gough: Any) -> None:
-    guess = gough.mechanism.assemble(held={"platform_joint": [0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 1.0]})
+    guess = gough.mechanism.assemble(joints={"platform_joint": [0.0, 0.0, 0.12, 0.0, 0.0, 0.0, 1.0]})
     motions = independent_motions(guess)
     np.testing.assert_allclose(guess.constraint_jacobian @ motions, 0.0, atol=1e-14)
     model = gough.mechanism.model

@@ -36,7 +36,7 @@ def rocker_angle(crank_angle: float, crank: float, coupler: float, rocker: float
 @pytest.fixture(scope="module")
 def open_crank_rocker(crank_rocker: Robot) -> Configuration:
     """The crank-rocker with its coupler above the ground."""
-    return crank_rocker.assemble(held={"crank_joint": np.pi / 2}, guess=[0.0, 1.0, -1.0, 1.2])
+    return crank_rocker.assemble(joints={"crank_joint": np.pi / 2}, guess=[0.0, 1.0, -1.0, 1.2])
 
 
 @pytest.mark.parametrize("crank_angle", np.linspace(-3.1, 3.1, 13))
@@ -46,10 +46,10 @@ def test_four_bar_has_its_closed_form(
     # going there in small steps keeps the assembly mode: this linkage has two
     configuration = open_crank_rocker
     for angle in np.linspace(np.pi / 2, crank_angle, 12):
-        configuration = crank_rocker.forward_geometry([angle], guess=configuration)
+        configuration = crank_rocker.forward([angle], guess=configuration).configuration()
     difference = configuration.joint_position("rocker_joint") - rocker_angle(crank_angle, *CRANK_ROCKER)
     assert np.sin(difference / 2.0) == pytest.approx(0.0, abs=1e-13)
-    assert configuration.actuated_positions[0] == pytest.approx(crank_angle, abs=1e-15)
+    assert configuration.commands[0] == pytest.approx(crank_angle, abs=1e-15)
     assert configuration.closure_residual < 1e-15
 
 
@@ -57,7 +57,7 @@ def test_four_bar_has_its_closed_form(
 def test_five_bar_closes_from_guesses_far_off(five_bar: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     target = rng.uniform([-0.1, 0.3], [0.1, 0.55])
-    reached = five_bar.at_motion_coordinates(target, guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
+    reached = five_bar.solve(target, guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3]).configuration()
     np.testing.assert_allclose(reached.tool_placement.translation, [*target, 0.0], atol=1e-15)
     off = np.where(five_bar.velocity_scale == 1.0, rng.uniform(-0.3, 0.3, 6), rng.uniform(-0.05, 0.05, 6))
     closed = assemble(five_bar, reached.q + off)
@@ -70,19 +70,19 @@ def test_five_bar_closes_from_guesses_far_off(five_bar: Robot, seed: int) -> Non
 
 def test_held_joints_keep_their_values_to_the_last_bit(five_bar: Robot) -> None:
     held = {"left_joint": 2.0, "y_joint": 0.45}
-    closed = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3], held=held)
+    closed = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3], joints=held)
     assert {name: closed.joint_position(name) for name in held} == held
     assert closed.closure_residual < 1e-15
 
 
 def test_forward_and_inverse_geometry_undo_each_other(five_bar: Robot) -> None:
     guess = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
-    there = five_bar.inverse_geometry([0.05, 0.48, 0.0], guess=guess)
+    there = five_bar.reach([0.05, 0.48, 0.0], guess=guess).configuration()
     np.testing.assert_allclose(there.tool_placement.translation, [0.05, 0.48, 0.0], atol=1e-15)
-    back = five_bar.forward_geometry(there.actuated_positions, guess=guess)
+    back = five_bar.forward(there.commands, guess=guess).configuration()
     np.testing.assert_allclose(back.q, there.q, atol=1e-13)
     for pose in (there.tool_placement, there.tool_placement.homogeneous):
-        np.testing.assert_allclose(five_bar.inverse_geometry(pose, guess=guess).q, there.q, atol=1e-13)
+        np.testing.assert_allclose(five_bar.reach(pose, guess=guess).configuration().q, there.q, atol=1e-13)
 
 
 def test_serial_arm_reaches_a_pose(ur5: Robot) -> None:
@@ -90,23 +90,23 @@ def test_serial_arm_reaches_a_pose(ur5: Robot) -> None:
     for _ in range(20):
         start = ur5.configuration(rng.uniform(-1.5, 1.5, 6) + np.array([0.0, 0.0, 1.6, 0.0, 1.6, 0.0]))
         goal = ur5.configuration(start.q + rng.uniform(-0.3, 0.3, 6))
-        found = ur5.inverse_geometry(goal.tool_placement, guess=start)
+        found = ur5.reach(goal.tool_placement, guess=start).configuration()
         np.testing.assert_allclose(found.tool_placement.homogeneous, goal.tool_placement.homogeneous, atol=1e-12)
 
 
 def test_joints_with_several_freedoms_are_assembled_and_held(gough: Any) -> None:
     placement = pin.SE3(pin.utils.rotate("x", 0.2) @ pin.utils.rotate("z", 0.1), np.array([0.01, -0.02, 0.1]))
-    closed = gough.mechanism.assemble(held={"platform_joint": pin.SE3ToXYZQUAT(placement)})
+    closed = gough.mechanism.assemble(joints={"platform_joint": pin.SE3ToXYZQUAT(placement)})
     heads = gough.heads @ placement.rotation.T + placement.translation
     lengths = np.linalg.norm(heads - gough.feet, axis=1)
-    np.testing.assert_allclose(np.abs(closed.actuated_positions), lengths, atol=1e-14)
+    np.testing.assert_allclose(np.abs(closed.commands), lengths, atol=1e-14)
     assert closed.tool_placement.isApprox(placement, 1e-14)
-    again = gough.mechanism.inverse_geometry(placement, guess=closed)
-    np.testing.assert_allclose(again.actuated_positions, closed.actuated_positions, atol=1e-14)
+    again = gough.mechanism.reach(placement, guess=closed).configuration()
+    np.testing.assert_allclose(again.commands, closed.commands, atol=1e-14)
 
 
 def test_overconstrained_loops_close_as_well(welded_four_bar: Robot) -> None:
-    closed = welded_four_bar.assemble([1.4, -0.9, 0.8, 1.8], held={"joint0": 1.4})
+    closed = welded_four_bar.assemble([1.4, -0.9, 0.8, 1.8], joints={"joint0": 1.4})
     assert closed.closure_residual < 1e-15
     rocker = rocker_angle(1.4, *CRANK_ROCKER)
     # the angles of joint 0, 1 and 2 add up to the rocker's direction, seen from its tip
@@ -138,13 +138,13 @@ def test_converged_means_closed(five_bar: Robot) -> None:
 
 def test_the_residual_counts_the_pose_too(five_bar: Robot) -> None:
     start = five_bar.assemble([0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
-    result = assemble(five_bar, start, pose=start.tool_placement.translation + np.array([0.1, 0.0, 0.0]), max_steps=0)
+    result = assemble(five_bar, start, tool={"x": start.tool_placement.translation[0] + 0.1}, max_steps=0)
     assert not result.converged
     assert result.residual == pytest.approx(0.1, rel=1e-12)
 
 
 def test_a_singular_solution_is_still_found(make_four_bar: Callable[..., Robot]) -> None:
-    flat = assemble(make_four_bar(0.3, 0.5, 0.3, 0.5), [0.2, -0.1, 0.15], held={"crank_joint": 0.0})
+    flat = assemble(make_four_bar(0.3, 0.5, 0.3, 0.5), [0.2, -0.1, 0.15], joints={"crank_joint": 0.0})
     assert flat.converged
     assert flat.residual < 1e-12
 
@@ -152,23 +152,23 @@ def test_a_singular_solution_is_still_found(make_four_bar: Callable[..., Robot])
 def test_out_of_reach_is_an_error_with_the_residual(five_bar: Robot) -> None:
     # the arms are 0.7 m long, from pivots at -+0.1 m: at x = 0 they reach to y = sqrt(0.7^2 - 0.1^2)
     guess, edge = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3], np.sqrt(0.48)
-    assert five_bar.at_motion_coordinates([0.0, edge - 1e-6], guess).closure_residual < 1e-12
-    with pytest.raises(UnreachablePoseError, match=r"x_joint = 0, y_joint = 0\.7\d*: residual \d\.\d+e-0[12] m"):
-        five_bar.at_motion_coordinates([0.0, edge + 0.05], guess)
-    with pytest.raises(UnreachablePoseError, match=r"tool pose \[0.*residual"):
-        five_bar.inverse_geometry([0.0, edge + 0.05, 0.0], guess)
+    assert five_bar.solve([0.0, edge - 1e-6], guess=guess).configuration().closure_residual < 1e-12
+    with pytest.raises(UnreachablePoseError, match=r"x_joint = 0 m, y_joint = 0\.7\d* m: residual \d\.\d+e-0[12] m"):
+        five_bar.solve([0.0, edge + 0.05], guess=guess).configuration()
+    with pytest.raises(UnreachablePoseError, match=r"x = 0 m, y = 0.*residual"):
+        five_bar.reach([0.0, edge + 0.05, 0.0], guess=guess).configuration()
     with pytest.raises(UnreachablePoseError):
-        five_bar.inverse_geometry(pin.SE3(pin.utils.rotate("x", 0.1), np.array([0.0, 0.5, 0.0])), guess)
+        five_bar.reach(pin.SE3(pin.utils.rotate("x", 0.1), np.array([0.0, 0.5, 0.0])), guess=guess).configuration()
 
 
 def test_loops_that_cannot_close_are_an_error_with_the_residual(crank_rocker: Robot) -> None:
     # rocker straight out: its tip is 1.0 m from the crank's pivot, crank and coupler are 0.7 m long together
     with pytest.raises(ConvergenceError) as caught:
-        crank_rocker.assemble(held={"rocker_joint": 0.0})
+        crank_rocker.assemble(joints={"rocker_joint": 0.0})
     assert caught.value.residual == pytest.approx(0.3, abs=1e-6)
     lengths = Robot(crank_rocker.model, crank_rocker.closures, actuated_joints=["rocker_joint"])
-    with pytest.raises(ConvergenceError, match="forward geometry"):
-        lengths.forward_geometry([0.0])
+    with pytest.raises(UnreachablePoseError, match="rocker_joint"):
+        lengths.forward([0.0]).configuration()
 
 
 def test_a_pose_no_closure_forbids_may_be_anywhere() -> None:
@@ -178,7 +178,7 @@ def test_a_pose_no_closure_forbids_may_be_anywhere() -> None:
     mechanism, rng = Robot(model, tool_frame="tool"), np.random.default_rng(2)
     for _ in range(10):
         pose = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
-        assert mechanism.inverse_geometry(pose).tool_placement.isApprox(pose, 1e-12)
+        assert mechanism.reach(pose).configuration().tool_placement.isApprox(pose, 1e-12)
 
 
 NOT_A_ROTATION = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -189,20 +189,20 @@ NOT_A_ROTATION = np.diag([1.0, 1.0, -1.0, 1.0])
     [
         (lambda m: m.assemble(guess=[0.0, 1.0]), InvalidValueError),
         (lambda m: m.assemble(guess=np.full(6, np.nan)), InvalidValueError),
-        (lambda m: m.assemble(held={"left_joint": np.nan}), InvalidValueError),
-        (lambda m: m.assemble(held={"left_joint": [0.1, 0.2]}), InvalidValueError),
-        (lambda m: m.assemble(held={"knee": 0.1}), JointNotFoundError),
-        (lambda m: m.forward_geometry([0.1]), InvalidValueError),
-        (lambda m: m.forward_geometry([0.1, np.inf]), InvalidValueError),
-        (lambda m: m.forward_geometry("ab"), InvalidValueError),
-        (lambda m: m.at_motion_coordinates([0.1, 0.2, 0.3]), InvalidValueError),
-        (lambda m: m.at_motion_coordinates([np.nan, 0.2]), InvalidValueError),
-        (lambda m: m.inverse_geometry([[1.0, 0.0], [1.0]]), InvalidValueError),
-        (lambda m: m.inverse_geometry(np.eye(3)), InvalidValueError),
-        (lambda m: m.inverse_geometry(np.full((4, 4), np.nan)), InvalidValueError),
-        (lambda m: m.inverse_geometry(NOT_A_ROTATION), InvalidValueError),
-        (lambda m: m.inverse_geometry(2.0 * np.eye(4)), InvalidValueError),
-        (lambda m: m.inverse_geometry([0.0, np.nan, 0.0]), InvalidValueError),
+        (lambda m: m.assemble(joints={"left_joint": np.nan}), InvalidValueError),
+        (lambda m: m.assemble(joints={"left_joint": [0.1, 0.2]}), InvalidValueError),
+        (lambda m: m.assemble(joints={"knee": 0.1}), JointNotFoundError),
+        (lambda m: m.forward([0.1]).configuration(), InvalidValueError),
+        (lambda m: m.forward([0.1, np.inf]).configuration(), InvalidValueError),
+        (lambda m: m.forward("ab").configuration(), InvalidValueError),
+        (lambda m: m.solve([0.1, 0.2, 0.3]).configuration(), InvalidValueError),
+        (lambda m: m.solve([np.nan, 0.2]).configuration(), InvalidValueError),
+        (lambda m: m.reach([[1.0, 0.0], [1.0]]).configuration(), InvalidValueError),
+        (lambda m: m.reach(np.eye(2)).configuration(), InvalidValueError),
+        (lambda m: m.reach(np.full((4, 4), np.nan)).configuration(), InvalidValueError),
+        (lambda m: m.reach(NOT_A_ROTATION).configuration(), InvalidValueError),
+        (lambda m: m.reach(2.0 * np.eye(4)).configuration(), InvalidValueError),
+        (lambda m: m.reach([0.0, np.nan, 0.0]).configuration(), InvalidValueError),
     ],
 )
 def test_arguments_are_checked(five_bar: Robot, call: Callable[[Robot], object], error: type[PM3DofError]) -> None:
@@ -211,11 +211,9 @@ def test_arguments_are_checked(five_bar: Robot, call: Callable[[Robot], object],
 
 
 def test_what_the_description_lacks_is_named(crank_rocker: Robot) -> None:
-    with pytest.raises(DescriptionError, match="motion_coordinates"):
-        crank_rocker.at_motion_coordinates([0.0])
     toolless = Robot(crank_rocker.model, crank_rocker.closures, source="little.yaml")
     with pytest.raises(DescriptionError, match=r"little\.yaml: tool_frame"):
-        toolless.inverse_geometry(np.eye(4))
+        toolless.reach(np.eye(4)).configuration()
 
 
 def test_another_mechanisms_configuration_is_no_guess(five_bar: Robot, crank_rocker: Robot) -> None:

@@ -159,10 +159,10 @@ def test_coordinates_of_named_joints(zoo: Robot, five_bar: Robot, crank_rocker: 
     configuration = five_bar.configuration(0.1 * np.arange(len(names)))
     assert configuration.joint_position("left_elbow") == 0.1 * names.index("left_elbow")
     expected = [0.1 * names.index("left_joint"), 0.1 * names.index("right_joint")]
-    np.testing.assert_array_equal(configuration.actuated_positions, expected)
+    np.testing.assert_array_equal(configuration.commands, expected)
     expected = [0.1 * names.index("x_joint"), 0.1 * names.index("y_joint")]
-    np.testing.assert_array_equal(configuration.motion_coordinates, expected)
-    turned = crank_rocker.assemble(held={"crank_joint": 2.5}, guess=[1.0, 0.0, 0.4, 0.8])
+    np.testing.assert_array_equal(five_bar.at(configuration.q).coordinates, expected)
+    turned = crank_rocker.assemble(joints={"crank_joint": 2.5}, guess=[1.0, 0.0, 0.4, 0.8])
     assert turned.joint_position("crank_joint") == pytest.approx(2.5, abs=1e-15)
     with pytest.raises(InvalidValueError, match="one freedom"):
         zoo.home.joint_position("joint00")

@@ -60,7 +60,7 @@ def test_a_continuous_joint_has_no_limits_and_two_coordinates(crank_rocker: Robo
     assert crank_rocker.q_names[first + 1] == "crank_joint[1]"
     assert np.isneginf(crank_rocker.lower_limits[first : first + 2]).all()
     assert np.isposinf(crank_rocker.upper_limits[first : first + 2]).all()
-    assert crank_rocker.home.actuated_positions == 0.0
+    assert crank_rocker.home.commands == 0.0
 
 
 def test_without_closures_all_joints_are_driven(write_robot: Writer) -> None:
@@ -103,7 +103,7 @@ def test_characteristic_length_is_the_rms_radius_of_the_points(make_four_bar: Ca
 
 
 def test_mechanisms_and_configurations_survive_pickling(five_bar: Robot) -> None:
-    configuration = five_bar.at_motion_coordinates([0.05, 0.5], guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3])
+    configuration = five_bar.solve([0.05, 0.5], guess=[0.0, 0.5, 2.2, -1.3, 0.9, 1.3]).configuration()
     copy = pickle.loads(pickle.dumps(configuration))
     np.testing.assert_array_equal(copy.q, configuration.q)
     np.testing.assert_array_equal(copy.constraint_jacobian, configuration.constraint_jacobian)

@@ -83,7 +83,7 @@ def pose(request: pytest.FixtureRequest) -> Vector:
 
 @pytest.fixture
 def configuration(mechanism: Robot, pose: Vector, home_height: float) -> Configuration:
-    return mechanism.at_motion_coordinates(pose - [0.0, 0.0, home_height])
+    return mechanism.solve(pose).configuration()
 
 
 def test_home_is_q_zero(mechanism: Robot, home_height: float) -> None:
@@ -94,7 +94,7 @@ def test_home_is_q_zero(mechanism: Robot, home_height: float) -> None:
 
 def test_sliders_and_tool_are_where_the_equations_say(configuration: Configuration, pose: Vector) -> None:
     assert configuration.closure_residual < 1e-14
-    np.testing.assert_allclose(configuration.actuated_positions, sliders(*pose) - SLIDER_HOME, atol=1e-14)
+    np.testing.assert_allclose(configuration.commands, sliders(*pose), atol=1e-14)
     expected = pin.SE3(rotation(*pose[:2]), np.array([0.0, 0.0, pose[2]]))
     np.testing.assert_allclose(configuration.tool_placement.homogeneous, expected.homogeneous, atol=1e-14)
 
@@ -125,9 +125,9 @@ def test_three_freedoms_none_idle_none_redundant(configuration: Configuration) -
 
 
 def test_forward_geometry_undoes_inverse_geometry(mechanism: Robot, configuration: Configuration) -> None:
-    back = mechanism.forward_geometry(configuration.actuated_positions)
-    np.testing.assert_allclose(back.motion_coordinates, configuration.motion_coordinates, atol=1e-12)
-    again = mechanism.inverse_geometry(configuration.tool_placement)
+    back = mechanism.forward(configuration.commands).configuration()
+    assert back.tool_placement.isApprox(configuration.tool_placement, 1e-12)
+    again = mechanism.reach(configuration.tool_placement).configuration()
     np.testing.assert_allclose(again.q, configuration.q, atol=1e-12)
 
 
@@ -148,7 +148,7 @@ def test_jacobians_against_finite_differences(mechanism: Robot, configuration: C
 
 @pytest.mark.parametrize("seed", range(20))
 def test_loops_close_from_guesses_far_off(mechanism: Robot, seed: int, home_height: float) -> None:
-    there = mechanism.at_motion_coordinates(reachable_pose(seed) - [0.0, 0.0, home_height])
+    there = mechanism.solve(reachable_pose(seed)).configuration()
     rng = np.random.default_rng(seed)
     off = np.where(mechanism.velocity_scale == 1.0, rng.uniform(-0.3, 0.3, 12), rng.uniform(-0.05, 0.05, 12))
     result = assemble(mechanism, there.q + off)
@@ -160,9 +160,9 @@ def test_loops_close_from_guesses_far_off(mechanism: Robot, seed: int, home_heig
 def test_the_published_cross_check_pose(mechanism: Robot, home_height: float) -> None:
     """Slider travels that MuJoCo, Drake and PyBullet give as well."""
     pose = np.array([np.radians(10.0), np.radians(-15.0), 0.5])
-    configuration = mechanism.at_motion_coordinates(pose - [0.0, 0.0, home_height])
+    configuration = mechanism.solve(pose).configuration()
     expected = [0.257110951586, 0.260246563859, 0.224483570293]
-    np.testing.assert_allclose(configuration.actuated_positions + SLIDER_HOME, expected, atol=5e-13)
+    np.testing.assert_allclose(configuration.commands, expected, atol=5e-13)
 
 
 def test_swing_is_counted_from_the_inclined_axis(configuration: Configuration, pose: Vector) -> None:
@@ -177,7 +177,7 @@ def test_swing_is_counted_from_the_inclined_axis(configuration: Configuration, p
 
 def test_a_pose_out_of_reach(mechanism: Robot, home_height: float) -> None:
     assert np.isnan(sliders(0.0, 0.0, home_height + 0.5)).all()
-    with pytest.raises(UnreachablePoseError, match=r"passive_slider_joint = 0\.5: residual"):
-        mechanism.at_motion_coordinates([0.0, 0.0, 0.5])
+    with pytest.raises(UnreachablePoseError, match=r"z_e = 1 m: residual"):
+        mechanism.solve([0.0, 0.0, 1.0])
     with pytest.raises(UnreachablePoseError):
-        mechanism.inverse_geometry([0.1, 0.0, 0.5])
+        mechanism.reach([0.1, 0.0, 0.5]).configuration()

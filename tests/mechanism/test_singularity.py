@@ -234,7 +234,7 @@ def test_gough_platform_turned_about_its_axis_becomes_parallel(gough: Any) -> No
     turn = brentq(lambda t: wrench_determinant(gough, placement(t)), turns[crossing], turns[crossing + 1], xtol=1e-15)
 
     def configuration(turn: float) -> Configuration:
-        return gough.mechanism.assemble(held={"platform_joint": pin.SE3ToXYZQUAT(placement(turn))})
+        return gough.mechanism.assemble(joints={"platform_joint": pin.SE3ToXYZQUAT(placement(turn))})
 
     (singularity,) = singularities(configuration(turn))
     assert singularity.type == "parallel"
