@@ -82,8 +82,8 @@ def test_a_path_is_played(page: Any, mechanism: Robot, tripod: Tripod, tmp_path:
     """At the time of a frame the bodies, ellipsoids and arrows are where that frame has them."""
     model = ElasticModel(mechanism)
     angles = np.linspace(0.0, 2.0 * np.pi, 9)
-    poses = np.column_stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), np.full(9, -0.01)])
-    frames = [mechanism.at_motion_coordinates(pose) for pose in poses]
+    poses = np.column_stack([0.3 * np.cos(angles), 0.3 * np.sin(angles), np.full(9, 0.48)])
+    frames = list(mechanism.solve(poses))
     stiffness = [cartesian_compliance(model, frame).stiffness for frame in frames]
     forces = [holding_forces(frame).actuator_forces for frame in frames]
     viewer = Viewer(mechanism, tripod=tripod)

@@ -48,7 +48,7 @@ def test_shapes(write_robot: Write) -> None:
 
 
 def test_placements_are_those_of_the_links(mechanism: Robot) -> None:
-    where = mechanism.at_motion_coordinates([0.2, -0.1, 0.01])
+    where = mechanism.solve([0.2, -0.1, 0.5]).configuration()
     placements = body_placements(bodies_of(mechanism), where)
     assert len(placements) == 14
     for path, placement in placements.items():

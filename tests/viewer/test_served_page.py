@@ -50,7 +50,7 @@ def shows_pose(page: Any, pose: np.ndarray) -> None:
 def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
     opened(page, viewer)
     pose = np.array([0.25, -0.1, 0.47])
-    where = mechanism.at_motion_coordinates(pose - [0.0, 0.0, tripod.height_home])
+    where = mechanism.solve(pose).configuration()
     viewer.display(where)
     stiffness = cartesian_compliance(ElasticModel(mechanism), where).stiffness
     drawn = viewer.stiffness_ellipsoid(stiffness, kind="rotation")
@@ -72,7 +72,7 @@ def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Robot
 def test_the_sliders_live_in_the_served_page_too(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
     opened(page, viewer)
     theta_y = page.drag_slider("theta_y [deg]", 0.7)
-    where = mechanism.at_motion_coordinates([0.0, np.radians(theta_y), 0.0])
+    where = mechanism.solve([0.0, np.radians(theta_y), tripod.height_home]).configuration()
     np.testing.assert_allclose(page.matrix("/robot/platform"), where.frame_placement("platform").homogeneous, atol=1e-9)
     assert "closed form" in page.note()
     assert page.browser.errors == []

@@ -28,7 +28,7 @@ BODIES += [f"{name}{leg}" for name in ("slider", "cross", "link") for leg in (1,
 
 def at_pose(mechanism: Robot, tripod: Tripod, theta_x: float, theta_y: float, z_e: float) -> Configuration:
     """The general engine's configuration, found by Newton's method from the URDF: degrees and metres."""
-    return mechanism.at_motion_coordinates([np.radians(theta_x), np.radians(theta_y), z_e - tripod.height_home])
+    return mechanism.solve([np.radians(theta_x), np.radians(theta_y), z_e]).configuration()
 
 
 def drawn_everything(mechanism: Robot, tripod: Tripod, where: Configuration, **options: Any) -> Viewer:

@@ -180,7 +180,7 @@ def test_the_page_it_writes(page: Any, mechanism: Robot, tripod: Tripod, tmp_pat
     result = run("10", "-15", "0.5", *options, "page.html", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     page.open((tmp_path / "page.html").as_uri())
-    where = mechanism.at_motion_coordinates([np.radians(10.0), np.radians(-15.0), 0.5 - tripod.height_home])
+    where = mechanism.solve([np.radians(10.0), np.radians(-15.0), 0.5]).configuration()
     expected = where.frame_placement("platform").homogeneous
     np.testing.assert_allclose(page.matrix("/robot/platform"), expected, atol=1e-9)
     keys = page.ask("pm3dof.panel().legend.map(entry => [entry.key, Boolean(entry.live)])")

@@ -28,7 +28,7 @@ def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: R
     viewer.actuator_forces([1.0, 2.0, 3.0])
     viewer.frames()
     assert set(legend(viewer)) == {"translation", "forces", "frames"}
-    viewer.display(mechanism.at_motion_coordinates([0.1, 0.1, 0.0]))
+    viewer.display(mechanism.solve([0.1, 0.1, 0.49]).configuration())
     assert set(legend(viewer)) == {"frames"}
     hidden = {
         command["path"]
@@ -170,7 +170,7 @@ def test_loops_that_are_open_are_shown_as_they_are(mechanism: Robot, tripod: Tri
 
 def test_a_path_ends_when_something_else_is_displayed(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
-    viewer.play([mechanism.home, mechanism.at_motion_coordinates([0.1, 0.0, 0.0])])
+    viewer.play([mechanism.home, mechanism.solve([0.1, 0.0, 0.49]).configuration()])
 
     def has_animation() -> bool:
         return any(command["type"] == "set_animation" for command in viewer.scene.snapshot()["commands"])
