@@ -22,19 +22,27 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.graph import Graph, Number
 
+LIMIT_TOLERANCE = 1e-9
+"""Excess over a limit that still counts as inside, for rounding [m, rad]."""
+
 _ROUNDING = 1e-15
 _CONSTANTS = np.array([0.0, 1.0, -1.0])
 
 
 def structure(mechanism: Mechanism) -> str:
-    """Describe what programs depend on besides the geometry: joints, their order and types, closures and tool."""
+    """Describe what programs depend on besides the geometry: joints, their order and types, closures, tool, limits."""
     model = mechanism.model
     joints = [
         f"{model.names[index]}:{_kind(model.joints[index])}:{model.parents[index]}" for index in range(1, model.njoints)
     ]
     loops = [f"{loop.frame_a}~{loop.frame_b}:{loop.type}:{loop.swing_limit is None}" for loop in mechanism.closures]
-    frames = [f"{name}@{model.frames[mechanism.frame_id(name)].parentJoint}" for name in _frame_names(mechanism)]
-    return "|".join([*joints, *loops, *frames])
+    frames = [f"{name}@{model.frames[mechanism.frame_id(name)].parentJoint}" for name in frame_names(mechanism)]
+    limits = [
+        f"{k}:{int(np.isfinite(a))}{int(np.isfinite(b))}"
+        for k, (a, b) in enumerate(zip(mechanism.lower_limits, mechanism.upper_limits, strict=True))
+    ]
+    groups = [f"{','.join(group.joints)};{group.closures}" for group in mechanism.limit_groups]
+    return "|".join([*joints, *loops, *frames, *limits, *groups])
 
 
 def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float]:
@@ -45,15 +53,23 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
         frames: frames besides those of the closures and the tool.
 
     Returns:
-        Entries of the placements of joints and frames and of axes, in a fixed order; rounded as said above.
+        Entries of the placements of joints and frames and of axes, rounded as said above; and the limits, widened by
+        the tolerance; in a fixed order.
     """
     model = mechanism.model
     found: dict[str, float] = {}
     for index in range(1, model.njoints):
         _add_placement(found, model.names[index], model.jointPlacements[index])
         _add_joint(found, model.names[index], model.joints[index])
-    for name in dict.fromkeys([*_frame_names(mechanism), *frames]):
+    for name in dict.fromkeys([*frame_names(mechanism), *frames]):
         _add_placement(found, _frame_key(name), model.frames[mechanism.frame_id(name)].placement)
+    for k, (lower, upper) in enumerate(zip(mechanism.lower_limits, mechanism.upper_limits, strict=True)):
+        found[f"limit/{k}/lower"] = float(lower) - LIMIT_TOLERANCE
+        found[f"limit/{k}/upper"] = float(upper) + LIMIT_TOLERANCE
+    for index, loop in enumerate(mechanism.closures):
+        if loop.swing_limit is not None:
+            angle = loop.swing_limit + LIMIT_TOLERANCE
+            found[f"swing/{index}/sine"], found[f"swing/{index}/cosine"] = float(np.sin(angle)), float(np.cos(angle))
     return found
 
 
@@ -110,6 +126,12 @@ class Geometry:
             self._known[name] = value if is_constant else self._graph.parameter(name, value)
         return self._known[name]
 
+    def limit(self, name: str) -> Number:
+        """Return a limit, which is a parameter always."""
+        if name not in self._known:
+            self._known[name] = self._graph.parameter(name, self._numbers[name])
+        return self._known[name]  # type: ignore[return-value]
+
     def vector(self, owner: str, entry: str) -> NDArray[np.object_]:
         """Return a vector of the geometry, shape=(3,)."""
         return np.array([self.number(owner, f"{entry}{k}") for k in range(3)], dtype=object)
@@ -121,7 +143,8 @@ class Geometry:
 
 def pattern(mechanism: Mechanism, frames: Iterable[str] = ()) -> str:
     """Return a hash of which entries are constants, and of which value."""
-    rows = [(name, value) for name, value in numbers(mechanism, frames).items() if value in _CONSTANTS]
+    found = numbers(mechanism, frames).items()
+    rows = [(n, value) for n, value in found if value in _CONSTANTS and not n.startswith(("limit/", "swing/"))]
     return hashlib.sha256(repr(rows).encode()).hexdigest()
 
 
@@ -129,7 +152,8 @@ def _frame_key(name: str) -> str:
     return f"frame/{name}"
 
 
-def _frame_names(mechanism: Mechanism) -> list[str]:
+def frame_names(mechanism: Mechanism) -> list[str]:
+    """Return the frames of the closures and the tool."""
     names = [name for loop in mechanism.closures for name in (loop.frame_a, loop.frame_b)]
     return list(dict.fromkeys([*names, *([mechanism.tool_frame] if mechanism.tool_frame is not None else [])]))
 

@@ -1,0 +1,228 @@
+"""One Newton step that closes all loops, as a program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
+from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, less, maximum, minimum, select
+from pm3dof_pin.programs.joints import Objects, cross, is_zero, objects
+from pm3dof_pin.programs.loops import Equations, closure_equations, tool_equations
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.tree import Tree
+
+_ROUNDING = 1e-12
+"""Determinants and pivots, scaled, that count as zero."""
+
+PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j in range(3)))
+"""Components of a task that gives the tool's whole placement."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is given when loops are closed.
+
+    Attributes:
+        joints: joints held at coordinates that q has already, each with one degree of freedom.
+        tool: components of the tool's pose that are brought to targets: some of x, y, z, rx, ry, rz with
+            R = Rx(rx) Ry(ry) Rz(rz), or :data:`PLACEMENT`.
+    """
+
+    joints: tuple[str, ...] = ()
+    tool: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TracedProgram:
+    """A program with the entries of the geometry that are constants in it.
+
+    Attributes:
+        program: the straight line.
+        constants: values by name, to be compared with those of the mechanism it is used for.
+    """
+
+    program: Program
+    constants: Mapping[str, float]
+
+
+def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
+    """Record one Newton step.
+
+    Closures, and the tool's equations, that share joints free to move are solved together, the others apart from
+    each other. Overconstrained systems are solved as least squares; of joints whose motions are redundant, some are
+    left at rest, chosen at the samples. Convergence is quadratic where the loops can be closed.
+
+    Inputs are q, with the held joints at their coordinates; a number that is not used, in the place of the margin; and
+    the targets of the task in their order. Outputs: `q`, the new one; `margin`, the least determinant or pivot of the
+    systems before the step, as a part of what is usual at the samples: 0 in a singular configuration, and negative
+    beyond one, in another assembly mode, where the sign of a determinant tells so; and `residual`, the largest error
+    before the step [m, rad]. So q and the margin are the state of an iteration.
+
+    Args:
+        mechanism: the mechanism.
+        task: what is given.
+        samples: closed configurations, shape=(s, nq), see :class:`Tree`.
+        dense: see :mod:`pm3dof_pin.programs.geometry`.
+
+    Raises:
+        ProgramError: the model has a joint of a type for which there is no program.
+        JointNotFoundError: the model has no such joint.
+        InvalidValueError: a held joint has several degrees of freedom, or the samples have another shape.
+    """
+    graph = Graph()
+    tree = Tree(graph, mechanism, samples, dense=dense)
+    graph.input("margin", np.ones(len(np.asarray(samples))))
+    equations = [closure_equations(tree, index) for index in range(len(mechanism.closures))]
+    if task.tool:
+        equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, np.asarray(samples))))
+    held = {mechanism.single_joint(name).v_index for name in task.joints}
+    scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
+    slides = {k for k in range(mechanism.model.nv) if all(is_zero(entry) for entry in tree.screws[k].angular)}
+    velocities: dict[int, Scalar] = {}
+    margin: Scalar = 1.0
+    for system in _systems(equations, held):
+        moves, system_margin = _solved(system, scale, slides)
+        velocities |= moves
+        margin = _least(margin, system_margin)
+    residual: Scalar = 0.0
+    for equation in equations:
+        residual = equation.residual if is_zero(residual) else maximum(residual, equation.residual)
+    outputs = {"q": tree.step(velocities), "margin": margin, "residual": residual}
+    return TracedProgram(graph.program("closing", outputs), tree.geometry.constants)
+
+
+def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
+    """Add the targets to the inputs; their samples are where the tool is."""
+    placements = [mechanism.configuration(q).tool_placement for q in samples]
+    rows = np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
+    return {name: graph.input(name, rows[:, k]) for k, name in enumerate(task.tool)}
+
+
+def tool_components(
+    rotation: NDArray[np.float64], translation: NDArray[np.float64], components: Iterable[str]
+) -> NDArray[np.float64]:
+    """Return components of tool placements, see :class:`Task`.
+
+    Args:
+        rotation: shape=(..., 3, 3).
+        translation: shape=(..., 3) [m].
+        components: names.
+
+    Returns:
+        shape=(..., number of components) [m, rad].
+    """
+    R = rotation
+    values = {
+        "x": translation[..., 0],
+        "y": translation[..., 1],
+        "z": translation[..., 2],
+        "rx": np.arctan2(-R[..., 1, 2], R[..., 2, 2]),
+        "ry": np.arctan2(R[..., 0, 2], np.hypot(R[..., 1, 2], R[..., 2, 2])),
+        "rz": np.arctan2(-R[..., 0, 1], R[..., 0, 0]),
+        **{f"p{k}": translation[..., k] for k in range(3)},
+        **{f"R{i}{j}": R[..., i, j] for i in range(3) for j in range(3)},
+    }
+    return np.stack([values[name] for name in components], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Equations that are solved together, and the entries of v that are free to solve them."""
+
+    equations: list[Equations]
+    unknowns: list[int]
+
+
+def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
+    systems: list[_System] = []
+    for equation in equations:
+        free = {k for k, column in equation.columns.items() if k not in held and not all(map(is_zero, column))}
+        if not free:
+            continue
+        joined = [system for system in systems if free & set(system.unknowns)]
+        systems = [system for system in systems if system not in joined]
+        together = [member for system in joined for member in system.equations] + [equation]
+        systems.append(_System(together, sorted(free.union(*(system.unknowns for system in joined)))))
+    return systems
+
+
+def _solved(system: _System, scale: float, slides: set[int]) -> tuple[dict[int, Scalar], Scalar]:
+    """Return the velocities of the step, and the margin."""
+    rows: list[Objects] = []
+    right: list[Scalar] = []
+    for equation in system.equations:
+        for i, is_angular in enumerate(equation.is_angular):
+            row = [equation.columns[k][i] if k in equation.columns else 0.0 for k in system.unknowns]
+            if all(is_zero(entry) for entry in row):
+                continue
+            if not is_angular:
+                row = [x if k in slides else x * (1.0 / scale) for k, x in zip(system.unknowns, row, strict=True)]
+            rows.append(objects(row))
+            right.append(-equation.error[i] if is_angular else equation.error[i] * (-1.0 / scale))
+    matrix, size = np.stack(rows), len(system.unknowns)
+    solve = _solved_directly if len(rows) == size <= 3 else _solved_by_elimination
+    solution, margin = solve(matrix, objects(right))
+    lengths = [scale if k in slides else 1.0 for k in system.unknowns]
+    return {k: x * length for k, x, length in zip(system.unknowns, solution, lengths, strict=True)}, margin
+
+
+def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
+    """Solve a square system of up to three unknowns by Cramer's rule: the margin is the determinant."""
+    size = len(matrix)
+    if size == 1:
+        determinant, adjugate = matrix[0, 0], objects([[1.0]])
+    elif size == 2:
+        (a, b), (c, d) = matrix
+        determinant, adjugate = a * d - b * c, objects([[d, -b], [-c, a]])
+    else:
+        a, b, c = matrix.T
+        adjugate = np.stack([cross(b, c), cross(c, a), cross(a, b)])
+        determinant = a @ adjugate[0]
+    usual = _usual(determinant)
+    if usual == 0.0:
+        return _solved_by_elimination(matrix, right)
+    inverse = 1.0 / determinant
+    return (adjugate @ right) * inverse, _signed(determinant, determinant * (1.0 / usual))
+
+
+def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
+    """Solve any system as least squares: the margin is the least pivot, with the sign of their product."""
+    size = matrix.shape[1]
+    result = eliminate(np.hstack([matrix, right[:, None]]), range(size), Doubt())
+    columns = list(result.columns)
+    solution = objects([0.0] * size)
+    if not columns:
+        return solution, 1.0
+    triangle = result.pivot_rows[:, columns]
+    solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])[:, 0]
+    orientation: Scalar = 1.0
+    least: Scalar = np.inf
+    for pivot in np.diag(triangle):
+        orientation = orientation * pivot
+        least = minimum(least, absolute(pivot * (1.0 / (_usual(pivot) or 1.0))))
+    return solution, _signed(orientation, least) if len(matrix) == size == len(columns) else least
+
+
+def _usual(number: Scalar) -> float:
+    """Return the median magnitude at the samples, 0 where that is rounding."""
+    median = float(np.median(np.abs(number.samples if isinstance(number, Number) else number)))
+    return median if median > _ROUNDING else 0.0
+
+
+def _signed(determinant: Scalar, size: Scalar) -> Scalar:
+    """Return the magnitude of a number, negative where a determinant has another sign than at all samples."""
+    signs = np.sign(determinant.samples if isinstance(determinant, Number) else [determinant])
+    magnitude = absolute(size)
+    if abs(signs.sum()) < signs.size:
+        return magnitude  # the samples are on both sides of a singular configuration
+    return select(less(determinant * signs[0], 0.0), -magnitude, magnitude)
+
+
+def _least(a: Scalar, b: Scalar) -> Scalar:
+    """Return the number of least magnitude, negative where one of them is."""
+    return minimum(minimum(a, b), minimum(absolute(a), absolute(b)))

@@ -1,0 +1,166 @@
+"""Loop closures on recorded numbers: errors, and the columns of the joints that move them.
+
+Errors are in world axes: for a 3d closure b - a, the vector from frame a's origin to frame b's; for a 6d closure also
+half the sum of a_k x b_k over the frames' axes, which to first order is the rotation vector from a to b. The columns
+are the derivatives of the errors where the loops are closed, and exact to first order near by. Joints below both
+frames are left out: they move a closed loop as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.programs.graph import Scalar, cos, less, maximum, select, sin
+from pm3dof_pin.programs.graph import absolute as magnitude
+from pm3dof_pin.programs.joints import Objects, Placement, cross, is_zero, objects
+from pm3dof_pin.programs.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Equations of one closure, or of the tool.
+
+    Attributes:
+        error: shape=(m,) [m, rad].
+        is_angular: which entries are angles, shape=(m,).
+        columns: derivative of the error by the entries of v that it depends on, each of shape=(m,).
+        residual: the largest entry of the error, and 1 more where a frame is turned by over 90 degrees.
+    """
+
+    error: Objects
+    is_angular: tuple[bool, ...]
+    columns: Mapping[int, Objects]
+    residual: Scalar
+
+
+def closure_equations(tree: Tree, index: int) -> Equations:
+    """Return the equations of a loop closure.
+
+    Args:
+        tree: the traced tree.
+        index: position of the closure in the mechanism's closures.
+    """
+    loop = tree.mechanism.closures[index]
+    a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
+    support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
+    columns = {k: motion(tree, k, b.translation) for k in support_b if k not in support_a}
+    columns |= {k: -motion(tree, k, a.translation) for k in support_a if k not in support_b}
+    error = b.translation - a.translation
+    if loop.type == "3d":
+        error, columns = error, {k: column[:3] for k, column in columns.items()}
+        return Equations(error, (False,) * 3, columns, largest(error))
+    error = objects([*error, *rotation_error(a.rotation, b.rotation)])
+    return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + far(a.rotation, b.rotation))
+
+
+def motion(tree: Tree, index: int, point: Objects) -> Objects:
+    """Return the twist [v; omega] that an entry of v gives a point, world axes, shape=(6,)."""
+    screw = tree.screws[index]
+    return objects([*screw.velocity(point), *screw.angular])
+
+
+def rotation_error(a: Objects, b: Objects) -> Objects:
+    """Return to first order the rotation vector that takes rotation a to b, world axes, shape=(3,)."""
+    return objects(sum(cross(a[:, k], b[:, k]) for k in range(3)) * 0.5)
+
+
+def far(a: Objects, b: Objects) -> Scalar:
+    """Return 1 where two rotations differ by over 90 degrees, else 0: there their error may vanish also."""
+    trace = sum(a[:, k] @ b[:, k] for k in range(3))
+    return select(less(trace, 1.0), 1.0, 0.0)
+
+
+def largest(numbers: Objects) -> Scalar:
+    """Return the largest magnitude among numbers; 0 if there are none."""
+    result: Scalar = 0.0
+    for number in numbers:
+        if not is_zero(number):
+            result = magnitude(number) if is_zero(result) else maximum(result, magnitude(number))
+    return result
+
+
+def swing(tree: Tree, index: int) -> tuple[Scalar, Scalar]:
+    """Return square of the sine and cosine of the angle between the z axes of a closure's frames."""
+    loop = tree.mechanism.closures[index]
+    za, zb = (tree.frame(name).rotation[:, 2] for name in (loop.frame_a, loop.frame_b))
+    normal = cross(za, zb)
+    return normal @ normal, za @ zb
+
+
+def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Equations:
+    """Return the equations that put components of the tool's pose at targets.
+
+    With all three of rx, ry, rz the orientation is compared as a whole, which has no singularity in the error; with
+    fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
+
+    Args:
+        tree: the traced tree.
+        components: some of x, y, z, rx, ry, rz; or of the entries p0..p2 and R00..R22 of a placement, all nine of R.
+        targets: the targets by component.
+    """
+    name = tree.mechanism.tool_frame
+    assert name is not None
+    tool, support = tree.frame(name), tree.support(name)
+    twists = {k: motion(tree, k, tool.translation) for k in support}
+    errors: list[Scalar] = []
+    gradients: list[Objects] = []
+    angular: list[bool] = []
+    residual: Scalar = 0.0
+    for names in (("x", "y", "z"), ("p0", "p1", "p2")):
+        for axis, component in enumerate(names):
+            if component in components:
+                errors.append(tool.translation[axis] - targets[component])
+                gradients.append(objects(np.eye(6)[axis].tolist()))
+                angular.append(False)
+    target = _target_rotation(components, targets)
+    if target is not None:
+        errors += list(rotation_error(target, tool.rotation))
+        gradients += [objects(np.eye(6)[3 + axis].tolist()) for axis in range(3)]
+        angular += [True] * 3
+        residual = far(target, tool.rotation)
+    else:
+        for component in ("rx", "ry", "rz"):
+            if component in components:
+                error, gradient, is_far = _angle_equation(tool, component, targets)
+                errors.append(error)
+                gradients.append(objects([0.0, 0.0, 0.0, *gradient]))
+                angular.append(True)
+                residual = residual + is_far
+    rows = objects(errors)
+    columns = {k: objects([gradient @ twist for gradient in gradients]) for k, twist in twists.items()}
+    return Equations(rows, tuple(angular), columns, largest(rows) + residual)
+
+
+def _target_rotation(components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Objects | None:
+    if "R00" in components:
+        return objects([[targets[f"R{i}{j}"] for j in range(3)] for i in range(3)])
+    if not {"rx", "ry", "rz"} <= set(components):
+        return None
+    cx, cy, cz = (cos(targets[name]) for name in ("rx", "ry", "rz"))
+    sx, sy, sz = (sin(targets[name]) for name in ("rx", "ry", "rz"))
+    return objects(
+        [
+            [cy * cz, -(cy * sz), sy],
+            [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -(sx * cy)],
+            [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy],
+        ]
+    )
+
+
+def _angle_equation(tool: Placement, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
+    """Return the error of one angle, its derivative by the angular velocity, and 1 where the angle is over 90 off."""
+    R = tool.rotation
+    c, s = cos(targets[component]), sin(targets[component])
+    if component == "ry":  # R02 = sin(ry)
+        return R[0, 2] - s, cross(R[:, 2], objects([1.0, 0.0, 0.0])), 0.0
+    if component == "rx":  # R12 = -sin(rx) cos(ry), R22 = cos(rx) cos(ry)
+        row, near = -(c * R[1, 2] + s * R[2, 2]), c * R[2, 2] - s * R[1, 2]
+        return row, cross(R[:, 2], objects([0.0, -c, -s])), select(less(near, 0.0), 1.0, 0.0)
+    # R01 = -cos(ry) sin(rz), R00 = cos(ry) cos(rz)
+    row, near = -(c * R[0, 1] + s * R[0, 0]), c * R[0, 0] - s * R[0, 1]
+    x = objects([1.0, 0.0, 0.0])
+    gradient = -(cross(R[:, 1], x) * c + cross(R[:, 0], x) * s)
+    return row, gradient, select(less(near, 0.0), 1.0, 0.0)

@@ -1,0 +1,139 @@
+"""Closing loops by traced Newton steps, and the checks of what is closed, against Pinocchio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs import geometry
+from pm3dof_pin.programs.checks import checks_program
+from pm3dof_pin.programs.closing import PLACEMENT, Task, closing_program, tool_components
+from pm3dof_pin.programs.verification import verify
+
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def closed_samples(robot: Robot, count: int = 8, distance: float = 0.1) -> np.ndarray:
+    generator, rows = np.random.default_rng(0), []
+    while len(rows) < count:
+        motion = robot.velocity_scale * generator.uniform(-distance, distance, robot.model.nv)
+        result = assemble(robot, pin.integrate(robot.model, robot.home.q, motion))
+        if result.converged:
+            rows.append(result.configuration.q)
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module", params=["pm3dof", "hexapod", "three_rps"])
+def robot(request) -> Robot:
+    return Robot.load(request.param)
+
+
+def targets_of(robot: Robot, q: np.ndarray, task: Task) -> np.ndarray:
+    if not task.tool:
+        return np.zeros((len(q), 0))
+    placements = [robot.configuration(row).tool_placement for row in q]
+    return np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
+
+
+def closed_by_steps(robot: Robot, task: Task, start: np.ndarray, targets: np.ndarray, samples, steps=6):
+    traced = closing_program(robot, task, samples)
+    parameters = geometry.values(robot, traced.program.parameters, traced.constants)
+    q, residuals = start, []
+    for _ in range(steps):
+        inputs = np.hstack([q, np.ones((len(q), 1)), targets])
+        result = traced.program.split(traced.program.evaluate(inputs, parameters))
+        q = result["q"]
+        residuals.append(result["residual"].max())
+    return q, residuals, result["margin"]
+
+
+@pytest.mark.parametrize("given", ["coordinates", "commands"])
+def test_closes_quadratically_where_joints_are_given(robot, given):
+    task = Task(robot.motion_coordinates if given == "coordinates" else robot.actuated_joints)
+    samples = closed_samples(robot)
+    free = np.setdiff1d(np.arange(robot.model.nv), robot.velocity_indices(task.joints))
+    start = samples.copy()
+    start[:, free] += (
+        np.random.default_rng(1).uniform(-0.02, 0.02, (len(samples), len(free))) * robot.velocity_scale[free]
+    )
+    q, residuals, margin = closed_by_steps(robot, task, start, np.zeros((len(start), 0)), samples)
+    assert (margin > 0.5).all()
+    assert residuals[3] < 1e-12
+    for row, sample in zip(q, samples, strict=True):
+        assert robot.configuration(row).closure_residual < 1e-13
+        np.testing.assert_allclose(row, sample, atol=1e-12)
+
+
+@pytest.mark.parametrize("tool", [POSE, PLACEMENT, ("z", "rx", "ry"), ("x", "y", "rz")])
+def test_brings_the_tool_to_its_target(tool):
+    robot = Robot.load("hexapod")
+    joints = () if len(tool) > 3 else ("platform_x_joint", "platform_y_joint", "platform_rz_joint")
+    if tool == ("x", "y", "rz"):
+        joints = ("platform_z_joint", "platform_rx_joint", "platform_ry_joint")
+    task, samples = Task(joints, tool), closed_samples(robot)
+    targets = targets_of(robot, samples, task)
+    free = np.setdiff1d(np.arange(robot.model.nv), robot.velocity_indices(joints))
+    start = samples.copy()
+    start[:, free] += (
+        np.random.default_rng(1).uniform(-0.02, 0.02, (len(samples), len(free))) * robot.velocity_scale[free]
+    )
+    q, residuals, _ = closed_by_steps(robot, task, start, targets, samples)
+    assert residuals[4] < 1e-13
+    for row, sample in zip(q, samples, strict=True):
+        np.testing.assert_allclose(row, sample, atol=1e-11)
+
+
+def test_a_frame_turned_by_half_a_turn_is_not_closed():
+    model = pin.Model()
+    ends = [model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), name) for name in "ab"]
+    for name, joint in zip("ab", ends, strict=True):
+        model.addFrame(pin.Frame(f"{name}_tip", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, [LoopClosure("a_tip", "b_tip", "6d")], tool_frame="b_tip")
+    samples = np.array([[0.1, 0.1], [0.2, 0.2], [-0.3, -0.3]])
+    traced = closing_program(robot, Task(("a",)), samples)
+    parameters = geometry.values(robot, traced.program.parameters)
+    residual = traced.program.split(traced.program.evaluate([[0.0, np.pi, 1.0], [0.4, 0.4, 1.0]], parameters))[
+        "residual"
+    ]
+    assert residual[0] > 0.9
+    assert residual[1] < 1e-15
+
+
+def test_nothing_moves_where_all_is_given():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "a")
+    model.addFrame(pin.Frame("tip", joint, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    traced = closing_program(Robot(model, tool_frame="tip"), Task(("a",)), [[0.0], [0.1]])
+    assert len(traced.program) == 0
+
+
+def test_checks_agree_with_pinocchio(robot):
+    samples = closed_samples(robot)
+    traced = checks_program(robot, samples)
+    generator = np.random.default_rng(5)
+    q = np.vstack([samples, closed_samples(robot, 40, 0.8), samples[:1] + generator.uniform(-0.3, 0.3, samples.shape)])
+    result = traced.program.split(
+        traced.program.evaluate(q, geometry.values(robot, traced.program.parameters, traced.constants))
+    )
+    poses = robot.at(q)
+    np.testing.assert_array_equal(result["broken"].astype(np.uint32), poses.broken_limits)
+    assert len(set(poses.broken_limits)) > 1
+    np.testing.assert_allclose(result["transform"], poses.transforms, atol=1e-14)
+    assert (result["residual"][:48] < 1e-12).all()
+    assert (result["residual"][48:] > 1e-3).all()
+
+
+def test_verification(robot, monkeypatch):
+    samples = closed_samples(robot)
+    verify(robot, samples)
+    verify(robot, samples, dense=True)
+    placements = geometry.numbers(robot)
+    name = next(name for name, value in placements.items() if name.endswith("p0") and abs(value) > 0.01)
+    monkeypatch.setattr(geometry, "numbers", lambda *_: placements | {name: placements[name] + 1e-9})
+    with pytest.raises(ProgramError, match="off Pinocchio's"):
+        verify(robot, samples)
