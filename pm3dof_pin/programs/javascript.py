@@ -1,0 +1,73 @@
+"""Programs printed as JavaScript, for pages that compute by themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.programs.program import Program
+
+_EXPRESSIONS = {
+    "negative": "-{0}",
+    "add": "{0} + {1}",
+    "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}",
+    "divide": "{0} / {1}",
+    "sqrt": "Math.sqrt({0})",
+    "sin": "Math.sin({0})",
+    "cos": "Math.cos({0})",
+    "atan2": "Math.atan2({0}, {1})",
+    "absolute": "Math.abs({0})",
+    "minimum": "{0} < {1} || {0} !== {0} ? {0} : {1}",
+    "maximum": "{1} < {0} || {0} !== {0} ? {0} : {1}",
+    "less": "{0} < {1}",
+    "and": "{0} && {1}",
+    "or": "{0} || {1}",
+    "not": "!{0}",
+    "select": "{0} ? {1} : {2}",
+}
+
+
+def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
+    """Print a program as one function of JavaScript that reads and writes arrays of double-precision numbers.
+
+    Args:
+        program: the program; the function has its name.
+        parameters: values of its parameters, shape=(number of parameters,), to be written into the function; without
+            them it takes them as an array.
+
+    Returns:
+        `function name(x, y)`, or `function name(x, p, y)` without values: inputs x, parameters p, outputs y.
+
+    Raises:
+        InvalidValueError: there are not as many values as parameters.
+    """
+    first = len(program.inputs)
+    names = [f"x[{k}]" for k in range(first)]
+    if parameters is None:
+        names += [f"p[{k}]" for k in range(len(program.parameters))]
+    else:
+        values = np.asarray(parameters, dtype=float)
+        if values.shape != (len(program.parameters),):
+            expected = f"{len(program.parameters)} values, as {program.name} has parameters"
+            raise InvalidValueError("parameters", f"an array of shape {values.shape}", expected)
+        names += map(_literal, values.tolist())
+    names += map(_literal, program.constants)
+    lines = []
+    for number, (operation, operands) in enumerate(program.lines, len(names)):
+        names.append(f"v{number}")
+        lines.append(f"const v{number}={_EXPRESSIONS[operation].format(*(names[k] for k in operands))};")
+    lines += [f"y[{k}]={names[number]};" for k, number in enumerate(program.results)]
+    arguments = "x,y" if parameters is not None else "x,p,y"
+    return "\n".join([f"function {program.name}({arguments}){{", '"use strict";', *lines, "}"])
+
+
+def _literal(value: float) -> str:
+    """Write a number with all its digits; in brackets where a sign before it would make another operator of it."""
+    if math.isnan(value):
+        return "NaN"
+    text = "Infinity" if math.isinf(value) else repr(abs(value)).removesuffix(".0")
+    return f"(-{text})" if math.copysign(1.0, value) < 0.0 else text
