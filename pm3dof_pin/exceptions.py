@@ -30,8 +30,8 @@ class UnknownRobotError(PM3DofError):
         self.name = name
         self.known = tuple(known)
         super().__init__(
-            f"no robot '{name}': expected one of {', '.join(self.known)}, "
-            "or the path of a URDF with its closures file beside it"
+            f"no robot '{name}': expected one of {', '.join(self.known)}, one of example-robot-data if that is "
+            "installed, or the path of a URDF, a xacro, an MJCF or a closures file, or of the folder of one"
         )
 
 

@@ -78,8 +78,7 @@ def write_calibrated_robot(
     files, folder = find_robot(robot), Path(directory)
     target = folder / files.urdf.name
     text = calibrated_urdf(errors, values, files.urdf)
-    error_file = files.urdf.with_suffix(".errors.yaml")
-    for source in [files.closures, *([error_file] if error_file.is_file() else [])]:
+    for source in filter(None, (files.closures, files.errors if files.errors.is_file() else None)):
         write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
     if files.srdf is not None:
         write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, errors.apply(values)))

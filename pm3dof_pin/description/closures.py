@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -57,15 +57,15 @@ class ClosuresFile:
     """
 
     path: Path
-    closures: tuple[LoopClosure, ...]
-    actuated_joints: tuple[str, ...]
-    tool_frame: str | None
-    motion_coordinates: tuple[str, ...]
-    springs: tuple[Mapping[str, Any], ...]
-    joint_types: Mapping[str, str]
-    commands: tuple[Command, ...]
-    coordinates: tuple[Coordinate, ...]
-    limit_groups: tuple[LimitGroup, ...]
+    closures: tuple[LoopClosure, ...] = ()
+    actuated_joints: tuple[str, ...] = ()
+    tool_frame: str | None = None
+    motion_coordinates: tuple[str, ...] = ()
+    springs: tuple[Mapping[str, Any], ...] = ()
+    joint_types: Mapping[str, str] = field(default_factory=dict)
+    commands: tuple[Command, ...] = ()
+    coordinates: tuple[Coordinate, ...] = ()
+    limit_groups: tuple[LimitGroup, ...] = ()
 
 
 class _SwingLimit(Schema):

@@ -1,15 +1,29 @@
-"""Finding robots: from a name, or the path of a URDF, to the files that describe it."""
+"""Finding robots: from a name or a path to the files that describe a robot, whatever they are written in."""
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Literal
+from xml.etree import ElementTree
 
+from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
 DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
 CLOSURES_FALLBACK = "robot.yaml"
+
+Format = Literal["urdf", "mjcf"]
+
+_FORMAT_OF_ROOT: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
+_NOT_READ = {"sdf": "SDF", "COLLADA": "Collada", "Robot": "OpenRAVE XML", "KinBody": "OpenRAVE XML", "svg": "SVG"}
 
 
 @dataclass(frozen=True)
@@ -17,16 +31,41 @@ class RobotFiles:
     """The files of one robot.
 
     Attributes:
-        name: name of the robot, or the stem of its URDF.
-        urdf: the tree of bodies and joints.
-        closures: the loop closures, actuated joints, tool frame and springs.
+        name: name of the robot, or the stem of its file.
+        path: the tree of bodies and joints.
+        closures: loop closures, actuated joints, tool frame and springs, if there is such a file.
         srdf: named configurations and collision pairs, if there is such a file.
+        format: what the tree is written in; MJCF says where the loops close, and more, by itself.
+        package_paths: folders to look for the ROS packages of meshes in, the first first.
     """
 
     name: str
-    urdf: Path
-    closures: Path
-    srdf: Path | None
+    path: Path
+    closures: Path | None = None
+    srdf: Path | None = None
+    format: Format = "urdf"
+    package_paths: tuple[Path, ...] = ()
+
+    @property
+    def urdf(self) -> Path:
+        """The tree as a URDF.
+
+        Raises:
+            DescriptionError: it is none.
+        """
+        if self.format != "urdf":
+            raise DescriptionError(self.path, "file", f"expected URDF for this, not {self.format.upper()}")
+        return self.path
+
+    @property
+    def source(self) -> Path:
+        """The file that names of closures, drives and springs come from."""
+        return self.closures or self.path
+
+    @property
+    def errors(self) -> Path:
+        """The error file, which need not exist."""
+        return self.path.with_suffix(".errors.yaml")
 
 
 def robots_directory() -> Path:
@@ -43,32 +82,135 @@ def robot_names() -> list[str]:
     )
 
 
-def find_robot(name_or_path: str | Path) -> RobotFiles:
+def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = ()) -> RobotFiles:
     """Find the files of a robot.
 
     Args:
-        name_or_path: a name of :func:`robot_names`, or the path of a URDF. Beside the URDF `x.urdf` stands its closures
-            file, `x.closures.yaml` or `robot.yaml`; an SRDF `x.srdf` may stand beside it or in `../srdf`.
+        name_or_path: one of:
+
+            - a name of :func:`robot_names`, or of a robot of example-robot-data where that is installed;
+            - a URDF. Its closures file `x.closures.yaml` or `robot.yaml` may stand beside `x.urdf` or in `../urdf`,
+              an SRDF `x.srdf` beside it or in `../srdf`; without a closures file it is a serial robot;
+            - a xacro file that expands to a URDF, all arguments at their defaults;
+            - an MJCF file;
+            - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF beside it;
+            - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
+        package_paths: folders that ROS packages are in, before those of ROS_PACKAGE_PATH and those above the file.
 
     Raises:
-        UnknownRobotError: neither a known name nor an existing file.
-        DescriptionError: the URDF has no closures file beside it.
+        UnknownRobotError: neither a known name nor an existing path.
+        DescriptionError: what is there is no description of a robot, or not of one.
     """
-    if str(name_or_path) in robot_names():
-        name = str(name_or_path)
-        return _files_of(robots_directory() / f"{name}{DESCRIPTION_SUFFIX}" / "urdf" / f"{name}.urdf")
-    urdf = Path(name_or_path)
-    if not urdf.is_file():
-        raise UnknownRobotError(str(name_or_path), robot_names())
-    return _files_of(urdf)
+    tree, closures = _tree_and_closures(_existing_path(name_or_path))
+    environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    packages = [Path(folder) for folder in (*package_paths, *environment) if folder]
+    name = tree.name.removesuffix(".xacro").removesuffix(".urdf") if tree.suffix == ".xacro" else tree.stem
+    form = "urdf" if tree.suffix == ".xacro" else _format_of(tree)
+    if closures is None:
+        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([CLOSURES_FALLBACK] if form == "urdf" else []))
+    return RobotFiles(
+        name=name,
+        path=_expanded(tree.resolve(), name) if tree.suffix == ".xacro" else tree,
+        closures=closures,
+        srdf=_beside(tree, "srdf", f"{name}.srdf"),
+        format=form,
+        package_paths=(*packages, *tree.resolve().parents),
+    )
 
 
-def _files_of(urdf: Path) -> RobotFiles:
-    closures = [urdf.with_name(urdf.stem + CLOSURES_SUFFIX), urdf.with_name(CLOSURES_FALLBACK)]
-    srdfs = [urdf.with_suffix(".srdf"), urdf.parent.parent / "srdf" / f"{urdf.stem}.srdf"]
-    found = next((path for path in closures if path.is_file()), None)
-    if found is None:
-        raise DescriptionError(
-            urdf, "closures file", f"expected {closures[0].name} or {CLOSURES_FALLBACK} beside the URDF"
-        )
-    return RobotFiles(urdf.stem, urdf, found, next((path for path in srdfs if path.is_file()), None))
+def _existing_path(name_or_path: str | Path) -> Path:
+    name = str(name_or_path)
+    if name in robot_names():
+        return robots_directory() / f"{name}{DESCRIPTION_SUFFIX}" / "urdf" / f"{name}.urdf"
+    if name and Path(name).exists():
+        return Path(name)
+    if (example := _example_robot(name)) is not None:
+        return example
+    raise UnknownRobotError(name, robot_names())
+
+
+def _example_robot(name: str) -> Path | None:
+    """The URDF of a robot of example-robot-data, where that is installed."""
+    try:
+        from example_robot_data.robots_loader import ROBOTS, getModelPath
+    except ImportError:
+        return None
+    if name not in ROBOTS:
+        return None
+    below = Path(ROBOTS[name].path, ROBOTS[name].urdf_subpath, ROBOTS[name].urdf_filename)
+    return (Path(getModelPath(str(below))) / below).resolve()
+
+
+def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
+    """Find the tree that a path stands for, and the closures file if the path says which."""
+    if path.is_dir():
+        if (path / CLOSURES_FALLBACK).is_file():
+            return _tree_and_closures(path / CLOSURES_FALLBACK)
+        for pattern in ("*.urdf", "urdf/*.urdf", "*.urdf.xacro", "*/*.urdf.xacro", "*.xml", "mjcf/*.xml"):
+            if trees := sorted(tree for tree in path.glob(pattern) if tree.suffix != ".xml" or _is_mjcf(tree)):
+                return _only(trees, path), None
+        raise DescriptionError(path, "folder", "expected a URDF, a xacro file or an MJCF file in it, or in urdf/")
+    if path.suffix not in (".yaml", ".yml"):
+        return path, None
+    if path.name.endswith(CLOSURES_SUFFIX):
+        name = path.name.removesuffix(CLOSURES_SUFFIX)
+        trees = [path.with_name(f"{name}.urdf"), path.with_name(f"{name}.xml")]
+    else:
+        trees = [path.with_suffix(".urdf"), *sorted(path.parent.glob("*.urdf"))]
+    trees = [tree for tree in trees if tree.is_file()]
+    if not trees:
+        raise DescriptionError(path, "URDF", "expected the one that this file belongs to beside it")
+    return trees[0] if trees[0].stem == path.name.split(".")[0] else _only(trees, path.parent), path
+
+
+def _only(trees: Sequence[Path], folder: Path) -> Path:
+    if len(trees) > 1:
+        names = ", ".join(str(tree.relative_to(folder)) for tree in trees)
+        raise DescriptionError(folder, "folder", f"expected one robot, or the path of one of {names}")
+    return trees[0]
+
+
+def _beside(tree: Path, folder: str, *names: str) -> Path | None:
+    """Find a file beside the tree, or in another folder beside the tree's."""
+    candidates = [place / name for name in names for place in (tree.parent, tree.parent.parent / folder)]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _format_of(tree: Path) -> Format:
+    tag = read_xml(tree).tag.rpartition("}")[2]
+    if tag not in _FORMAT_OF_ROOT:
+        form = _NOT_READ.get(tag, f"an XML file of <{tag}>")
+        raise DescriptionError(tree, "file", f"this is {form}, which is not read: expected URDF, xacro or MJCF")
+    return _FORMAT_OF_ROOT[tag]
+
+
+def _is_mjcf(tree: Path) -> bool:
+    try:
+        return read_xml(tree).tag == "mujoco"
+    except DescriptionError:
+        return False
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """Read the root element of an XML file.
+
+    Raises:
+        DescriptionError: the file is unreadable or no XML, with the line.
+    """
+    try:
+        return ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise DescriptionError(path, "file", f"expected a readable file ({error.strerror})") from error
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        raise DescriptionError(path, f"line {line}, column {column}", f"expected XML ({error})") from error
+
+
+@cache
+def _expanded(xacro: Path, name: str) -> Path:
+    """Expand a xacro file to a URDF of its own, which lasts as long as the process."""
+    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    urdf = folder / f"{name}.urdf"
+    urdf.write_text(expand_xacro(xacro), encoding="utf-8")
+    return urdf

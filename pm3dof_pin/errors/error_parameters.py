@@ -120,10 +120,9 @@ class GeometricErrors:
         """
         files = find_robot(name_or_path)
         mechanism = Robot.load(name_or_path)
-        path = files.urdf.with_suffix(".errors.yaml")
-        if not path.is_file():
+        if not files.errors.is_file():
             return cls(mechanism)
-        file = read_error_file(path)
+        file = read_error_file(files.errors)
         return cls(mechanism, _parameters_of(mechanism, file), command_offsets=_command_offsets(mechanism, file))
 
     def __len__(self) -> int:

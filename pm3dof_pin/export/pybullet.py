@@ -45,7 +45,8 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
     import pybullet
 
     found = find_robot(robot)
-    files, massless = read_closures(found.closures), _links_without_inertia(found.urdf)
+    closures = read_closures(found.closures).closures if found.closures is not None else ()
+    massless = _links_without_inertia(found.urdf)
     names = {pybullet.getBodyInfo(body, physicsClientId=client)[0].decode(): _BASE}
     for joint in range(pybullet.getNumJoints(body, physicsClientId=client)):
         information = pybullet.getJointInfo(body, joint, physicsClientId=client)
@@ -55,7 +56,7 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
             nothing = {"mass": 0.0, "localInertiaDiagonal": [0.0, 0.0, 0.0]}
             pybullet.changeDynamics(body, joint, physicsClientId=client, **nothing)
         pybullet.setJointMotorControl2(body, joint, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
-    return tuple(_constraint(client, body, loop, names) for loop in files.closures)
+    return tuple(_constraint(client, body, loop, names) for loop in closures)
 
 
 def _links_without_inertia(urdf: Path) -> set[str]:

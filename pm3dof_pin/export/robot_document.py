@@ -130,7 +130,7 @@ class RobotDocument:
 
     def convention(self) -> Mapping[str, Any]:
         """Return the closures file as plain data."""
-        return read_mapping(self.files.closures)
+        return read_mapping(self.files.closures) if self.files.closures is not None else {}
 
 
 def read_robot(name_or_path: str | Path) -> RobotDocument:

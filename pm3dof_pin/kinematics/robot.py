@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
-from pm3dof_pin.description.closures import read_closures
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
@@ -23,7 +22,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.model_files import read_model
+from pm3dof_pin.mechanism.model_files import read_description
 from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
 
 _HOME = "home"
@@ -43,34 +42,31 @@ class Robot(Mechanism):
     """
 
     @classmethod
-    def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> Robot:
+    def load(
+        cls,
+        name_or_path: str | Path,
+        *,
+        tool_frame: str | None = None,
+        package_paths: Iterable[str | Path] = (),
+        characteristic_length: float | None = None,
+    ) -> Robot:
         """Load a robot from its description.
 
         Args:
-            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+            name_or_path: name of a robot; or path of a URDF, a xacro, an MJCF or a closures file, or of the folder of
+                one; see :func:`~pm3dof_pin.description.robots.find_robot`.
+            tool_frame: frame of the tool, instead of the one described.
+            package_paths: folders that ROS packages are in.
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
 
         Raises:
             UnknownRobotError: no such robot.
             DescriptionError: a file is missing, unreadable or not of its form.
-            FrameNotFoundError: the closures file names a frame that the URDF does not have.
-            JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+            FrameNotFoundError: the tool or a closure is at a frame that the tree does not have.
+            JointNotFoundError: the closures file or the SRDF names a joint that the tree does not have.
         """
-        files = find_robot(name_or_path)
-        closures = read_closures(files.closures)
-        return cls(
-            read_model(files.urdf, files.srdf),
-            closures.closures,
-            actuated_joints=closures.actuated_joints,
-            tool_frame=closures.tool_frame,
-            motion_coordinates=closures.motion_coordinates,
-            springs=closures.springs,
-            commands=closures.commands,
-            coordinates=closures.coordinates,
-            limit_groups=closures.limit_groups,
-            characteristic_length=characteristic_length,
-            source=files.closures,
-        )
+        described = read_description(find_robot(name_or_path, package_paths), tool_frame)
+        return cls(**vars(described), characteristic_length=characteristic_length)
 
     @cached_property
     def home(self) -> Configuration:

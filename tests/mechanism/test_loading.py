@@ -121,9 +121,9 @@ def test_unknown_robot() -> None:
     [
         ("no XML at all", "line 1", "XML"),
         (ARM.replace("</joint>", "</joynt>"), "line 6", "mismatched tag"),
-        (ARM.replace("robot", "machine"), "URDF", "robot"),
+        (ARM.replace("robot", "machine"), "file", "<machine>, which is not read: expected URDF, xacro or MJCF"),
+        ('<sdf version="1.9"><model name="arm"/></sdf>', "file", "this is SDF, which is not read"),
         (ARM.replace('<link name="forearm"/>', ""), "URDF", "forearm"),
-        (ARM.replace('<limit lower="-1" upper="2" effort="1" velocity="1"/>', ""), "URDF", "elbow.*limits"),
         (ARM.replace('lower="-1"', 'lower="low"'), "URDF", "elbow.*low"),
     ],
 )
@@ -193,6 +193,43 @@ def test_a_mimic_joint_is_not_passed_over_in_silence(write_robot: Writer, caplog
     with caplog.at_level(logging.WARNING):
         Robot.load(write_robot(fingers, NO_CLOSURES))
     assert "mimic" in caplog.text
+
+
+@pytest.mark.parametrize("limit", ["", '<limit effort="1" velocity="1"/>'])
+def test_a_joint_without_limits_is_unlimited(write_robot: Writer, limit: str) -> None:
+    described = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
+    assert described in ARM
+    robot = Robot.load(write_robot(ARM.replace(described, limit), NO_CLOSURES))
+    assert (robot.lower_limits.tolist(), robot.upper_limits.tolist()) == ([-np.inf], [np.inf])
+    assert robot.model.effortLimit[0] == (1.0 if limit else 0.0)
+
+
+def test_limits_of_zero_everywhere_are_none(write_robot: Writer, caplog: pytest.LogCaptureFixture) -> None:
+    fixed = ARM.replace('lower="-1" upper="2"', 'lower="0" upper="0"')
+    with caplog.at_level(logging.WARNING):
+        robot = Robot.load(write_robot(fixed, NO_CLOSURES))
+    assert "limits 0 .. 0 at 1 joints" in caplog.text
+    assert (robot.lower_limits.tolist(), robot.upper_limits.tolist()) == ([-np.inf], [np.inf])
+    caplog.clear()
+    hand = (
+        '<link name="hand"/><joint name="wrist" type="revolute"><parent link="forearm"/><child link="hand"/>'
+        '<limit lower="0" upper="0" effort="1" velocity="1"/></joint></robot>'
+    )
+    with caplog.at_level(logging.WARNING):
+        robot = Robot.load(write_robot(ARM.replace("</robot>", hand), NO_CLOSURES))
+    assert not caplog.text, "the elbow has limits: the wrist is locked on purpose"
+    assert (robot.lower_limits.tolist(), robot.upper_limits.tolist()) == ([-1.0, 0.0], [2.0, 0.0])
+
+
+def test_a_urdf_alone_is_a_serial_robot(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM, encoding="utf-8")
+    robot = Robot.load(path)
+    assert (robot.closures, robot.actuated_joints, robot.tool_frame) == ((), ("elbow",), None)
+    with_tool = Robot.load(path, tool_frame="forearm")
+    assert with_tool.model.frames[with_tool.tool_frame_id].name == "forearm"
+    with pytest.raises(FrameNotFoundError, match=rf"{path}: tool_frame.*'hand'.*forearm"):
+        Robot.load(path, tool_frame="hand")
 
 
 def test_a_link_goes_before_a_joint_of_the_same_name(write_robot: Writer) -> None:

@@ -1,0 +1,96 @@
+"""Joints of a tree replaced by those they stand for: spherical and universal joints, which URDF does not have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import pinocchio as pin
+
+from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
+
+_AXES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+_LIMITS_OF_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
+_LIMITS_OF_V = (
+    *("lowerEffortLimit", "upperEffortLimit", "lowerVelocityLimit", "upperVelocityLimit"),
+    *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
+)
+
+
+def with_joint_types(model: pin.Model, joint_types: Mapping[str, str], source: Path | str) -> pin.Model:
+    """Replace joints of a model, as the loader of example-parallel-robots does.
+
+    The new joints stand in the axes of the old ones' frames, and are unlimited. A universal joint becomes two joints,
+    `name_X` and `name_Y` for UJOINT_XY; the frame `name` moves with the second.
+
+    Args:
+        model: the tree; not changed.
+        joint_types: SPHERICAL, FIXED or UJOINT_XY (any two of the axes X, Y, Z) by joint.
+        source: file that says so, for messages.
+
+    Returns:
+        A new model, with the inertias and frames of the old one; named configurations are dropped.
+
+    Raises:
+        JointNotFoundError: the model has no such joint.
+        DescriptionError: there is no such type.
+    """
+    for name, kind in joint_types.items():
+        if not model.existJointName(name):
+            raise JointNotFoundError(name, f"{source}: joint_name", list(model.names)[1:])
+        if kind.upper() not in ("SPHERICAL", "FIXED") and not _universal_axes(kind):
+            raise DescriptionError(
+                source,
+                "joint_type",
+                f"'{kind}' of '{name}' is unknown, expected SPHERICAL, FIXED or UJOINT_XY (two of X, Y, Z)",
+            )
+    changed = pin.Model()
+    changed.name, changed.gravity = model.name, model.gravity
+    carriers = [0]  # the joint that carries what each old joint carried
+    for old in range(1, model.njoints):
+        name, kind = model.names[old], joint_types.get(model.names[old], "")
+        parent, placement = carriers[model.parents[old]], model.jointPlacements[old]
+        if axes := _universal_axes(kind):
+            parent = changed.addJoint(parent, _AXES[axes[0]](), placement, f"{name}_{axes[0]}")
+            carrier = changed.addJoint(parent, _AXES[axes[1]](), pin.SE3.Identity(), f"{name}_{axes[1]}")
+        elif kind.upper() == "SPHERICAL":
+            carrier = changed.addJoint(parent, pin.JointModelSpherical(), placement, name)
+        else:
+            carrier = changed.addJoint(parent, model.joints[old], placement, name)
+            _copy_limits(model, old, changed, carrier)
+        changed.appendBodyToJoint(carrier, model.inertias[old], pin.SE3.Identity())
+        carriers.append(carrier)
+    _copy_frames(model, changed, carriers, joint_types)
+    fixed = [changed.getJointId(name) for name, kind in joint_types.items() if kind.upper() == "FIXED"]
+    return pin.buildReducedModel(changed, fixed, pin.neutral(changed)) if fixed else changed
+
+
+def _universal_axes(kind: str) -> str:
+    found = re.fullmatch(r"UJOINT_([XYZ])(?!\1)([XYZ])", kind.upper())
+    return found[1] + found[2] if found else ""
+
+
+def _copy_limits(model: pin.Model, old: int, changed: pin.Model, new: int) -> None:
+    source, target = model.joints[old], changed.joints[new]
+    for names, (first, to, count) in (
+        (_LIMITS_OF_Q, (source.idx_q, target.idx_q, source.nq)),
+        (_LIMITS_OF_V, (source.idx_v, target.idx_v, source.nv)),
+    ):
+        for name in names:
+            getattr(changed, name)[to : to + count] = getattr(model, name)[first : first + count]
+
+
+def _copy_frames(model: pin.Model, changed: pin.Model, carriers: list[int], joint_types: Mapping[str, str]) -> None:
+    indices = [0]
+    for frame in list(model.frames)[1:]:
+        parent, kind = indices[frame.parentFrame], frame.type
+        if kind == pin.FrameType.JOINT and (axes := _universal_axes(joint_types.get(frame.name, ""))):
+            kind = pin.FrameType.OP_FRAME
+            for axis in axes:
+                joint = changed.getJointId(f"{frame.name}_{axis}")
+                parent = changed.addFrame(
+                    pin.Frame(f"{frame.name}_{axis}", joint, parent, pin.SE3.Identity(), pin.FrameType.JOINT), False
+                )
+        copy = pin.Frame(frame.name, carriers[frame.parentJoint], parent, frame.placement, kind, frame.inertia)
+        indices.append(changed.addFrame(copy, False))
