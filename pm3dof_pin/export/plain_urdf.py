@@ -19,16 +19,14 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, 
         robot: the robot.
         mesh_prefix: what file names of meshes, `meshes/...`, begin with.
     """
-    texts = {
-        f"{robot.file_name}.urdf": urdf_text(robot, mesh_prefix),
-        f"{robot.file_name}{CLOSURES_SUFFIX}": robot.files.closures.read_text(encoding="utf-8"),
+    files = {
+        CLOSURES_SUFFIX: robot.files.closures,
+        ".errors.yaml": robot.files.errors if robot.files.errors.is_file() else None,
+        ".srdf": robot.files.srdf,
     }
-    errors = robot.files.urdf.with_suffix(".errors.yaml")
-    if errors.is_file():
-        texts[f"{robot.file_name}.errors.yaml"] = errors.read_text(encoding="utf-8")
-    if robot.files.srdf is not None:
-        texts[f"{robot.file_name}.srdf"] = robot.files.srdf.read_text(encoding="utf-8")
-    return texts
+    texts = {suffix: path.read_text(encoding="utf-8") for suffix, path in files.items() if path is not None}
+    texts = {".urdf": urdf_text(robot, mesh_prefix)} | texts
+    return {robot.file_name + suffix: text for suffix, text in texts.items()}
 
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
