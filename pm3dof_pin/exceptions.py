@@ -82,7 +82,15 @@ class InvalidValueError(PM3DofError, ValueError):
 
 
 class UnreachablePoseError(PM3DofError):
-    """No joint variables exist that bring the tool to this pose."""
+    """No joint variables were found that bring the tool to this pose.
+
+    Attributes:
+        residual: what was left of the closure error [m, rad], or None if it was not solved for.
+    """
+
+    def __init__(self, message: str, residual: float | None = None) -> None:
+        self.residual = residual
+        super().__init__(message)
 
 
 class ConvergenceError(PM3DofError):

@@ -3,105 +3,204 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Height, Json, ThetaX, ThetaY, finite_number, load_tripod, pose_of
+from pm3dof_pin.cli.broken_limits import BrokenLimit, broken_limits, closure_names
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.pose_arguments import (
+    Config,
+    NamedConfiguration,
+    OutFile,
+    Pose,
+    PoseChoice,
+    PosesFile,
+    RobotName,
+    ToolFrame,
+    expected_numbers,
+    load_robot,
+    read_poses,
+    readings,
+    si_values,
+    solve_pose,
+    write_batch,
+)
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from collections.abc import Sequence
 
-Travels = Annotated[
-    list[float], typer.Argument(metavar="U1 U2 U3", parser=finite_number, help="Slider travels of the legs [m].")
+    from pm3dof_pin.description.coordinates import Coordinate
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Vector
+
+Commands = Annotated[
+    list[float] | None,
+    typer.Argument(
+        metavar="U",
+        parser=finite_number,
+        help="The robot's commands in their order, lengths [m], angles [deg]; `pm3dof info` names them.",
+    ),
 ]
 
 
-def ik(theta_x: ThetaX, theta_y: ThetaY, z_e: Height, as_json: Json = False, config: Config = None) -> None:
-    """Slider travels for a pose of the platform (inverse kinematics): angles in degrees, lengths in metres.
+def ik(
+    pose: Pose = None,
+    robot: RobotName = THE_TRIPOD,
+    configuration: NamedConfiguration = None,
+    poses: PosesFile = None,
+    out: OutFile = None,
+    tool_frame: ToolFrame = None,
+    config: Config = None,
+    as_json: Json = False,
+) -> None:
+    """Commands of the drives for a pose (inverse kinematics): angles in degrees, lengths in metres.
 
-    Legs in their order in the description (the chapter's: at -30, 90, -150 degrees). A pose that breaks a joint limit
-    is still answered, with a message and exit status 1.
+    The commands are what the counters of the drives show; beside them stand the angles of the passive joints. A pose
+    that breaks a joint limit is still answered, with a message and exit status 1.
     """
-    from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-    from pm3dof_pin.chapter.limits import limit_violations
-
-    tripod = load_tripod(config)
-    pose = pose_of(theta_x, theta_y, z_e)
-    u = inverse_kinematics(tripod, pose)
-    angles = passive_joint_angles(tripod, pose)
-    violations = limit_violations(tripod, pose)
-    result = {
-        "u_m": u,
-        "within_limits": not violations,
-        "violated": [violation.joint for violation in violations],
-        "universal_first_rad": angles[:, 0],
-        "universal_second_rad": angles[:, 1],
-        "spherical_swing_rad": angles[:, 2],
-    }
-    rows = [
-        [str(leg + 1), fixed(u[leg], 9), *(fixed(math.degrees(angle), 3) for angle in angles[leg])]
-        for leg in range(tripod.leg_count)
-    ]
-    header = ["leg", "u [m]", "universal 1 [deg]", "universal 2 [deg]", "spherical [deg]"]
-    print_result(result, table_lines(header, rows), as_json=as_json)
-    stop_on_broken_limits(violations)
+    chosen = PoseChoice.of(pose, configuration, poses, out)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame)
+    if chosen.is_empty:
+        raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
+    if chosen.file is not None:
+        file, many = read_poses(machine, chosen.file)
+        write_batch(many, file.columns_as_written | readings(machine.command_coordinates, many.commands), out, as_json)
+        return
+    solved = chosen.solve(machine)
+    result, broken = _result(machine, solved)
+    print_result(result, _ik_lines(machine, result), as_json=as_json)
+    stop_on_broken_limits(broken)
 
 
 def fk(
-    u: Travels,
-    as_json: Json = False,
-    all_modes: Annotated[bool, typer.Option("--all", help="Every assembly mode, not only the machine's own.")] = False,
+    u: Commands = None,
+    robot: RobotName = THE_TRIPOD,
+    poses: Annotated[
+        Path | None,
+        typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg a command."),
+    ] = None,
+    out: OutFile = None,
+    all_modes: Annotated[
+        bool, typer.Option("--all", help="Every assembly mode of chapter 8's machine, not only its own.")
+    ] = False,
+    tool_frame: ToolFrame = None,
     config: Config = None,
+    as_json: Json = False,
 ) -> None:
-    """Pose of the platform for slider travels in metres (direct kinematics).
+    """Pose for commands of the drives (forward kinematics): lengths in metres, angles in degrees.
 
     Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
     message and exit status 1; so are other assembly modes with --all, where none is reached from home.
     """
-    import numpy as np
-
-    from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, direct_kinematics, newton
-    from pm3dof_pin.chapter.kinematics import assembly_mode_of
-    from pm3dof_pin.chapter.limits import limit_violations
-    from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
-
-    tripod = load_tripod(config)
-    if len(u) != tripod.leg_count or not np.all(np.isfinite(u)):
-        raise typer.BadParameter(f"expected {tripod.leg_count} finite slider travels in metres, got {u}")
-    modes = list(all_assembly_modes(tripod, u)) if all_modes else []
-    if all_modes and not modes:
-        travels = ", ".join(f"{travel:g}" for travel in u)
-        raise UnreachablePoseError(f"no pose closes the loops at u = ({travels}) m: there is no assembly mode")
-    try:
-        pose = direct_kinematics(tripod, u)
-    except ConvergenceError:
-        if not all_modes:
-            raise
-        pose = np.full(3, np.nan)
-    reached = bool(np.all(np.isfinite(pose)))
-    violations = limit_violations(tripod, pose, assembly_mode=assembly_mode_of(tripod, pose, u)) if reached else []
-    result = _pose_result(pose, float(newton(tripod, u, pose).residual))
-    result |= {
-        "within_limits": reached and not violations,
-        "violated": [violation.joint for violation in violations],
-    }
-    poses = modes if all_modes else [pose]
+    chosen = PoseChoice.of(u, None, poses, out)
+    if all_modes and (robot != THE_TRIPOD or chosen.file is not None):
+        raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
+    machine = load_robot(robot, config=config, tool_frame=tool_frame)
+    if chosen.is_empty:
+        raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
+    if chosen.file is not None:
+        file, many = read_poses(machine, chosen.file, forward=True)
+        write_batch(many, file.columns_as_written | readings(machine.coordinates, many.coordinates), out, as_json)
+        return
+    modes: list[Vector] = []
+    residuals: list[float] = []
     if all_modes:
-        residuals = newton(tripod, u, np.array(poses)).residual
+        commands = si_values(machine, machine.command_coordinates, chosen.numbers)
+        modes, residuals = _all_modes(commands, config)
+        solved = machine.forward(commands, on_failure="nan")
+    else:
+        solved = solve_pose(machine, chosen.numbers, forward=True)
+    result, broken = _result(machine, solved)
+    if all_modes:
         result["assembly_modes"] = [
-            _pose_result(mode, float(left)) for mode, left in zip(poses, residuals, strict=True)
+            _pose_entries(machine.coordinates, mode) | {"residual_m": residual}
+            for mode, residual in zip(modes, residuals, strict=True)
         ]
-    rows = [[fixed(math.degrees(x), 9), fixed(math.degrees(y), 9), fixed(z, 12)] for x, y, z in poses]
-    print_result(result, table_lines(["theta_x [deg]", "theta_y [deg]", "z_e [m]"], rows), as_json=as_json)
-    if not reached:
-        message("pm3dof: the machine's own assembly mode does not exist at these travels, or is not reached from home")
+    lines = _pose_lines(machine.coordinates, modes if all_modes else [solved.coordinates])
+    print_result(result, lines, as_json=as_json)
+    if not solved.solved:
+        message("pm3dof: the machine's own assembly mode does not exist at these commands, or is not reached from home")
         raise typer.Exit(LIMIT_BROKEN)
-    stop_on_broken_limits(violations)
+    stop_on_broken_limits(broken)
 
 
-def _pose_result(pose: NDArray[np.float64], residual: float) -> dict[str, Any]:
-    theta_x, theta_y, z_e = pose
-    return {"theta_x_rad": theta_x, "theta_y_rad": theta_y, "z_e_m": z_e, "residual_m": residual}
+def _result(robot: Robot, poses: Poses) -> tuple[dict[str, Any], list[BrokenLimit]]:
+    """Return everything about one pose, shape=(), and the limits it breaks; null where it was not solved."""
+    configuration = poses.configuration() if poses.solved else None
+    broken = [] if configuration is None else broken_limits(robot, configuration)
+    units = {command.unit for command in robot.commands}
+    result: dict[str, Any] = {
+        "robot": robot.name,
+        "u": poses.commands,
+        "commands": [{"name": command.name, "unit": command.unit} for command in robot.commands],
+        **({f"u_{units.pop()}": poses.commands} if len(units) == 1 else {}),
+        "pose": {c.name: value for c, value in zip(robot.coordinates, poses.coordinates, strict=True)},
+        "coordinates": [{"name": coordinate.name, "unit": coordinate.unit} for coordinate in robot.coordinates],
+        **_pose_entries(robot.coordinates, poses.coordinates),
+        "within_limits": configuration is not None and not broken,
+        "violated": [limit.name for limit in broken],
+        "joints": {},
+        "swing_rad": {},
+        "residual_m": poses.residual,
+    }
+    if configuration is not None:
+        singles = [
+            name for name in list(robot.model.names)[1:] if robot.model.joints[robot.model.getJointId(name)].nv == 1
+        ]
+        result["joints"] = {name: configuration.joint_position(name) for name in singles}
+        result["swing_rad"] = {
+            name: configuration.swing(index)
+            for index, (loop, name) in enumerate(zip(robot.closures, closure_names(robot).values(), strict=True))
+            if loop.swing_limit is not None
+        }
+    return result, broken
+
+
+def _pose_entries(coordinates: Sequence[Coordinate], values: Vector) -> dict[str, float]:
+    return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
+
+
+def _ik_lines(robot: Robot, result: dict[str, Any]) -> list[str]:
+    rows = [
+        [c["name"], *_reading(value, c["unit"], 9)] for c, value in zip(result["commands"], result["u"], strict=True)
+    ]
+    lines = table_lines(["command", "value", ""], rows)
+    passive = [
+        [name, *_reading(result["joints"][name], robot.single_joint(name).unit, 3)]
+        for name in robot.passive_joints
+        if name in result["joints"]
+    ]
+    passive += [[name, *_reading(angle, "rad", 3)] for name, angle in result["swing_rad"].items()]
+    return [*lines, "", *table_lines(["passive joint", "position", ""], passive)] if passive else lines
+
+
+def _reading(value: float, unit: str, digits: int) -> tuple[str, str]:
+    """Return a number in the unit of the command line: angles in degrees, with so many digits; and that unit."""
+    return (fixed(value, max(digits, 6)), "m") if unit == "m" else (fixed(math.degrees(value), digits), "deg")
+
+
+def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> list[str]:
+    header = [f"{c.name} [{'m' if c.unit == 'm' else 'deg'}]" for c in coordinates]
+    rows = [
+        [fixed(v, 12) if c.unit == "m" else fixed(math.degrees(v), 9) for c, v in zip(coordinates, pose, strict=True)]
+        for pose in poses
+    ]
+    return table_lines(header, rows)
+
+
+def _all_modes(commands: Vector, config: Path | None) -> tuple[list[Vector], list[float]]:
+    """Return every pose that the chapter's machine can have at its commands, with errors of the links' lengths [m]."""
+    from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
+    from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.exceptions import UnreachablePoseError
+
+    tripod = Tripod.load(config)
+    modes = all_assembly_modes(tripod, commands)
+    if not len(modes):
+        travels = ", ".join(f"{travel:g}" for travel in commands)
+        raise UnreachablePoseError(f"no pose closes the loops at u = ({travels}) m: there is no assembly mode")
+    return list(modes), newton(tripod, commands, modes).residual.tolist()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import math
 import re
+import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,10 +52,39 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
         DescriptionError: a quantity is missing from the parameter file or wrong, or the geometry it describes has no
             home pose; or a xacro file is wrong.
     """
+    own = config is None
+    name, described = _described(robot, config)
+    files = described | _exports(name, described, OUR_MANIFEST if own else {})
+    return files | shared_xacro(robot) if own else files
+
+
+def temporary_description(robot: str, config: Path | str) -> Path:
+    """Write the URDF, closures file and SRDF of a robot with other parameters to a folder that lasts as long as Python.
+
+    Args:
+        robot: a robot that comes with the package, the xacro files of which are read.
+        config: parameter file, laid out as that of the robot.
+
+    Returns:
+        The URDF.
+
+    Raises:
+        UnknownRobotError: no such robot comes with the package.
+        DescriptionError: see :func:`description_files`.
+    """
+    name, described = _described(robot, config)
+    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for path, text in described.items():
+        write_text_atomically(folder / path, text)
+    return folder / "urdf" / f"{name}.urdf"
+
+
+def _described(robot: str, config: Path | str | None) -> tuple[str, dict[str, str]]:
+    """Return the name of the robot, and the texts of URDF, closures file and SRDF by their paths."""
     if robot not in robot_names():
         raise UnknownRobotError(robot, robot_names())
     folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}"
-    own = config is None
     config = Path(config).absolute() if config is not None else folder / "config" / f"{robot}.yaml"
     read_quantities(config)
     name = read_mapping(config).get("name")
@@ -62,9 +93,7 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
     urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(config)})
     closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
     srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", config, urdf, closures)
-    described = {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
-    files = described | _exports(name, described, OUR_MANIFEST if own else {})
-    return files | shared_xacro(robot) if own else files
+    return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
 
 
 def shared_xacro(robot: str) -> dict[str, str]:

@@ -329,7 +329,8 @@ class Robot(Mechanism):
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             raise UnreachablePoseError(
                 f"{self.name}: no assembled configuration found at {pose}{index}: residual {residuals[row]:.3e} m or "
-                "rad; the pose may be out of reach"
+                "rad; the pose may be out of reach",
+                float(residuals[row]),
             )
         return Poses(self, q.reshape(*shape, nq))
 

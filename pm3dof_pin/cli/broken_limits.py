@@ -1,0 +1,71 @@
+"""Which limits a pose breaks, in the words and units of the robot's commands and coordinates."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.mechanism.configuration import Configuration, LimitViolation
+
+
+@dataclass(frozen=True)
+class BrokenLimit:
+    """A joint or closure outside its range.
+
+    Attributes:
+        name: the joint; or the closure, by its limit group and its place in it, or by its frames.
+        value: the reading [unit]: of the command or coordinate that shows this joint, else the joint's own.
+        lower: least reading allowed [unit].
+        upper: greatest reading allowed [unit].
+        unit: "m" or "rad".
+    """
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+    unit: str
+
+    def __str__(self) -> str:
+        factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)
+        value, lower, upper = (f"{number * factor:.{digits}f}" for number in (self.value, self.lower, self.upper))
+        return f"{self.name} at {value} {unit}, outside {lower} .. {upper} {unit}"
+
+
+def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimit]:
+    """List the joints and closures that a configuration takes outside their ranges."""
+    return [
+        _of_closure(robot, violation) if violation.kind == "swing" else _of_joint(robot, violation)
+        for violation in configuration.violated_limits()
+    ]
+
+
+def _of_joint(robot: Robot, violation: LimitViolation) -> BrokenLimit:
+    numbers = (violation.value, violation.lower, violation.upper)
+    if not robot.model.existJointName(violation.name):  # one entry of a joint with several
+        return BrokenLimit(violation.name, *numbers, "rad")
+    for reading in (*robot.command_coordinates, *robot.coordinates):
+        if reading.joint == violation.name:
+            value, *ends = (reading.scale * number + reading.offset for number in numbers)
+            return BrokenLimit(violation.name, value, min(ends), max(ends), reading.unit)
+    return BrokenLimit(violation.name, *numbers, robot.single_joint(violation.name).unit)
+
+
+def _of_closure(robot: Robot, violation: LimitViolation) -> BrokenLimit:
+    numbers = (violation.value, violation.lower, violation.upper)
+    return BrokenLimit(closure_names(robot)[violation.name], *numbers, "rad")
+
+
+def closure_names(robot: Robot) -> dict[str, str]:
+    """Return what each closure is called, by its frames: its declared limit group with its place in it, or the same."""
+    names = {}
+    for index, loop in enumerate(robot.closures):
+        frames = f"{loop.frame_a}-{loop.frame_b}"
+        group = next((group for group in robot.limit_groups if index in group.closures), None)
+        declared = group is not None and not group.joints and group.name != re.sub(r"\d+", "", frames)
+        names[frames] = f"{group.name}{group.closures.index(index) + 1}" if group and declared else frames
+    return names

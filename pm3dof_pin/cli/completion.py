@@ -1,0 +1,42 @@
+"""Values that the shell completes, read from the description files without loading a robot."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import typer
+
+from pm3dof_pin.exceptions import PM3DofError
+
+
+def robots(incomplete: str) -> list[str]:
+    """Complete the name of a robot that comes with the package."""
+    from pm3dof_pin.description.robots import robot_names
+
+    return [name for name in robot_names() if name.startswith(incomplete)]
+
+
+def configurations(context: typer.Context, incomplete: str) -> list[str]:
+    """Complete the name of a configuration in the SRDF of the robot of `--robot`."""
+    from pm3dof_pin.description.robots import find_robot
+
+    try:
+        srdf = find_robot(context.params.get("robot") or "pm3dof").srdf
+        states = [] if srdf is None else list(ElementTree.parse(srdf).iter("group_state"))
+    except (PM3DofError, OSError, ElementTree.ParseError):
+        return []
+    names = sorted({"home", *(state.get("name", "") for state in states)})
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def coordinates(context: typer.Context, incomplete: str) -> list[str]:
+    """Complete the name of a coordinate that the robot of `--robot` declares."""
+    from pm3dof_pin.description.closures import read_closures
+    from pm3dof_pin.description.robots import find_robot
+
+    try:
+        closures = find_robot(context.params.get("robot") or "pm3dof").closures
+        declared = () if closures is None else read_closures(closures).coordinates
+    except PM3DofError:
+        return []
+    return [coordinate.name for coordinate in declared if coordinate.name.startswith(incomplete)]

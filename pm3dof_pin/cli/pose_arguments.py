@@ -1,0 +1,326 @@
+"""Which robot, and at which pose: the arguments and options of all commands that take a pose.
+
+A pose is the robot's own coordinates in their order, angles in degrees and lengths in metres; or a named configuration;
+or a file of poses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pm3dof_pin.cli import completion
+from pm3dof_pin.cli.options import finite_number
+from pm3dof_pin.cli.output import message
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pm3dof_pin.description.coordinates import Coordinate
+    from pm3dof_pin.kinematics.pose_file import PoseFile
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Array, Vector
+
+NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
+"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is no number."""
+
+_MOST_DEGREES = 360.0
+_FEW_DEGREES = 0.5
+BROKEN_LIMITS = "broken_limits"
+"""Heading of the column that names the limits a pose breaks."""
+
+_FAR = 100.0  # sizes of the machine beyond which a length is in another unit
+
+RobotName = Annotated[
+    str,
+    typer.Option(
+        "--robot",
+        metavar="NAME|PATH",
+        help="A robot, by name or by the path of its description.",
+        autocompletion=completion.robots,
+    ),
+]
+ToolFrame = Annotated[
+    str | None, typer.Option("--tool-frame", metavar="NAME", help="Frame of the tool; by default the description's.")
+]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Parameters (YAML) for another machine of the robot's kind."),
+]
+Pose = Annotated[
+    list[float] | None,
+    typer.Argument(
+        metavar="POSE",
+        parser=finite_number,
+        help="The robot's coordinates in their order, angles [deg], lengths [m]; `pm3dof info` names them.",
+    ),
+]
+NamedConfiguration = Annotated[
+    str | None,
+    typer.Option(
+        "--configuration",
+        metavar="NAME",
+        help="A named configuration of the robot instead of POSE; home by default.",
+        autocompletion=completion.configurations,
+    ),
+]
+PosesFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--poses",
+        metavar="FILE",
+        help="Many poses: CSV with a column NAME_deg, NAME_rad or NAME_m for each coordinate.",
+    ),
+]
+OutFile = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="FILE", help="With --poses: CSV to write; by default to standard output."),
+]
+
+
+def load_robot(name: str, *, config: Path | None = None, tool_frame: str | None = None) -> Robot:
+    """Load the robot of `--robot`, `--config` and `--tool-frame`.
+
+    Raises:
+        PM3DofError: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
+    """
+    from pm3dof_pin.kinematics.robot import Robot
+
+    robot = Robot.load(description_path(name, config))
+    return robot if tool_frame is None else robot.replace(tool_frame=tool_frame)
+
+
+def description_path(name: str, config: Path | None) -> str | Path:
+    """Return what a robot is loaded from: its name or path; or with `--config` a URDF that is made for this process."""
+    if config is None:
+        return name
+    from pm3dof_pin.export.description import temporary_description
+
+    return temporary_description(name, config)
+
+
+@dataclass(frozen=True)
+class PoseChoice:
+    """Which poses: numbers, a named configuration, a file; or nothing of these, which is home.
+
+    Attributes:
+        numbers: the coordinates [deg, m].
+        configuration: name of a configuration.
+        file: file of poses.
+        out: file to write about the poses of `file`.
+    """
+
+    numbers: Sequence[float] = ()
+    configuration: str | None = None
+    file: Path | None = None
+    out: Path | None = None
+
+    @classmethod
+    def of(
+        cls,
+        numbers: Sequence[float] | None,
+        configuration: str | None = None,
+        file: Path | None = None,
+        out: Path | None = None,
+    ) -> PoseChoice:
+        """Check arguments and options against each other; wrong usage ends the command with status 2."""
+        given = [numbers and "POSE", configuration and "--configuration", file and "--poses"]
+        words = [word for word in given if word]
+        if len(words) > 1:
+            raise typer.BadParameter(f"expected one of {' and '.join(words)}, not both")
+        if out is not None and file is None:
+            raise typer.BadParameter("--out is for the poses of --poses")
+        return cls(tuple(numbers or ()), configuration, file, out)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was given."""
+        return not self.numbers and self.configuration is None and self.file is None
+
+    def solve(self, robot: Robot) -> Poses:
+        """Find the one pose, shape=(); for those of a file there is :func:`read_poses`.
+
+        Raises:
+            UnreachablePoseError: the pose is out of reach.
+            PM3DofError: the configuration has no such name, or its loops do not close.
+        """
+        if self.numbers:
+            return solve_pose(robot, self.numbers)
+        return robot.at(_named_configuration(robot, self.configuration))
+
+
+def read_poses(robot: Robot, path: Path, *, forward: bool = False) -> tuple[PoseFile, Poses]:
+    """Read a file of poses and solve them, those out of reach being NaN.
+
+    Args:
+        robot: the robot.
+        path: the file.
+        forward: whether it holds commands instead of coordinates.
+
+    Raises:
+        DescriptionError: the file cannot be read, or a column or entry of it is wrong.
+    """
+    import numpy as np
+
+    from pm3dof_pin.kinematics.pose_file import column_of, read_pose_file
+
+    given, others = robot.coordinates, robot.command_coordinates
+    if forward:
+        given, others = others, given
+    file = read_pose_file(path, given, known=[*map(column_of, others), BROKEN_LIMITS])
+    if file.unused:
+        message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
+    check_units(robot, given, file.values / [_factor(coordinate) for coordinate in given])
+    solve = robot.forward if forward else robot.solve
+    return file, solve(np.array(file.values), on_failure="nan")
+
+
+def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
+    """Return columns of a file, angles in degrees, from values of coordinates, shape=(n, number of coordinates)."""
+    from pm3dof_pin.kinematics.pose_file import column_of
+
+    return {column_of(c): column / _factor(c) for c, column in zip(coordinates, values.T, strict=True)}
+
+
+def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
+    """Find the pose at coordinates (or commands) as they are written on the command line [deg, m], shape=().
+
+    Raises:
+        UnreachablePoseError: it is out of reach.
+    """
+    from pm3dof_pin.exceptions import UnreachablePoseError
+
+    given = robot.command_coordinates if forward else robot.coordinates
+    values = si_values(robot, given, numbers)
+    try:
+        return robot.forward(values) if forward else robot.solve(values)
+    except UnreachablePoseError as error:
+        residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
+        raise UnreachablePoseError(
+            f"pose {in_words(given, numbers)} is out of reach: no assembled configuration was found{residual}"
+        ) from error
+
+
+def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
+    """Return coordinates in SI units, having checked how many there are and that their units are plausible.
+
+    Args:
+        robot: the robot.
+        coordinates: what the numbers are.
+        numbers: as written on the command line [deg, m].
+    """
+    import numpy as np
+
+    if not coordinates:
+        raise typer.BadParameter(f"{robot.name} has neither coordinates nor commands: use --configuration")
+    if len(numbers) != len(coordinates):
+        raise typer.BadParameter(f"{expected_numbers(robot, coordinates)}, not {len(numbers)} numbers")
+    check_units(robot, coordinates, np.array([numbers]))
+    return np.array([_factor(c) * number for c, number in zip(coordinates, numbers, strict=True)])
+
+
+def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
+    """Return how a pose of the robot is written: names, units and ranges."""
+    words = []
+    for coordinate in coordinates:
+        unit = "m" if coordinate.unit == "m" else "deg"
+        lower, upper = (f"{end / _factor(coordinate):.4g}" for end in robot.range_of(coordinate))
+        limits = "" if "inf" in lower + upper else f" {lower} .. {upper}"
+        words.append(f"{coordinate.name}{limits} [{unit}]")
+    return f"{robot.name} takes {', '.join(words)}"
+
+
+def in_words(coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> str:
+    """Return a pose as `theta_x = 10 deg, z_e = 0.5 m`."""
+    return ", ".join(
+        f"{c.name} = {number:g} {'m' if c.unit == 'm' else 'deg'}"
+        for c, number in zip(coordinates, numbers, strict=True)
+    )
+
+
+def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:
+    """Refuse numbers that are in another unit, and say so where they may be.
+
+    Args:
+        robot: the robot.
+        coordinates: what the numbers are.
+        numbers: shape=(n, number of coordinates) [deg, m].
+    """
+    import numpy as np
+
+    table = np.asarray(numbers, dtype=float)
+    if not table.size:
+        return
+    size = max(robot.characteristic_length, *(abs(v) for c, v in _home_of(robot, coordinates) if c.unit == "m"), 0.0)
+    angles = []
+    for coordinate, column in zip(coordinates, table.T, strict=True):
+        worst = float(column[np.abs(column).argmax()])
+        if coordinate.unit == "m" and abs(worst) > _FAR * size:
+            raise typer.BadParameter(
+                f"{coordinate.name} = {worst:g} m looks like millimetres: expected metres ({worst / 1000:g})"
+            )
+        if coordinate.unit == "rad" and abs(worst) > _MOST_DEGREES:
+            raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a turn: expected degrees")
+        if coordinate.unit == "rad":
+            angles.append((coordinate, worst))
+    if any(worst for _, worst in angles) and all(abs(worst) < _FEW_DEGREES for _, worst in angles):
+        small = ", ".join(f"{c.name} = {worst:g}" for c, worst in angles if worst)
+        turned = ", ".join(f"{math.degrees(worst):.6g}" for _, worst in angles if worst)
+        message(f"pm3dof: {small} are taken as degrees; if radians were meant: {turned}")
+
+
+def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
+    """Write columns about many poses with the limits they break, and leave with status 1 if some break one."""
+    from pm3dof_pin.cli.output import LIMIT_BROKEN, print_result
+    from pm3dof_pin.kinematics.pose_file import columns_text, write_columns
+
+    table = {**columns, BROKEN_LIMITS: limit_words(poses)}
+    inside = int(poses.within_limits.sum())
+    if as_json:
+        print_result({"poses": len(poses), "poses_within_limits": inside, "columns": table}, [], as_json=True)
+    if out is not None:
+        write_columns(out, table)
+        message(f"wrote {out}")
+    elif not as_json:
+        typer.echo(columns_text(table), nl=False)
+    if inside < len(poses):
+        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see {BROKEN_LIMITS}")
+        raise typer.Exit(LIMIT_BROKEN)
+
+
+def limit_words(poses: Poses) -> list[str]:
+    """Return the names of the limit groups that each pose breaks, "reach" for one out of reach, in one word each."""
+    names = ("reach", *(group.name for group in poses.robot.limit_groups))
+    return [
+        "+".join(name for bit, name in enumerate(names) if flags & (1 << bit))
+        for flags in poses.broken_limits.ravel().tolist()
+    ]
+
+
+def _named_configuration(robot: Robot, name: str | None) -> Vector:
+    from pm3dof_pin.exceptions import InvalidValueError
+
+    named = robot.named_configurations
+    if name is None or (name == "home" and "home" not in named):
+        return robot.assemble(robot.home).q
+    if name not in named:
+        expected = f"one of {', '.join(named)}" if named else "home, as no other has a name"
+        raise InvalidValueError("--configuration", name, expected)
+    return robot.assemble(named[name]).q
+
+
+def _home_of(robot: Robot, coordinates: Sequence[Coordinate]) -> list[tuple[Coordinate, float]]:
+    home = robot.at(robot.home.q)
+    values = home.coordinates if tuple(coordinates) == robot.coordinates else home.commands
+    return list(zip(coordinates, values, strict=True))
+
+
+def _factor(coordinate: Coordinate) -> float:
+    """SI units in the unit of the command line."""
+    return 1.0 if coordinate.unit == "m" else math.pi / 180.0
