@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
-from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, less, maximum, minimum, select
+from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, cos, less, maximum, minimum, select, sin
 from pm3dof_pin.programs.joints import Objects, cross, is_zero, objects
-from pm3dof_pin.programs.loops import Equations, closure_equations, tool_equations
+from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 
@@ -28,7 +29,7 @@ class Task:
     """What is given when loops are closed.
 
     Attributes:
-        joints: joints held at coordinates that q has already, each with one degree of freedom.
+        joints: joints held at given coordinates, each with one degree of freedom.
         tool: components of the tool's pose that are brought to targets: some of x, y, z, rx, ry, rz with
             R = Rx(rx) Ry(ry) Rz(rz), or :data:`PLACEMENT`.
     """
@@ -57,11 +58,15 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     each other. Overconstrained systems are solved as least squares; of joints whose motions are redundant, some are
     left at rest, chosen at the samples. Convergence is quadratic where the loops can be closed.
 
-    Inputs are q, with the held joints at their coordinates; a number that is not used, in the place of the margin; and
-    the targets of the task in their order. Outputs: `q`, the new one; `margin`, the least determinant or pivot of the
-    systems before the step, as a part of what is usual at the samples: 0 in a singular configuration, and negative
-    beyond one, in another assembly mode, where the sign of a determinant tells so; and `residual`, the largest error
-    before the step [m, rad]. So q and the margin are the state of an iteration.
+    Inputs: q; `margin` and `jump`, 1 and 0 at first; the coordinates of the held joints and the targets of the tool, in
+    the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin`
+    and `jump`; and `residual`. The first three are the state of an iteration.
+
+    - `margin`: the least determinant or pivot of the systems before the step, as a part of what is usual at the
+      samples: 0 in a singular configuration, and negative beyond one, in another assembly mode, where the sign of a
+      determinant tells so.
+    - `jump`: the one before plus the longest move of a joint in this step [rad, characteristic lengths].
+    - `residual`: the largest error before the step [m, rad].
 
     Args:
         mechanism: the mechanism.
@@ -74,25 +79,37 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         JointNotFoundError: the model has no such joint.
         InvalidValueError: a held joint has several degrees of freedom, or the samples have another shape.
     """
-    graph = Graph()
-    tree = Tree(graph, mechanism, samples, dense=dense)
-    graph.input("margin", np.ones(len(np.asarray(samples))))
+    graph, rows = Graph(), np.array(samples, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != mechanism.model.nq:
+        raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {mechanism.model.nq})")
+    q = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(mechanism.model.nq)])
+    graph.input("margin", np.ones(len(rows)))
+    jump: Scalar = graph.input("jump", np.zeros(len(rows)))
+    held = [mechanism.single_joint(name) for name in task.joints]
+    for joint in held:
+        coordinate = graph.input(joint.name, [joint.coordinate(row) for row in rows])
+        if joint.is_continuous:
+            q[joint.q_index : joint.q_index + 2] = cos(coordinate), sin(coordinate)
+        else:
+            q[joint.q_index] = coordinate
+    tree = Tree(graph, mechanism, rows, positions=q, dense=dense)
     equations = [closure_equations(tree, index) for index in range(len(mechanism.closures))]
     if task.tool:
-        equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, np.asarray(samples))))
-    held = {mechanism.single_joint(name).v_index for name in task.joints}
+        equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
     scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
     slides = {k for k in range(mechanism.model.nv) if all(is_zero(entry) for entry in tree.screws[k].angular)}
     velocities: dict[int, Scalar] = {}
     margin: Scalar = 1.0
-    for system in _systems(equations, held):
+    longest: Scalar = 0.0
+    for system in _systems(equations, {joint.v_index for joint in held}):
         moves, system_margin = _solved(system, scale, slides)
-        velocities |= moves
+        velocities |= {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
         margin = _least(margin, system_margin)
+        longest = maximum(longest, largest(objects(list(moves.values()))))
     residual: Scalar = 0.0
     for equation in equations:
         residual = equation.residual if is_zero(residual) else maximum(residual, equation.residual)
-    outputs = {"q": tree.step(velocities), "margin": margin, "residual": residual}
+    outputs = {"q": tree.step(velocities), "margin": margin, "jump": jump + longest, "residual": residual}
     return TracedProgram(graph.program("closing", outputs), tree.geometry.constants)
 
 
@@ -152,7 +169,7 @@ def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
 
 
 def _solved(system: _System, scale: float, slides: set[int]) -> tuple[dict[int, Scalar], Scalar]:
-    """Return the velocities of the step, and the margin."""
+    """Return the scaled velocities of the step, and the margin."""
     rows: list[Objects] = []
     right: list[Scalar] = []
     for equation in system.equations:
@@ -167,8 +184,7 @@ def _solved(system: _System, scale: float, slides: set[int]) -> tuple[dict[int, 
     matrix, size = np.stack(rows), len(system.unknowns)
     solve = _solved_directly if len(rows) == size <= 3 else _solved_by_elimination
     solution, margin = solve(matrix, objects(right))
-    lengths = [scale if k in slides else 1.0 for k in system.unknowns]
-    return {k: x * length for k, x, length in zip(system.unknowns, solution, lengths, strict=True)}, margin
+    return dict(zip(system.unknowns, solution, strict=True)), margin
 
 
 def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:

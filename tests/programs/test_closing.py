@@ -33,11 +33,13 @@ def robot(request) -> Robot:
     return Robot.load(request.param)
 
 
-def targets_of(robot: Robot, q: np.ndarray, task: Task) -> np.ndarray:
+def given_at(robot: Robot, q: np.ndarray, task: Task) -> np.ndarray:
+    """Return the coordinates of the held joints and the targets of the tool that belong to q."""
+    joints = np.array([[robot.single_joint(name).coordinate(row) for name in task.joints] for row in q])
     if not task.tool:
-        return np.zeros((len(q), 0))
+        return joints
     placements = [robot.configuration(row).tool_placement for row in q]
-    return np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
+    return np.hstack([joints, [tool_components(p.rotation, p.translation, task.tool) for p in placements]])
 
 
 def closed_by_steps(robot: Robot, task: Task, start: np.ndarray, targets: np.ndarray, samples, steps=6):
@@ -45,7 +47,7 @@ def closed_by_steps(robot: Robot, task: Task, start: np.ndarray, targets: np.nda
     parameters = geometry.values(robot, traced.program.parameters, traced.constants)
     q, residuals = start, []
     for _ in range(steps):
-        inputs = np.hstack([q, np.ones((len(q), 1)), targets])
+        inputs = np.hstack([q, np.tile([1.0, 0.0], (len(q), 1)), targets])
         result = traced.program.split(traced.program.evaluate(inputs, parameters))
         q = result["q"]
         residuals.append(result["residual"].max())
@@ -61,7 +63,7 @@ def test_closes_quadratically_where_joints_are_given(robot, given):
     start[:, free] += (
         np.random.default_rng(1).uniform(-0.02, 0.02, (len(samples), len(free))) * robot.velocity_scale[free]
     )
-    q, residuals, margin = closed_by_steps(robot, task, start, np.zeros((len(start), 0)), samples)
+    q, residuals, margin = closed_by_steps(robot, task, start, given_at(robot, samples, task), samples)
     assert (margin > 0.5).all()
     assert residuals[3] < 1e-12
     for row, sample in zip(q, samples, strict=True):
@@ -76,7 +78,7 @@ def test_brings_the_tool_to_its_target(tool):
     if tool == ("x", "y", "rz"):
         joints = ("platform_z_joint", "platform_rx_joint", "platform_ry_joint")
     task, samples = Task(joints, tool), closed_samples(robot)
-    targets = targets_of(robot, samples, task)
+    targets = given_at(robot, samples, task)
     free = np.setdiff1d(np.arange(robot.model.nv), robot.velocity_indices(joints))
     start = samples.copy()
     start[:, free] += (
@@ -97,9 +99,9 @@ def test_a_frame_turned_by_half_a_turn_is_not_closed():
     samples = np.array([[0.1, 0.1], [0.2, 0.2], [-0.3, -0.3]])
     traced = closing_program(robot, Task(("a",)), samples)
     parameters = geometry.values(robot, traced.program.parameters)
-    residual = traced.program.split(traced.program.evaluate([[0.0, np.pi, 1.0], [0.4, 0.4, 1.0]], parameters))[
-        "residual"
-    ]
+    residual = traced.program.split(
+        traced.program.evaluate([[0.0, np.pi, 1.0, 0.0, 0.0], [0.4, 0.4, 1.0, 0.0, 0.4]], parameters)
+    )["residual"]
     assert residual[0] > 0.9
     assert residual[1] < 1e-15
 
