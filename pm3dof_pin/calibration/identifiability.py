@@ -20,7 +20,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.freedoms import RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.simulation.instrument import Instrument
 from pm3dof_pin.typing import Array

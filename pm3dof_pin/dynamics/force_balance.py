@@ -8,7 +8,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen, listed
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
@@ -62,7 +62,7 @@ def balance(
         InvalidValueError: the loops are not closed.
     """
     mechanism = configuration.mechanism
-    here = Freedoms(configuration, tolerance)
+    here = DegreesOfFreedom(configuration, tolerance)
     scaled = here.scale * load
     work = float(np.linalg.norm(here.locked.motions.T @ scaled))
     if work > BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled))):
@@ -83,7 +83,7 @@ def balance(
     )
 
 
-def _name(configuration: Configuration, here: Freedoms, tolerance: float) -> str:
+def _name(configuration: Configuration, here: DegreesOfFreedom, tolerance: float) -> str:
     """Say what is wrong with a configuration whose actuated joints do not hold it."""
     count = here.locked.motions.shape[1]
     free = f"{count} freedom{'s are' if count > 1 else ' is'} left with the actuated joints at rest"

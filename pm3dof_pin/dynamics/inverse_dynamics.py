@@ -15,7 +15,7 @@ from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_p
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
@@ -133,7 +133,7 @@ def loop_motion(
     mechanism = configuration.mechanism
     names = mechanism.actuated_joints if joints is None else tuple(joints)
     indices = mechanism.velocity_indices(names)
-    here = Freedoms(configuration, tolerance)
+    here = DegreesOfFreedom(configuration, tolerance)
     given = here.over(np.eye(len(here.scale))[indices])
     if Restriction(here.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
         raise SingularConfigurationError(

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.dynamics.loads import model_with_payloads
-from pm3dof_pin.kinematics.freedoms import null_space
+from pm3dof_pin.kinematics.degrees_of_freedom import null_space
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
 from pm3dof_pin.typing import Matrix

@@ -21,7 +21,7 @@ from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
 from pm3dof_pin.typing import Matrix, Vector

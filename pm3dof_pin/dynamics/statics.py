@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
 from pm3dof_pin.typing import Vector

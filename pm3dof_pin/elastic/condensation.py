@@ -28,7 +28,7 @@ from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.kinematics.freedoms import RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.typing import Matrix, Vector
 
 _NO_PART = 1e-6

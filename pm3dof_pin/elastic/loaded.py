@@ -38,7 +38,7 @@ from pm3dof_pin.elastic.load_path import LoadPath
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError, RigidDirectionError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 

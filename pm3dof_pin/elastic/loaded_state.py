@@ -11,7 +11,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loads import AppliedLoads
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.kinematics.freedoms import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 

@@ -7,8 +7,8 @@ The loops closed to first order, G v = 0, with v split into passive joints p and
 The null space of G_p are the motions with all springs at rest. What is left of the equations when v_p is eliminated,
 E v_s = 0 with E = L^T G_s and L the left null space of G_p, are the relations that a statically indeterminate mechanism
 puts on its springs; rows that follow from others (redundant constraints) fall out there. All ranks are decided by
-singular value decompositions of scaled kinematic matrices, see :mod:`pm3dof_pin.kinematics.freedoms`: how stiff the
-springs are has no say in them, and a spring of 1e15 N/m does no harm beside one of 1 N m/rad.
+singular value decompositions of scaled kinematic matrices, see :mod:`pm3dof_pin.kinematics.degrees_of_freedom`: how
+stiff the springs are has no say in them, and a spring of 1e15 N/m does no harm beside one of 1 N m/rad.
 
 With K^-1 = U U^T the springs' compliance, v_s = U x and the energy is x^T x / 2. An orthonormal basis of the x with
 E U x = 0 gives the motions Z, Z^T K_q Z = 1, and the compliance of any frame is C = (J Z) (J Z)^T.
@@ -25,7 +25,7 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.directions import decide_rank
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.freedoms import ASSEMBLED_TOLERANCE, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 

@@ -17,7 +17,7 @@ from pm3dof_pin.elastic import sweep_kernels
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
-from pm3dof_pin.kinematics.freedoms import ASSEMBLED_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
 from pm3dof_pin.typing import Matrix, Vector
 
 _logger = logging.getLogger(__name__)

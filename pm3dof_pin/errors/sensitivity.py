@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array
 

@@ -7,7 +7,7 @@ import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
@@ -21,42 +21,42 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
 
     Otherwise column k is the velocity at which the tool has the k-th twist of a basis that is orthonormal in scaled
     numbers: the unit twists v_x, v_y, v_z (one characteristic length a second), omega_x, omega_y, omega_z, projected on
-    the twists possible here; of these the p most independent ones, in this order, made orthonormal. A tool with six
-    freedoms gets the unit twists themselves.
+    the twists possible dof; of these the p most independent ones, in this order, made orthonormal. A tool with six
+    degrees of freedom gets the unit twists themselves.
 
-    Where idle freedoms leave a choice, the shortest velocity in scaled numbers is taken.
+    Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is taken.
 
     Args:
         configuration: an assembled configuration.
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        SingularConfigurationError: the motion coordinates are not independent here, or actuated joints or the tool can
+        SingularConfigurationError: the motion coordinates are not independent dof, or actuated joints or the tool can
             move without them.
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    here = Freedoms(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration, tolerance)
     names = configuration.mechanism.motion_coordinates
     if names:
         indices = configuration.mechanism.velocity_indices(names)
-        driven = here.over(np.eye(len(here.scale))[indices])
+        driven = dof.over(np.eye(len(dof.scale))[indices])
         if driven.rank.rank < len(names):
             raise SingularConfigurationError(
                 f"the motion coordinates {', '.join(names)} are not independent at {configuration}: "
                 f"singular values {driven.rank.singular_values}"
             )
-        velocities = driven.inverse / here.scale[indices]
+        velocities = driven.inverse / dof.scale[indices]
     else:
-        driven = here.held
+        driven = dof.at_tool
         velocities = driven.inverse @ _aligned_basis(driven.image)
-    if Restriction(here.actuators_and_tool, driven.motions, tolerance).rank.rank > 0:
+    if Restriction(dof.actuators_and_tool, driven.motions, tolerance).rank.rank > 0:
         raise SingularConfigurationError(
             f"actuated joints or the tool can move at {configuration} while "
             + (f"the motion coordinates {', '.join(names)} are" if names else "the tool is")
             + " at rest"
         )
-    return frozen(here.scale[:, None] * velocities)
+    return frozen(dof.scale[:, None] * velocities)
 
 
 def tool_motions(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:

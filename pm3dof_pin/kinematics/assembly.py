@@ -76,7 +76,7 @@ def assemble(
         DescriptionError: a component of the tool is given and the mechanism has no tool frame.
     """
     start = mechanism.checked_positions(guess.q if isinstance(guess, Configuration) else guess)
-    q, free = mechanism.held_positions(start, joints or {})
+    q, free = mechanism.place_joints(start, joints or {})
     equations = _Equations(mechanism, free, tool or {})
     point, steps = _iterate(equations, equations.at(q), tolerance, max_steps)
     return Assembly(point.residual <= tolerance, steps, point.residual, mechanism.configuration(point.q))

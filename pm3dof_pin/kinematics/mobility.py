@@ -1,4 +1,4 @@
-"""Mobility: how many freedoms a configuration has, what the tool has of them, and which leave everything at rest."""
+"""Mobility: how many degrees of freedom there are, how many the tool has, and which leave everything at rest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.kinematics.assembly import assemble
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
@@ -19,26 +19,26 @@ _NEIGHBOUR_TRIALS = 5
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """The freedoms that a mechanism has at one instant.
+    """The degrees of freedom that a mechanism has at one instant.
 
     At a singular configuration they are not what they are everywhere else: compare with :func:`generic_configuration`.
 
     Attributes:
-        count: number of freedoms, nv - rank G.
+        count: number of degrees of freedom, nv - rank G.
         tool_mobility: number of independent twists of the tool.
         redundant_constraints: number of rows of G that follow from the others.
-        idle_freedoms: basis of the freedoms that leave actuated joints and tool at rest, such as that of a link which
-            spins about its own axis, shape=(nv, k).
+        idle_motions: basis of the degrees of freedom that leave actuated joints and tool at rest, such as that of a
+            link which spins about its own axis, shape=(nv, k).
         constraint_rank: the decision on G.
-        actuator_rank: the decision on the actuated joints' rates over the freedoms.
-        tool_rank: the decision on the tool's twists over the freedoms.
+        actuator_rank: the decision on the actuated joints' rates over the dof.
+        tool_rank: the decision on the tool's twists over the dof.
         idle_rank: the decision on both together.
     """
 
     count: int
     tool_mobility: int
     redundant_constraints: int
-    idle_freedoms: Matrix
+    idle_motions: Matrix
     constraint_rank: RankDecision
     actuator_rank: RankDecision
     tool_rank: RankDecision
@@ -46,7 +46,7 @@ class Mobility:
 
 
 def instantaneous_mobility(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Mobility:
-    """Count the freedoms of a configuration.
+    """Count the degrees of freedom of a configuration.
 
     Args:
         configuration: an assembled configuration.
@@ -56,23 +56,23 @@ def instantaneous_mobility(configuration: Configuration, *, tolerance: float = R
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    freedoms = Freedoms(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration, tolerance)
     return Mobility(
-        count=freedoms.count,
-        tool_mobility=freedoms.held.rank.rank,
-        redundant_constraints=len(configuration.closure_error) - freedoms.constraint_rank.rank,
-        idle_freedoms=frozen(freedoms.scale[:, None] * freedoms.idle.motions),
-        constraint_rank=freedoms.constraint_rank,
-        actuator_rank=freedoms.locked.rank,
-        tool_rank=freedoms.held.rank,
-        idle_rank=freedoms.idle.rank,
+        count=dof.count,
+        tool_mobility=dof.at_tool.rank.rank,
+        redundant_constraints=len(configuration.closure_error) - dof.constraint_rank.rank,
+        idle_motions=frozen(dof.scale[:, None] * dof.idle.motions),
+        constraint_rank=dof.constraint_rank,
+        actuator_rank=dof.at_actuators.rank,
+        tool_rank=dof.at_tool.rank,
+        idle_rank=dof.idle.rank,
     )
 
 
 def generic_configuration(configuration: Configuration, *, distance: float = 0.1, seed: int = 0) -> Configuration:
     """Find an assembled configuration near by at which, with probability one, nothing is singular.
 
-    Every joint is moved at random and the loops are closed again. Joint limits are not looked at.
+    Every joint is moved at random and the loops are closed again. Joint limits are not checked.
 
     Args:
         configuration: where to start.

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE, Freedoms
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
@@ -21,9 +21,9 @@ class Singularity:
     """One way in which a configuration is singular.
 
     Attributes:
-        type: "constraint": the loop closures lose rank and the mechanism gains freedoms. "parallel": the tool can move
-            with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it loses a
-            freedom. "passive": passive joints can move with both at rest.
+        type: "constraint": the loop closures lose rank and the mechanism gains degrees of freedom. "parallel": the tool
+            can move with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it
+            loses a degree of freedom. "passive": passive joints can move with both at rest.
         measure: smallest scaled singular value of the matrix that loses rank.
         motions: these motions as velocities, shape=(nv, k), each of length 1 in scaled numbers.
         twists: twists [v; omega] of the tool in these motions, world axes, shape=(6, k).
@@ -41,13 +41,13 @@ def singularities(
     """Name the singularities of a configuration; none if it is regular.
 
     What is exceptional is judged against a generic configuration near by, so that redundant constraints, redundant
-    drives and idle freedoms that a mechanism always has are no singularities. "serial" and "parallel" are those of
-    C. Gosselin and J. Angeles, IEEE Trans. Robotics and Automation 6 (1990), "constraint" that of D. Zlatanov,
-    I. Bonev and C. Gosselin, ICRA 2002, and "passive" the redundant passive motion of D. Zlatanov, R. Fenton and
-    B. Benhabib (1995).
+    drives and idle degrees of freedom that a mechanism always has are no singularities. "serial" and "parallel" are
+    those of C. Gosselin and J. Angeles, IEEE Trans. Robotics and Automation 6 (1990), "constraint" that of D. Zlatanov,
+    I. Bonev and C. Gosselin, ICRA 2002, and "passive" the redundant passive motion of D. Zlatanov, R. Fenton and B.
+    Benhabib (1995).
 
-    Where c freedoms are gained at a constraint singularity, actuated joints at rest leave motions free for lack of
-    number. This consequence is not reported once more as "parallel".
+    Where c degrees of freedom are gained at a constraint singularity, actuated joints at rest leave motions free for
+    lack of number. This consequence is not reported once more as "parallel".
 
     Args:
         configuration: an assembled configuration.
@@ -61,34 +61,34 @@ def singularities(
         ConvergenceError: no generic configuration was found near by.
     """
     usual = generic or instantaneous_mobility(generic_configuration(configuration), tolerance=tolerance)
-    here = Freedoms(configuration, tolerance)
-    gained = here.count - usual.count
-    locked_rank = min(usual.actuator_rank.rank + gained, len(here.actuators))
-    held_rank, idle_rank = usual.tool_rank.rank + gained, usual.idle_rank.rank + gained
-    passive = idle_rank - here.idle.rank.rank
+    dof = DegreesOfFreedom(configuration, tolerance)
+    gained = dof.count - usual.count
+    actuator_rank = min(usual.actuator_rank.rank + gained, len(dof.actuators))
+    tool_rank, idle_rank = usual.tool_rank.rank + gained, usual.idle_rank.rank + gained
+    passive = idle_rank - dof.idle.rank.rank
     candidates: tuple[tuple[SingularityType, int, float, Matrix], ...] = (
         (
             "constraint",
             gained,
-            here.constraint_rank.least(usual.constraint_rank.rank),
-            _by_movement(here.basis, here.actuators)[:, ::-1],
+            dof.constraint_rank.least(usual.constraint_rank.rank),
+            _by_movement(dof.basis, dof.actuators)[:, ::-1],
         ),
         (
             "parallel",
-            locked_rank - here.locked.rank.rank - passive,
-            here.locked.rank.least(locked_rank),
-            _by_movement(here.locked.motions, here.tool),
+            actuator_rank - dof.at_actuators.rank.rank - passive,
+            dof.at_actuators.rank.least(actuator_rank),
+            _by_movement(dof.at_actuators.motions, dof.tool),
         ),
         (
             "serial",
-            held_rank - here.held.rank.rank - passive,
-            here.held.rank.least(held_rank),
-            _by_movement(here.held.motions, here.actuators),
+            tool_rank - dof.at_tool.rank.rank - passive,
+            dof.at_tool.rank.least(tool_rank),
+            _by_movement(dof.at_tool.motions, dof.actuators),
         ),
-        ("passive", passive, here.idle.rank.least(idle_rank), here.idle.motions),
+        ("passive", passive, dof.idle.rank.least(idle_rank), dof.idle.motions),
     )
     return tuple(
-        _singularity(here, kind, measure, motions[:, :count])
+        _singularity(dof, kind, measure, motions[:, :count])
         for kind, count, measure, motions in candidates
         if count > 0
     )
@@ -100,6 +100,6 @@ def _by_movement(motions: Matrix, rows: Matrix) -> Matrix:
     return turned
 
 
-def _singularity(here: Freedoms, kind: SingularityType, measure: float, motions: Matrix) -> Singularity:
-    twists = here.twist_scale[:, None] * (here.tool @ motions)
-    return Singularity(kind, measure, frozen(here.scale[:, None] * motions), frozen(twists))
+def _singularity(dof: DegreesOfFreedom, kind: SingularityType, measure: float, motions: Matrix) -> Singularity:
+    twists = dof.twist_scale[:, None] * (dof.tool @ motions)
+    return Singularity(kind, measure, frozen(dof.scale[:, None] * motions), frozen(twists))

@@ -150,11 +150,11 @@ class Configuration:
         return frozen(np.array([c.scale * self.joint_position(c.joint) + c.offset for c in commands]))
 
     def joint_position(self, name: str) -> float:
-        """Return the coordinate of a joint with one freedom [m, rad]; the angle in (-pi, pi] of a continuous joint.
+        """Return the coordinate of a single-DoF joint [m, rad]; the angle in (-pi, pi] of a continuous joint.
 
         Raises:
             JointNotFoundError: the model has no such joint.
-            InvalidValueError: the joint has several freedoms.
+            InvalidValueError: the joint has several degrees of freedom.
         """
         return self._mechanism.single_joint(name).coordinate(self._q)
 

@@ -26,7 +26,7 @@ _NORM_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class SingleJoint:
-    """A joint with one freedom: where its coordinate and its rate stand in q and v.
+    """A single-DoF joint: where its coordinate and its rate stand in q and v.
 
     Attributes:
         name: its name.
@@ -69,10 +69,11 @@ class Mechanism:
     Args:
         model: tree of bodies and joints; copied.
         closures: loop closures between frames of the model; none for a serial robot.
-        actuated_joints: driven joints, each with one freedom. If none are named, a mechanism without closures has all
-            its joints with one freedom driven, one with closures none.
+        actuated_joints: driven joints, each with a single degree of freedom. If none are named, a mechanism without
+            closures has all its single-DoF joints driven, one with closures none.
         tool_frame: frame meant by "the tool"; where it is needed and not named, an error says so.
-        motion_coordinates: joints, each with one freedom, whose rates are the platform's independent motions.
+        motion_coordinates: joints, each with a single degree of freedom, whose rates are the platform's independent
+            motions.
         springs: raw spring entries of the description, not yet parsed.
         commands: what the counters of the drives show, one for each actuated joint in its order; by default the joints'
             own coordinates.
@@ -110,7 +111,7 @@ class Mechanism:
     Raises:
         FrameNotFoundError: a closure or the tool names a frame that the model does not have.
         JointNotFoundError: an actuated joint or motion coordinate is not in the model.
-        DescriptionError: such a joint has several freedoms, or a closure joins two frames of one body.
+        DescriptionError: such a joint has several degrees of freedom, or a closure joins two frames of one body.
         InvalidValueError: the characteristic length is not a positive number.
     """
 
@@ -240,23 +241,23 @@ class Mechanism:
         return self._frame_id(name, self.name)
 
     def single_joint(self, name: str) -> SingleJoint:
-        """Return where the coordinate and rate of a joint with one freedom stand.
+        """Return where the coordinate and rate of a single-DoF joint stand.
 
         Raises:
             JointNotFoundError: the model has no such joint.
-            InvalidValueError: the joint has several freedoms.
+            InvalidValueError: the joint has several degrees of freedom.
         """
         if (joint := self._single_joints.get(name)) is None:
             self._require_joint(name, self.name)
-            raise InvalidValueError("joint", name, "a joint with one freedom")
+            raise InvalidValueError("joint", name, "a single-DoF joint")
         return joint
 
     def velocity_indices(self, joints: Iterable[str]) -> NDArray[np.intp]:
-        """Return the indices in v of joints with one freedom, in the order given.
+        """Return the indices in v of single-DoF joints, in the order given.
 
         Raises:
             JointNotFoundError: the model has no such joint.
-            InvalidValueError: a joint has several freedoms.
+            InvalidValueError: a joint has several degrees of freedom.
         """
         return frozen(np.array([self.single_joint(name).v_index for name in joints], dtype=np.intp))
 
@@ -272,12 +273,12 @@ class Mechanism:
             raise InvalidValueError("q", positions, "cosine-sine pairs and quaternions of length 1")
         return positions
 
-    def held_positions(self, q: Vector, held: Mapping[str, ArrayLike]) -> tuple[Vector, NDArray[np.intp]]:
-        """Set joints to their held values.
+    def place_joints(self, q: Vector, coordinates: Mapping[str, ArrayLike]) -> tuple[Vector, NDArray[np.intp]]:
+        """Set the coordinates of joints.
 
         Args:
             q: joint configuration, shape=(nq,).
-            held: joints with their coordinates.
+            coordinates: by joint [m, rad].
 
         Returns:
             q with these values, and the indices in v that stay free to move.
@@ -287,11 +288,11 @@ class Mechanism:
             InvalidValueError: a value is not finite or of the wrong shape.
         """
         q, free = np.array(q), np.ones(self.model.nv, dtype=bool)
-        for name, value in held.items():
-            self._require_joint(name, "held joints")
+        for name, value in coordinates.items():
+            self._require_joint(name, "joints")
             joint = self.model.joints[self.model.getJointId(name)]
             single = self._single_joints.get(name)
-            numbers = finite_array(f"held joint {name}", value, () if single else (joint.nq,))
+            numbers = finite_array(f"coordinate of joint {name}", value, () if single else (joint.nq,))
             if single:
                 single.set_coordinate(q, float(numbers))
             else:
@@ -317,7 +318,7 @@ class Mechanism:
         for name in names:
             self._require_joint(name, f"{self._source}: {element}")
             if name not in self._single_joints:
-                raise DescriptionError(self._source, element, f"'{name}' has several freedoms, expected one")
+                raise DescriptionError(self._source, element, f"'{name}' has several degrees of freedom, expected one")
         return names
 
     def _checked_commands(self, commands: tuple[Command, ...]) -> tuple[Command, ...]:

@@ -21,7 +21,7 @@ from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.freedoms import RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Matrix, Vector

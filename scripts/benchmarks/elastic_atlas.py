@@ -33,7 +33,7 @@ def closed_form(tripod: Tripod, poses: np.ndarray, workers: int, blocks: int = 4
 
 def pinocchio_loop(mechanism: Robot, tripod: Tripod, poses: np.ndarray) -> float:
     """Seconds a pose for what Pinocchio has to do: constraint and tool Jacobians, and one KKT solve with NumPy."""
-    qs = [mechanism.held_positions(mechanism.home.q, joint_positions(tripod, pose))[0] for pose in poses]
+    qs = [mechanism.place_joints(mechanism.home.q, joint_positions(tripod, pose))[0] for pose in poses]
     model, data = mechanism.model, mechanism.model.createData()
     tool = mechanism.tool_frame_id
     frames = [(mechanism.frame_id(loop.frame_a), mechanism.frame_id(loop.frame_b)) for loop in mechanism.closures]

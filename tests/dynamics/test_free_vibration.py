@@ -51,7 +51,7 @@ def elastic(mechanism: Robot) -> ElasticModel:
 
 @pytest.fixture(scope="module")
 def modes(elastic: ElasticModel, tripod: Tripod) -> Modes:
-    q, _ = elastic.rigid.held_positions(elastic.rigid.home.q, joint_positions(tripod, POSE))
+    q, _ = elastic.rigid.place_joints(elastic.rigid.home.q, joint_positions(tripod, POSE))
     return natural_modes(elastic, q, payloads=TIPS)
 
 

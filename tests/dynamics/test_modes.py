@@ -28,7 +28,7 @@ def elastic(mechanism: Robot) -> ElasticModel:
 @pytest.fixture(scope="module")
 def positions(mechanism: Robot, tripod: Tripod) -> Callable[[np.ndarray], np.ndarray]:
     def at(pose: np.ndarray) -> np.ndarray:
-        return mechanism.held_positions(mechanism.home.q, joint_positions(tripod, pose))[0]
+        return mechanism.place_joints(mechanism.home.q, joint_positions(tripod, pose))[0]
 
     return at
 

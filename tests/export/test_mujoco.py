@@ -257,7 +257,7 @@ def test_a_robot_of_ones_own(
         rates=[2.0],
         accelerations=[-3.0],
     )
-    held, _ = mechanism.held_positions(mechanism.home.q, positions)
+    held, _ = mechanism.place_joints(mechanism.home.q, positions)
     ours = inverse_dynamics(mechanism.configuration(held), [2.0], [-3.0]).forces.actuator_forces
     np.testing.assert_allclose(forces, ours, rtol=0, atol=1e-9)
     linkage.place(positions)

@@ -81,7 +81,7 @@ def test_a_robot_of_ones_own(four_bar: Path, tmp_path: Path) -> None:
     # Pinocchio takes a hinge without limits for one angle, and the joint of a URDF for cosine and sine
     q = np.random.default_rng(5).uniform(-0.3, 0.3, model.nq)
     positions = {name: q[model.joints[model.getJointId(name)].idx_q] for name in list(model.names)[1:]}
-    ours = mechanism.configuration(mechanism.held_positions(mechanism.home.q, positions)[0])
+    ours = mechanism.configuration(mechanism.place_joints(mechanism.home.q, positions)[0])
     data = _placed(model, q)
     for name in ("base", "crank", "coupler", "rocker", "tip", "rocker_tip", "tool"):
         placement = data.oMf[model.getFrameId(name, pin.FrameType.BODY)]
@@ -103,9 +103,9 @@ def test_closed_at_ten_poses_with_the_forces_of_the_closed_form(
     assert set(from_mjcf.named_configurations) == {*mechanism.named_configurations, "qpos0"}
     zero = pin.neutral(model)
     for positions in ten_positions:
-        configuration = from_mjcf.configuration(from_mjcf.held_positions(zero, positions)[0])
+        configuration = from_mjcf.configuration(from_mjcf.place_joints(zero, positions)[0])
         assert configuration.closure_residual < 1e-14
     tilted = positions_at((np.radians(10.0), np.radians(-15.0), 0.5))
-    configuration = from_mjcf.configuration(from_mjcf.held_positions(zero, tilted)[0])
+    configuration = from_mjcf.configuration(from_mjcf.place_joints(zero, tilted)[0])
     expected = (5.868999588679, 5.836388512736, 6.334937172705)
     np.testing.assert_allclose(holding_forces(configuration).actuator_forces, expected, rtol=0, atol=1e-9)

@@ -21,7 +21,7 @@ def test_constraint_jacobian_kinematics_at_10_000_poses(
     columns = mechanism.velocity_indices(mechanism.motion_coordinates)
     worst = np.zeros(4)
     for pose, expected, twist, transform in zip(reachable_poses, jacobians, twists, placements, strict=True):
-        q, _ = mechanism.held_positions(mechanism.home.q, joint_positions(tripod, pose))
+        q, _ = mechanism.place_joints(mechanism.home.q, joint_positions(tripod, pose))
         configuration = mechanism.configuration(q)
         errors = [
             configuration.closure_error,

@@ -164,7 +164,7 @@ def test_coordinates_of_named_joints(zoo: Robot, five_bar: Robot, crank_rocker: 
     np.testing.assert_array_equal(five_bar.at(configuration.q).coordinates, expected)
     turned = crank_rocker.assemble(joints={"crank_joint": 2.5}, guess=[1.0, 0.0, 0.4, 0.8])
     assert turned.joint_position("crank_joint") == pytest.approx(2.5, abs=1e-15)
-    with pytest.raises(InvalidValueError, match="one freedom"):
+    with pytest.raises(InvalidValueError, match="single-DoF joint"):
         zoo.home.joint_position("joint00")
     with pytest.raises(JointNotFoundError, match="'knee'"):
         zoo.home.joint_position("knee")

@@ -171,10 +171,10 @@ def test_names_in_the_closures_file_are_looked_up(
         Robot.load(path)
 
 
-def test_a_joint_with_several_freedoms_cannot_be_driven() -> None:
+def test_a_joint_with_several_degrees_of_freedom_cannot_be_driven() -> None:
     model = pin.Model()
     model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
-    with pytest.raises(DescriptionError, match=r"ball.*several freedoms"):
+    with pytest.raises(DescriptionError, match=r"ball.*several degrees of freedom"):
         Robot(model, actuated_joints=["ball"])
     assert Robot(model).actuated_joints == ()
 

@@ -8,7 +8,7 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, InvalidValueError
-from pm3dof_pin.kinematics.freedoms import null_space
+from pm3dof_pin.kinematics.degrees_of_freedom import null_space
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -19,7 +19,7 @@ def test_four_bar(crank_rocker: Robot) -> None:
     mobility = instantaneous_mobility(crank_rocker.assemble([0.0, 1.0, -1.0, 1.2]))
     assert (mobility.count, mobility.tool_mobility) == (1, 1)
     assert mobility.redundant_constraints == 1, "the closure's z row is empty in a planar linkage"
-    assert mobility.idle_freedoms.shape == (3, 0)
+    assert mobility.idle_motions.shape == (3, 0)
 
 
 def test_five_bar(five_bar: Robot) -> None:
@@ -43,13 +43,13 @@ def test_spinning_legs_are_idle(gough: Any) -> None:
     # Kutzbach: 6 freedoms of the platform and 4 of each leg, less 3 for each closure
     assert mobility.count == 6 + 6 * 4 - 6 * 3
     assert (mobility.tool_mobility, mobility.redundant_constraints) == (6, 0)
-    assert mobility.idle_freedoms.shape[1] == 6
-    np.testing.assert_allclose(configuration.constraint_jacobian @ mobility.idle_freedoms, 0.0, atol=1e-14)
-    np.testing.assert_allclose(configuration.tool_jacobian @ mobility.idle_freedoms, 0.0, atol=1e-14)
+    assert mobility.idle_motions.shape[1] == 6
+    np.testing.assert_allclose(configuration.constraint_jacobian @ mobility.idle_motions, 0.0, atol=1e-14)
+    np.testing.assert_allclose(configuration.tool_jacobian @ mobility.idle_motions, 0.0, atol=1e-14)
     for leg in range(6):
         model = gough.mechanism.model
         index = model.joints[model.getJointId(f"foot{leg}")].idx_v
-        spins = mobility.idle_freedoms[index : index + 3]
+        spins = mobility.idle_motions[index : index + 3]
         np.testing.assert_allclose(spins[:2], 0.0, atol=1e-14, err_msg="a leg spins about z, its own axis")
         assert np.abs(spins[2]).max() > 0.1
 

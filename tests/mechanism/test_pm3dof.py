@@ -120,7 +120,7 @@ def test_tool_motions_are_the_corrected_twist_map(configuration: Configuration, 
 def test_three_freedoms_none_idle_none_redundant(configuration: Configuration) -> None:
     mobility = instantaneous_mobility(configuration)
     assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (3, 3, 0)
-    assert mobility.idle_freedoms.shape == (12, 0)
+    assert mobility.idle_motions.shape == (12, 0)
     assert singularities(configuration) == ()
 
 

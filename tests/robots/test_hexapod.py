@@ -125,7 +125,7 @@ def test_six_freedoms_and_no_redundant_constraint(hexapod: Robot) -> None:
     for configuration in (hexapod.home, generic_configuration(hexapod.home)):
         mobility = instantaneous_mobility(configuration)
         assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (6, 6, 0)
-        assert mobility.idle_freedoms.shape[1] == 0
+        assert mobility.idle_motions.shape[1] == 0
         assert not singularities(configuration)
 
 

@@ -109,7 +109,7 @@ def test_tubes_weigh_what_their_steel_does(numbers: Numbers) -> None:
         np.testing.assert_allclose(inertials[name].inertia, np.diag([across, across, along]), rtol=1e-12)
 
 
-# Freedoms
+# DegreesOfFreedom
 
 
 def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> None:
@@ -119,7 +119,7 @@ def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> Non
         mobility = instantaneous_mobility(configuration)
         assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (3, 3, 15)
         assert mobility.constraint_rank.gap > 1e9
-        assert mobility.idle_freedoms.shape[1] == 0
+        assert mobility.idle_motions.shape[1] == 0
         assert not singularities(configuration)
 
 

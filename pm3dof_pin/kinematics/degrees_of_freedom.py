@@ -1,9 +1,9 @@
-"""The freedoms of a configuration: the velocities that keep its loops closed, and how their number was decided.
+"""The degrees of freedom of a configuration: the velocities that keep its loops closed, and how they were counted.
 
-Freedoms are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: velocities along an
-axis, and rows of Jacobians that are such velocities, are divided by :attr:`Mechanism.characteristic_length`; angular
-velocities stay as they are. A singular value counts as zero when it is below the tolerance times a reference, see
-:class:`RankDecision`.
+Degrees of freedom are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: velocities
+along an axis, and rows of Jacobians that are such velocities, are divided by :attr:`Mechanism.characteristic_length`;
+angular velocities stay as they are. A singular value counts as zero when it is below the tolerance times a reference,
+see :class:`RankDecision`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ RANK_TOLERANCE = 1e-6
 """Singular values below this times their reference count as zero."""
 
 ASSEMBLED_TOLERANCE = 1e-6
-"""Closure residual up to which the freedoms of a configuration mean something [characteristic lengths, or rad]."""
+"""Closure residual up to which degrees of freedom mean something [characteristic lengths, or rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class RankDecision:
     Attributes:
         rank: number of singular values above the threshold.
         threshold: the tolerance times the reference, which is the greatest singular value of the matrix before it was
-            restricted to the freedoms.
+            restricted to the dof.
         singular_values: singular values of the scaled matrix, falling, shape=(min(rows, columns),).
     """
 
@@ -54,7 +54,7 @@ class RankDecision:
 
 
 def null_space(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> tuple[Matrix, RankDecision]:
-    """Compute a basis Z of the freedoms, G Z = 0.
+    """Compute a basis Z of the degrees of freedom, G Z = 0.
 
     Args:
         configuration: an assembled configuration.
@@ -66,12 +66,12 @@ def null_space(configuration: Configuration, *, tolerance: float = RANK_TOLERANC
     Raises:
         InvalidValueError: the loops are not closed.
     """
-    freedoms = Freedoms(configuration, tolerance)
-    return frozen(freedoms.scale[:, None] * freedoms.basis), freedoms.constraint_rank
+    dof = DegreesOfFreedom(configuration, tolerance)
+    return frozen(dof.scale[:, None] * dof.basis), dof.constraint_rank
 
 
-class Freedoms:
-    """The scaled freedoms of a configuration, and what they do to the actuated joints and the tool.
+class DegreesOfFreedom:
+    """The scaled degrees of freedom of a configuration, and what they do to the actuated joints and the tool.
 
     Raises:
         InvalidValueError: the loops are not closed.
@@ -108,22 +108,22 @@ class Freedoms:
         return np.vstack([self.actuators, self.tool])
 
     @cached_property
-    def locked(self) -> Restriction:
-        """The freedoms seen at the actuated joints."""
+    def at_actuators(self) -> Restriction:
+        """The degrees of freedom seen at the actuated joints."""
         return self.over(self.actuators)
 
     @cached_property
-    def held(self) -> Restriction:
-        """The freedoms seen at the tool."""
+    def at_tool(self) -> Restriction:
+        """The degrees of freedom seen at the tool."""
         return self.over(self.tool)
 
     @cached_property
     def idle(self) -> Restriction:
-        """The freedoms seen at actuated joints and tool."""
+        """The degrees of freedom seen at actuated joints and tool."""
         return self.over(self.actuators_and_tool)
 
     def over(self, rows: Matrix) -> Restriction:
-        """See the freedoms at rows of scaled numbers, shape=(k, nv)."""
+        """See the degrees of freedom at rows of scaled numbers, shape=(k, nv)."""
         return Restriction(rows, self.basis, self._tolerance)
 
 
