@@ -12,23 +12,20 @@ than the axes they are put on: it is the published index, not the stiffness a pr
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.chapter import kernels
-from pm3dof_pin.chapter.reach import require_reach
+from pm3dof_pin.chapter.kinematics import Legs, motion_twists, require_reach
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, OnFailure
 
 AXES = ("theta_x", "theta_y", "t_z", "t_x", "t_y", "theta_z")
 UNITS = {"theta_x": "N m/rad", "theta_y": "N m/rad", "t_z": "N/m", "t_x": "N/m", "t_y": "N/m", "theta_z": "N m/rad"}
 
 
 def chapter_stiffness(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, unreachable: Literal["raise", "nan"] = "raise"
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
     """Return the chapter's diagonal stiffness at each pose.
 
@@ -36,28 +33,35 @@ def chapter_stiffness(
         tripod: the machine.
         poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg.
-        unreachable: "raise", or "nan" to mark poses out of reach in the result.
+        on_failure: "raise", or "nan" to mark poses out of reach in the result.
 
     Returns:
         Stiffness in the order of :data:`AXES`, units of :data:`UNITS`, shape=(..., 6).
 
     Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `unreachable` is "raise".
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    if unreachable == "raise":
-        require_reach(tripod, pose_array, kernels.slider_travel(pose_array, tripod.legs, modes))
+    legs = Legs.at(tripod, pose_array, modes)
+    if on_failure == "raise":
+        require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
-    diagonal: Array = kernels.chapter_diagonal(pose_array, tripod.legs, modes, spring_table(tripod))
-    return diagonal
-
-
-def spring_table(tripod: Tripod) -> Array:
-    """Return k_a, k_t [N/m], E I, G J [N m^2], z_b [m] and an unused place, as the compiled kernels take them."""
     p = tripod.parameters
-    springs = [p.actuator_stiffness, p.link_stiffness, p.bending_stiffness, p.torsional_stiffness]
-    return np.array([*springs, tripod.clamp_height, 0.0])
+    # k_t J_a^T J_a + k_a J_t^T J_t with J_t = J_a / (n . e), row by row (8.9)
+    link_jacobian = legs.wrenches @ motion_twists(pose_array)
+    springs = p.link_stiffness + p.actuator_stiffness / legs.cosines**2
+    motion_axes = np.einsum("...n,...nk,...nk->...k", springs, link_jacobian, link_jacobian)
+    length = pose_array[..., 2] - tripod.clamp_height
+    reached = (length > 0.0) & np.isfinite(motion_axes).all(axis=-1)
+    length = np.where(reached, length, np.nan)
+    bending = p.bending_stiffness / length**3
+    motion_axes[..., :2] += bending[..., None]
+    diagonal = np.empty((*pose_array.shape[:-1], 6))
+    diagonal[..., :3] = np.where(reached[..., None], motion_axes, np.nan)
+    diagonal[..., 3] = diagonal[..., 4] = bending / length**2
+    diagonal[..., 5] = p.torsional_stiffness / length**2
+    return diagonal
 
 
 def require_above_clamp(tripod: Tripod, poses: Array) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.chapter import kernels
+from pm3dof_pin.chapter.kinematics import motion_twists, rotation
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.typing import Array
@@ -41,14 +41,20 @@ class DirectKinematics:
     converged: NDArray[np.bool_]
 
 
-def newton(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None) -> DirectKinematics:
+def newton(
+    tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = MOST_STEPS
+) -> DirectKinematics:
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
+
+    The equations are (|k_i|^2 - l^2) / (2 l) = 0, in metres, and their derivative k_i . J_i / l (8.5); with more than
+    three legs the step is the least-squares one. A step turns the platform by 0.3 rad and moves it by 0.1 m at most.
 
     Args:
         tripod: the machine.
         u: slider travels, shape=(..., n) [m].
         guess: pose to start from, shape=(..., 3); the home pose by default, from which every pose of the chapter's
             workspace is found.
+        most_steps: greatest number of steps.
 
     Returns:
         The poses, with residuals; nothing is raised for those that did not converge.
@@ -58,9 +64,56 @@ def newton(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None) -> Dire
     """
     travels = _checked_travels(tripod, u)
     start = tripod.home if guess is None else np.asarray(guess, dtype=float)
-    # a quarter of the tolerance, so that another order of summation still finds the solution within it
-    poses, residual, steps = kernels.newton(travels, start, tripod.legs, 0.25 * TOLERANCE, MOST_STEPS)
-    return DirectKinematics(poses, residual, steps, residual <= TOLERANCE)
+    shape = np.broadcast_shapes(travels.shape[:-1], start.shape[:-1])
+    sliders = tripod.base_joints + travels[..., None] * tripod.guide_directions
+    sliders = np.broadcast_to(sliders, (*shape, tripod.leg_count, 3)).reshape(-1, tripod.leg_count, 3)
+    poses = np.array(np.broadcast_to(start, (*shape, 3))).reshape(-1, 3)
+    residual, steps = np.empty(len(poses)), np.zeros(len(poses), dtype=np.int64)
+    moving = np.arange(len(poses))
+    for step in range(most_steps + 1):
+        errors, jacobian = _length_errors(tripod, poses[moving], sliders[moving])
+        residual[moving] = np.abs(errors).max(axis=-1)
+        # a quarter of the tolerance, so that another order of summation still finds the solution within it
+        far = residual[moving] > 0.25 * TOLERANCE
+        if step == most_steps or not far.any():
+            break
+        moving = moving[far]
+        poses[moving] -= _shortened(_least_squares_step(jacobian[far], errors[far]))
+        steps[moving] += 1
+    return DirectKinematics(
+        poses.reshape(*shape, 3), residual.reshape(shape), steps.reshape(shape), (residual <= TOLERANCE).reshape(shape)
+    )
+
+
+def _length_errors(tripod: Tripod, poses: Array, sliders: Array) -> tuple[Array, Array]:
+    """Return (|k_i|^2 - l^2) / (2 l) and its derivative to the pose, shapes=(m, n), (m, n, 3)."""
+    length = tripod.parameters.link_length
+    turned = rotation(poses[:, 0], poses[:, 1])
+    arms = np.einsum("mij,nj->mni", turned, tripod.platform_joints)
+    directions = (arms + poses[:, None, 2:] * [0.0, 0.0, 1.0] - sliders) / length
+    errors = 0.5 * length * (np.einsum("mni,mni->mn", directions, directions) - 1.0)
+    wrenches = np.concatenate([directions, np.cross(arms, directions)], axis=-1)
+    return errors, wrenches @ motion_twists(poses)
+
+
+def _least_squares_step(jacobian: Array, errors: Array) -> Array:
+    """Return x of least |J x - e|, shape=(m, 3), not finite where J is singular; three rows by Cramer's rule."""
+    matrix, right = jacobian, errors
+    if jacobian.shape[1] != 3:
+        transposed = np.swapaxes(jacobian, 1, 2)
+        matrix, right = transposed @ jacobian, (transposed @ errors[..., None])[..., 0]
+    a, b, c = np.moveaxis(matrix, 1, 0)
+    adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+    with np.errstate(all="ignore"):
+        step: Array = np.einsum("mij,mj->mi", adjugate, right) / np.sum(a * adjugate[..., 0], axis=-1)[:, None]
+    return step
+
+
+def _shortened(step: Array) -> Array:
+    longest: Array = np.maximum(1.0, np.abs(step / [0.3, 0.3, 0.1]).max(axis=-1, keepdims=True))
+    with np.errstate(invalid="ignore"):
+        shorter: Array = step / longest
+    return shorter
 
 
 def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None) -> Array:
@@ -84,11 +137,11 @@ def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = No
     result = newton(tripod, travels, guess)
     if not np.all(result.converged):
         worst = np.unravel_index(np.nanargmax(np.nan_to_num(result.residual, nan=np.inf)), result.residual.shape)
-        where = ", ".join(
+        listed = ", ".join(
             f"{travel:.6g}" for travel in np.broadcast_to(travels, (*result.residual.shape, tripod.leg_count))[worst]
         )
         raise ConvergenceError(
-            f"direct kinematics at u = ({where}) m",
+            f"direct kinematics at u = ({listed}) m",
             float(result.residual[worst]),
             "m of link length",
             int(result.steps[worst]),
@@ -111,7 +164,7 @@ def all_assembly_modes(tripod: Tripod, u: ArrayLike) -> Array:
 
     Returns:
         Poses, shape=(m, 3) [rad, rad, m], angles in (-pi, pi], the highest platform first; m is zero where the loops
-        cannot be closed. Limits and collisions are not looked at.
+        cannot be closed. Limits and collisions are not checked.
 
     Raises:
         InvalidValueError: the machine has not three legs, or u is not three finite numbers.

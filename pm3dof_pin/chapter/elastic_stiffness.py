@@ -9,30 +9,18 @@ Derivation: docs/theory.md.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.chapter import kernels
-from pm3dof_pin.chapter.chapter_stiffness import require_above_clamp, spring_table
-from pm3dof_pin.chapter.kinematics import link_vectors, placement
-from pm3dof_pin.chapter.reach import require_reach
-from pm3dof_pin.chapter.threads import over_poses
+from pm3dof_pin.chapter.chapter_stiffness import require_above_clamp
+from pm3dof_pin.chapter.kinematics import Legs, require_reach
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.elastic.indices import compliance
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, OnFailure
 
 
 def elastic_stiffness(
-    tripod: Tripod,
-    poses: ArrayLike,
-    *,
-    assembly_mode: ArrayLike = -1,
-    unreachable: Literal["raise", "nan"] = "raise",
-    workers: int | None = None,
-    out: Array | None = None,
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
     """Return the Cartesian stiffness K = dW/dX at O_e, axes of the base.
 
@@ -40,33 +28,56 @@ def elastic_stiffness(
         tripod: the machine.
         poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg; one setting for all poses.
-        unreachable: "raise", or "nan" to mark poses out of reach in the result.
-        workers: threads for many poses; the number of processors by default.
-        out: contiguous array to fill and return, shape=(..., 6, 6); reusing one saves the cost of new memory.
+        on_failure: "raise", or "nan" to mark poses out of reach in the result.
 
     Returns:
         Symmetric matrices in the order x, y, z, rx, ry, rz, shape=(..., 6, 6) [N/m, N, N m/rad].
 
     Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `unreachable` is "raise".
-        InvalidValueError: poses of a wrong shape, at or below the clamp of the passive leg, where L is not positive,
-            or `out` of another shape.
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
+        InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    if unreachable == "raise":
-        require_reach(tripod, pose_array, kernels.slider_travel(pose_array, tripod.legs, modes))
+    legs = Legs.at(tripod, pose_array, modes)
+    if on_failure == "raise":
+        require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
-    springs = spring_table(tripod)
-    shape = (*pose_array.shape[:-1], 6, 6)
-    stiffness = np.empty(shape) if out is None else out
-    if stiffness.shape != shape or not stiffness.flags.c_contiguous:
-        raise InvalidValueError("out", f"an array of shape {stiffness.shape}", f"a contiguous one of shape {shape}")
+    return _of_legs(legs) + _of_passive_leg(tripod, pose_array)
 
-    def kernel(part: Array, out: Array) -> None:
-        kernels.elastic_stiffness(part, tripod.legs, modes, springs, out=out)
 
-    over_poses(kernel, pose_array, stiffness, workers)
-    return stiffness
+def _series_stiffness(legs: Legs) -> Array:
+    """Return k_i, actuator and link one behind the other, shape=(..., n) [N/m]."""
+    p = legs.tripod.parameters
+    series: Array = 1.0 / (legs.cosines**2 / p.actuator_stiffness + 1.0 / p.link_stiffness)
+    return series
+
+
+def _of_legs(legs: Legs) -> Array:
+    """Return sum_i k_i w_i w_i^T, shape=(..., 6, 6)."""
+    weighted = np.sqrt(_series_stiffness(legs))[..., None] * legs.wrenches
+    return np.swapaxes(weighted, -1, -2) @ weighted
+
+
+def _of_passive_leg(tripod: Tripod, poses: Array) -> Array:
+    """Return S^T (S C_b S^T)^-1 S, NaN at or below the clamp, shape=(..., 6, 6).
+
+    y is by itself; x and the turn about (0, -sin theta_x, cos theta_x) form a block of two.
+    """
+    p = tripod.parameters
+    length = poses[..., 2] - tripod.clamp_height
+    length = np.where(length > 0.0, length, np.nan)
+    sine, cosine = np.sin(poses[..., 0]), np.cos(poses[..., 0])
+    lateral = length**3 / (3.0 * p.bending_stiffness)
+    coupling = -sine * length**2 / (2.0 * p.bending_stiffness)
+    turn = length * (sine**2 / p.bending_stiffness + cosine**2 / p.torsional_stiffness)
+    determinant = lateral * turn - coupling**2
+    held = np.zeros((*poses.shape[:-1], 2, 6))
+    held[..., 0, 0], held[..., 1, 4], held[..., 1, 5] = 1.0, -sine, cosine
+    block = np.stack([np.stack([turn, -coupling], -1), np.stack([-coupling, lateral], -1)], -2)
+    stiffness = np.swapaxes(held, -1, -2) @ (block / determinant[..., None, None]) @ held
+    stiffness[..., 1, 1] += 1.0 / lateral
+    symmetric: Array = 0.5 * (stiffness + np.swapaxes(stiffness, -1, -2))
+    return symmetric
 
 
 def spring_names(tripod: Tripod) -> tuple[str, ...]:
@@ -95,18 +106,14 @@ def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
     Raises:
         InvalidValueError: poses or modes of a wrong shape.
     """
-    p = tripod.parameters
-    total = elastic_stiffness(tripod, poses, assembly_mode=assembly_mode, unreachable="nan")
-    directions = link_vectors(tripod, poses, assembly_mode=assembly_mode) / p.link_length
-    arms = tripod.platform_joints @ np.swapaxes(placement(poses)[..., :3, :3], -1, -2)
-    wrenches = np.concatenate([directions, np.cross(arms, directions)], axis=-1)
-    cosines = np.sum(directions * tripod.guide_directions, axis=-1)
-    series = 1.0 / (cosines**2 / p.actuator_stiffness + 1.0 / p.link_stiffness)
+    pose_array, modes = tripod.checked(poses, assembly_mode)
+    p, legs = tripod.parameters, Legs.at(tripod, pose_array, modes)
+    of_legs = _of_legs(legs)
+    total = of_legs + _of_passive_leg(tripod, pose_array)
     tool = compliance(total)
-    forces = series[..., None] * wrenches @ tool  # force of each leg against the wrench at the tool
+    forces = _series_stiffness(legs)[..., None] * legs.wrenches @ tool  # in each leg against the wrench at the tool
     energies = forces[..., :, None] * forces[..., None, :]
-    actuators = energies * (cosines**2 / p.actuator_stiffness)[..., None, None]
+    actuators = energies * (legs.cosines**2 / p.actuator_stiffness)[..., None, None]
     links = energies / p.link_stiffness
-    legs = np.swapaxes(wrenches, -1, -2) @ (series[..., None] * wrenches)
-    passive_leg = tool @ (total - legs) @ tool
+    passive_leg = tool @ (total - of_legs) @ tool
     return np.concatenate([actuators, links, passive_leg[..., None, :, :]], axis=-3)

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from typing import Literal
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.chapter import kernels
-from pm3dof_pin.chapter.reach import require_reach
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array
-
-Unreachable = Literal["raise", "nan"]
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.typing import Array, OnFailure
 
 
 def rotation(theta_x: ArrayLike, theta_y: ArrayLike) -> Array:
     """Return the platform's orientation R = Rx(theta_x) Ry(theta_y), (8.3), shape=(..., 3, 3)."""
     x, y = np.broadcast_arrays(np.asarray(theta_x, dtype=float), np.asarray(theta_y, dtype=float))
-    cx, sx, cy, sy, zero = np.cos(x), np.sin(x), np.cos(y), np.sin(y), np.zeros(x.shape)
+    with np.errstate(invalid="ignore"):  # an infinite angle gives NaN
+        cx, sx, cy, sy, zero = np.cos(x), np.sin(x), np.cos(y), np.sin(y), np.zeros(x.shape)
     rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
@@ -68,8 +66,80 @@ def motion_twists(poses: ArrayLike) -> Array:
     return twists
 
 
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """The actuated legs at a batch of poses, NaN where a link does not meet its guideway.
+
+    Attributes:
+        tripod: the machine.
+        orientation: R of the platform, shape=(..., 3, 3).
+        arms: R p_i, the platform joints E_i seen from O_e, base axes, shape=(..., n, 3) [m].
+        travels: u_i, shape=(..., n) [m].
+        links: k_i = D_i E_i, base axes, (8.7), shape=(..., n, 3) [m].
+    """
+
+    tripod: Tripod
+    orientation: Array
+    arms: Array
+    travels: Array
+    links: Array
+
+    @classmethod
+    def at(cls, tripod: Tripod, poses: Array, modes: Array) -> Legs:
+        """Place the legs at poses, shape=(..., 3), in assembly modes, shape=(n,); (8.4), (8.6), (8.7)."""
+        orientation = rotation(poses[..., 0], poses[..., 1])
+        arms = _dotted(orientation, tripod.platform_joints)
+        reach = arms - tripod.base_joints  # w_i = E_i - B_i
+        reach[..., 2] += poses[..., 2, None]
+        along = _dot(reach, tripod.guide_directions)
+        with np.errstate(invalid="ignore"):
+            root = np.sqrt(along**2 - _dot(reach, reach) + tripod.parameters.link_length**2)
+        travels = along + modes * root
+        return cls(tripod, orientation, arms, travels, reach - travels[..., None] * tripod.guide_directions)
+
+    @cached_property
+    def directions(self) -> Array:
+        """n_i, unit vectors along the links, shape=(..., n, 3)."""
+        return self.links / self.tripod.parameters.link_length
+
+    @cached_property
+    def cosines(self) -> Array:
+        """n_i . e_i, the cosines between links and guideways, shape=(..., n)."""
+        return _dot(self.directions, self.tripod.guide_directions)
+
+    @cached_property
+    def wrenches(self) -> Array:
+        """w_i = [n_i; R p_i x n_i], unit wrenches of the links at O_e, shape=(..., n, 6)."""
+        return np.concatenate([self.directions, np.cross(self.arms, self.directions)], axis=-1)
+
+    @cached_property
+    def passive_angles(self) -> Array:
+        """Angles of the passive joints, see :func:`passive_joint_angles`, shape=(..., n, 3) [rad]."""
+        along_axes = np.moveaxis(self.links, -2, 0).reshape(len(self.tripod.link_frames), -1, 3)
+        x, y, z = np.moveaxis(along_axes @ self.tripod.link_frames, -1, 0)
+        universal = np.stack([np.arctan2(x, z), -np.arctan2(y, np.sqrt(x * x + z * z))], axis=-1)
+        sockets = _dotted(self.orientation, self.tripod.socket_axes)
+        lever = np.cross(sockets, self.links)
+        swing = np.arctan2(np.sqrt(_dot(lever, lever)), _dot(sockets, self.links))
+        angles = np.empty(self.links.shape)
+        angles[..., :2] = np.moveaxis(universal.reshape(-1, *self.travels.shape[:-1], 2), 0, -2)
+        angles[..., 2] = swing
+        return angles
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return scalar products along the last axis."""
+    product: Array = np.einsum("...i,...i->...", a, b)
+    return product
+
+
+def _dotted(matrices: Array, vectors: Array) -> Array:
+    """Turn each of n vectors by each of many matrices, shapes=(..., 3, 3), (n, 3) to (..., n, 3)."""
+    return np.moveaxis(np.tensordot(matrices, vectors, axes=(-1, -1)), -1, -2)
+
+
 def inverse_kinematics(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, unreachable: Unreachable = "raise"
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
     """Return the slider travels u_i that bring the platform to each pose, (8.6), (8.7).
 
@@ -78,20 +148,50 @@ def inverse_kinematics(
         poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
         assembly_mode: which of a leg's two solutions: -1 slider below the platform (the chapter's), +1 above it; one
             number or one for each leg.
-        unreachable: "raise", or "nan" to mark poses out of reach in the result.
+        on_failure: "raise", or "nan" to mark poses out of reach in the result.
 
     Returns:
-        u, shape=(..., n) [m]. Joint limits are not looked at: see :func:`~pm3dof_pin.chapter.limits.limit_violations`.
+        u, shape=(..., n) [m]. Joint limits are not checked: see :func:`~pm3dof_pin.chapter.limits.limit_violations`.
 
     Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `unreachable` is "raise".
-        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `unreachable` is "raise".
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
+        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    u: Array = kernels.slider_travel(pose_array, tripod.legs, modes)
-    if unreachable == "raise":
+    u = Legs.at(tripod, pose_array, modes).travels
+    if on_failure == "raise":
         require_reach(tripod, pose_array, u)
     return u
+
+
+def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
+    """Raise for the first pose that a leg cannot reach.
+
+    Args:
+        tripod: the machine.
+        poses: shape=(..., 3) [rad, rad, m].
+        u: slider travels with NaN out of reach, shape=(..., n) [m].
+
+    Raises:
+        UnreachablePoseError: naming pose and leg.
+        InvalidValueError: a pose is not a number.
+    """
+    infinite = np.argwhere(~np.all(np.isfinite(poses), axis=-1))
+    if len(infinite):
+        first = tuple(int(entry) for entry in infinite[0])
+        place = f" {first} of the array" if first else ""
+        raise InvalidValueError(f"pose{place}", poses[first].tolist(), "finite theta_x, theta_y [rad] and z_e [m]")
+    bad = np.argwhere(np.isnan(u))
+    if len(bad) == 0:
+        return
+    index = tuple(int(entry) for entry in bad[0])
+    theta_x, theta_y, z_e = np.broadcast_to(poses, (*u.shape[:-1], 3))[index[:-1]]
+    place = f" (pose {index[:-1]} of the array)" if len(index) > 1 else ""
+    pose = f"theta_x = {np.degrees(theta_x):.4g} deg, theta_y = {np.degrees(theta_y):.4g} deg, z_e = {z_e:.4g} m"
+    raise UnreachablePoseError(
+        f"pose {pose}{place} is out of reach: the link of leg {index[-1] + 1}, "
+        f"{tripod.parameters.link_length:g} m long, does not meet its guideway"
+    )
 
 
 def inverse_kinematics_modes(tripod: Tripod, pose: ArrayLike) -> dict[tuple[int, ...], Array]:
@@ -121,23 +221,25 @@ def assembly_mode_of(tripod: Tripod, poses: ArrayLike, u: ArrayLike) -> Array:
     """
     pose_array, _ = tripod.checked(poses, -1)
     transform = placement(pose_array)
-    joints = tripod.platform_joints @ np.swapaxes(transform[..., :3, :3], -1, -2) + transform[..., None, :3, 3]
-    along = np.sum((joints - tripod.base_joints) * tripod.guide_directions, axis=-1)
+    joints = _dotted(transform[..., :3, :3], tripod.platform_joints) + transform[..., None, :3, 3]
+    along = _dot(joints - tripod.base_joints, tripod.guide_directions)
     return np.where(np.asarray(u, dtype=float) > along, 1.0, -1.0)
 
 
 def link_vectors(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
     """Return k_i = D_i E_i in the base frame, (8.7), NaN out of reach, shape=(..., n, 3) [m]."""
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    vectors: Array = kernels.link_vectors(pose_array, tripod.legs, modes)
-    return vectors
+    return Legs.at(tripod, pose_array, modes).links
 
 
 def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return J_i, the motion of E_i against (theta_x, theta_y, z_e), (8.5), shape=(..., n, 3, 3) [m/rad, m/rad, 1]."""
     pose_array, _ = tripod.checked(poses, -1)
-    jacobians: Array = kernels.platform_joint_jacobians(pose_array, tripod.legs)
-    return jacobians
+    arms = _dotted(rotation(pose_array[..., 0], pose_array[..., 1]), tripod.platform_joints)
+    twists = motion_twists(pose_array)[..., None, :, :]
+    # column k is v_k + omega_k x R p_i
+    turned = np.cross(np.swapaxes(twists[..., 3:, :], -1, -2), arms[..., None, :])
+    return twists[..., :3, :] + np.swapaxes(turned, -1, -2)
 
 
 def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
@@ -155,8 +257,7 @@ def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
         InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    jacobian: Array = kernels.leg_jacobians(pose_array, tripod.legs, modes)[0]
-    return jacobian
+    return Legs.at(tripod, pose_array, modes).wrenches @ motion_twists(pose_array)
 
 
 def actuation_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
@@ -174,8 +275,8 @@ def actuation_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Array
         InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    jacobian: Array = kernels.leg_jacobians(pose_array, tripod.legs, modes)[1]
-    return jacobian
+    legs = Legs.at(tripod, pose_array, modes)
+    return legs.wrenches @ motion_twists(pose_array) / legs.cosines[..., None]
 
 
 def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
@@ -197,8 +298,7 @@ def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
         InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    angles: Array = kernels.passive_angles(pose_array, tripod.legs, modes)
-    return angles
+    return Legs.at(tripod, pose_array, modes).passive_angles
 
 
 def joint_positions(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike = -1) -> dict[str, float]:

@@ -2,15 +2,63 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.chapter import kernels
-from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limit_kinds import Limit, LimitViolation
+from pm3dof_pin.chapter.kinematics import Legs, inverse_kinematics, passive_joint_angles
 from pm3dof_pin.chapter.tripod import Tripod
 
-__all__ = ["Limit", "LimitViolation", "broken_limits", "limit_violations"]
+
+class Limit(IntFlag):
+    """What may exclude a pose; combinations are sums.
+
+    Attributes:
+        REACH: a link is too short, whatever its slider does.
+        STROKE: a slider leaves its travel.
+        UNIVERSAL: a universal joint at D_i turns too far.
+        SPHERICAL: a link leaves the cone of its spherical joint at E_i.
+        TILT: the universal joint of the passive leg turns too far.
+        HEIGHT: the passive prismatic joint is at a stop.
+    """
+
+    NONE = 0
+    REACH = 1
+    STROKE = 2
+    UNIVERSAL = 4
+    SPHERICAL = 8
+    TILT = 16
+    HEIGHT = 32
+
+
+@dataclass(frozen=True)
+class LimitViolation:
+    """One joint outside its range.
+
+    Attributes:
+        joint: name of the joint, as in the URDF, where the spherical joints `spherical1` .. are loop closures.
+        limit: the kind of limit.
+        value: the joint's coordinate [unit].
+        lower: lower end of its range [unit].
+        upper: upper end of its range [unit].
+        unit: "m" or "rad".
+    """
+
+    joint: str
+    limit: Limit
+    value: float
+    lower: float
+    upper: float
+    unit: str
+
+    def __str__(self) -> str:
+        """One line for a person, angles in degrees."""
+        factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)
+        value, lower, upper = (f"{number * factor:.{digits}f}" for number in (self.value, self.lower, self.upper))
+        return f"{self.joint} at {value} {unit}, outside {lower} .. {upper} {unit}"
 
 
 def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
@@ -28,7 +76,22 @@ def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
         InvalidValueError: poses or modes of a wrong shape.
     """
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    flags: NDArray[np.uint8] = kernels.broken_limits(pose_array, tripod.legs, modes, tripod.bounds)
+    u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
+    legs = Legs.at(tripod, pose_array, modes)
+    u, angles = legs.travels, legs.passive_angles
+    tilts, height = np.abs(pose_array[..., :2]), pose_array[..., 2]
+    # comparisons with NaN are false: a leg out of reach breaks REACH alone, a pose that is not a number its own limit
+    broken = {
+        Limit.REACH: np.isnan(u).any(axis=-1),
+        Limit.STROKE: ((u < u_min) | (u > u_max)).any(axis=-1),
+        Limit.UNIVERSAL: (np.abs(angles[..., :2]) > universal).any(axis=(-1, -2)),
+        Limit.SPHERICAL: (angles[..., 2] > spherical).any(axis=-1),
+        Limit.TILT: ~(tilts <= universal).all(axis=-1),
+        Limit.HEIGHT: ~((z_low <= height) & (height <= z_high)),
+    }
+    flags = np.zeros(pose_array.shape[:-1], dtype=np.uint8)
+    for limit, where_broken in broken.items():
+        flags |= np.where(where_broken, np.uint8(limit), np.uint8(0))
     return flags
 
 

@@ -69,7 +69,7 @@ def _travel_at_printed_heights(tripod: Tripod) -> RangeStatement:
     printed = tripod.parameters.height_range
     stops = tripod.bounds[:2]
     poses = np.stack([np.zeros(2), np.zeros(2), printed], axis=-1)
-    travel = inverse_kinematics(tripod, poses, unreachable="nan")[:, 0]
+    travel = inverse_kinematics(tripod, poses, on_failure="nan")[:, 0]
     text = (
         f"a level platform at the printed heights needs the sliders at {travel[0]:.4f} and {travel[1]:.4f} m; "
         f"they run from {stops[0]:.4f} to {stops[1]:.4f} m"

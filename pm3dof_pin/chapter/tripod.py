@@ -28,7 +28,7 @@ class Tripod:
         height_min: z_e of the level platform with every slider at its lower stop [m].
         height_max: z_e of the level platform with every slider at its upper stop [m].
         clamp_height: z_b, where the middle platform clamps the passive leg [m].
-        legs: table of the compiled kernels, shape=(n, 22).
+        link_frames: axes x, y, z of the links at home as columns, base frame, shape=(n, 3, 3).
         bounds: u_min, u_max [m], universal, spherical [rad], lowest, highest z_e [m], shape=(6,).
     """
 
@@ -51,7 +51,7 @@ class Tripod:
         self.height_max = self.level_height(p.slider_home + p.slider_stroke)
         self.clamp_height = self.height_min - p.clamp_depth_ratio * (self.height_max - self.height_min)
         margin = p.passive_slider_margin * (self.height_max - self.height_min)
-        self.legs = self._leg_table()
+        self.link_frames = self._link_frames()
         self.bounds = np.array(
             [
                 p.slider_home - p.slider_stroke,
@@ -62,7 +62,13 @@ class Tripod:
                 self.height_max + margin,
             ]
         )
-        for array in (self.base_joints, self.guide_directions, self.platform_joints, self.socket_axes, self.legs):
+        for array in (
+            self.base_joints,
+            self.guide_directions,
+            self.platform_joints,
+            self.socket_axes,
+            self.link_frames,
+        ):
             array.setflags(write=False)
         self.bounds.setflags(write=False)
 
@@ -111,7 +117,7 @@ class Tripod:
         return float(heights[0])
 
     def checked(self, poses: ArrayLike, assembly_mode: ArrayLike) -> tuple[Array, Array]:
-        """Return poses and assembly modes as arrays the kernels take.
+        """Return poses and assembly modes as arrays.
 
         Raises:
             InvalidValueError: the poses are not of shape (..., 3), or a mode is not -1 or +1.
@@ -139,13 +145,10 @@ class Tripod:
             raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (3,): theta_x, theta_y, z_e")
         return array
 
-    def _leg_table(self) -> Array:
-        p = self.parameters
-        sliders = self.base_joints + p.slider_home * self.guide_directions
+    def _link_frames(self) -> Array:
+        sliders = self.base_joints + self.parameters.slider_home * self.guide_directions
         links = self.platform_joints + np.array([0.0, 0.0, self.height_home]) - sliders
         z = links / np.linalg.norm(links, axis=-1, keepdims=True)
         azimuth = np.arctan2(z[:, 1], z[:, 0])
         y = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], axis=-1)
-        length = np.full((p.leg_count, 1), p.link_length)
-        columns = [self.base_joints, self.guide_directions, self.platform_joints, length, self.socket_axes]
-        return np.concatenate([*columns, np.cross(y, z), y, z], axis=-1)
+        return np.stack([np.cross(y, z), y, z], axis=-1)

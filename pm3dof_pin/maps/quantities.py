@@ -39,7 +39,7 @@ class Evaluation:
     @cached_property
     def stiffness(self) -> Array:
         """K at O_e, shape=(..., 6, 6)."""
-        return elastic_stiffness(self.tripod, self.poses, unreachable="nan")
+        return elastic_stiffness(self.tripod, self.poses, on_failure="nan")
 
     @cached_property
     def compliance(self) -> Array:
@@ -49,7 +49,7 @@ class Evaluation:
     @cached_property
     def chapter_diagonal(self) -> Array:
         """The chapter's six numbers, shape=(..., 6)."""
-        return chapter.chapter_stiffness(self.tripod, self.poses, unreachable="nan")
+        return chapter.chapter_stiffness(self.tripod, self.poses, on_failure="nan")
 
     @cached_property
     def length(self) -> Array:
@@ -183,7 +183,7 @@ _ALL = (
         ("leg",),
         "m",
         "slider travel along the guideways",
-        lambda e: inverse_kinematics(e.tripod, e.poses, unreachable="nan"),
+        lambda e: inverse_kinematics(e.tripod, e.poses, on_failure="nan"),
     ),
 )
 QUANTITIES = {quantity.name: quantity for quantity in _ALL}

@@ -117,7 +117,7 @@ def flag_attributes(long_name: str) -> dict[str, object]:
 
 def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:
     """Values and attributes of every variable of the chapter's model."""
-    diagonal = chapter_stiffness(tripod, poses, unreachable="nan")
+    diagonal = chapter_stiffness(tripod, poses, on_failure="nan")
     variables = {
         f"stiffness_{axis}": (diagonal[..., k], _labels(UNITS[axis], _LONG_NAMES[axis])) for k, axis in enumerate(AXES)
     }

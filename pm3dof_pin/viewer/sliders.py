@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pm3dof_pin.chapter.chapter_stiffness import spring_table
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions
 from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.chapter.limits import limit_violations
@@ -91,9 +90,15 @@ class Sliders:
         """
         tripod, mechanism, p = self._tripod, self._mechanism, self._tripod.parameters
         return {
-            "legs": tripod.legs.tolist(),
+            "legs": _leg_table(tripod),
             "bounds": tripod.bounds.tolist(),
-            "springs": spring_table(tripod).tolist(),
+            "springs": [
+                p.actuator_stiffness,
+                p.link_stiffness,
+                p.bending_stiffness,
+                p.torsional_stiffness,
+                tripod.clamp_height,
+            ],
             "masses": {"slider": p.slider_mass, "link": p.link_mass, "platform": p.platform_mass + p.passive_leg_mass},
             "home": tripod.home.tolist(),
             "home_height": tripod.height_home,
@@ -128,7 +133,7 @@ class Sliders:
             others: see there.
             scale: length of a semi-axis for a value of 1 [m per unit].
         """
-        stiffness = elastic_stiffness(self._tripod, self.pose(configuration), unreachable="nan")
+        stiffness = elastic_stiffness(self._tripod, self.pose(configuration), on_failure="nan")
         if not np.all(np.isfinite(stiffness)):
             return None
         own = ellipsoids.block(stiffness, None, kind, of, others)
@@ -231,3 +236,12 @@ def _joints(mechanism: Robot) -> list[Json]:
 def _point(mechanism: Robot, name: str) -> Json:
     frame = mechanism.model.frames[mechanism.frame_id(name)]
     return {"joint": int(frame.parentJoint), "placement": column_major(frame.placement.homogeneous)}
+
+
+def _leg_table(tripod: Tripod) -> list[list[float]]:
+    """Return the legs in the columns that the page's closed form has."""
+    length = np.full((tripod.leg_count, 1), tripod.parameters.link_length)
+    frames = np.swapaxes(tripod.link_frames, 1, 2).reshape(tripod.leg_count, 9)
+    columns = [tripod.base_joints, tripod.guide_directions, tripod.platform_joints, length, tripod.socket_axes, frames]
+    table: list[list[float]] = np.concatenate(columns, axis=1).tolist()
+    return table

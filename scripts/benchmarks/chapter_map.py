@@ -33,7 +33,7 @@ def main() -> None:
             j_a, j_t = link_jacobian(tripod, pose), actuation_jacobian(tripod, pose)
             np.diag(p.link_stiffness * j_a.T @ j_a + p.actuator_stiffness * j_t.T @ j_t)
 
-    whole = best_time(lambda: (chapter_stiffness(tripod, poses, unreachable="nan"), broken_limits(tripod, poses)))
+    whole = best_time(lambda: (chapter_stiffness(tripod, poses, on_failure="nan"), broken_limits(tripod, poses)))
     loop = best_time(one_by_one, repeats=1)
     print(f"{len(poses)} poses, stiffness and limits: {1e3 * whole:.2f} ms, {1e6 * whole / len(poses):.2f} us a pose")
     print(f"pose by pose in Python: {1e3 * loop:.0f} ms, {loop / whole:.0f} times as long")

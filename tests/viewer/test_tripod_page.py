@@ -263,10 +263,10 @@ def test_closed_form_of_the_page(
         }""",
         poses.tolist(),
     )
-    travels = inverse_kinematics(tripod, poses, unreachable="nan")
+    travels = inverse_kinematics(tripod, poses, on_failure="nan")
     found = np.array([[np.nan if travel is None else travel for travel in answer["travels"]] for answer in answers])
     np.testing.assert_allclose(found, travels, rtol=0, atol=1e-15)
-    stiffness = elastic_stiffness(tripod, poses, unreachable="nan")
+    stiffness = elastic_stiffness(tripod, poses, on_failure="nan")
     for pose, answer, expected in zip(poses, answers, stiffness, strict=True):
         if answer["joints"] is None:
             continue

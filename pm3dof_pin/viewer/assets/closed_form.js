@@ -7,7 +7,7 @@
 "use strict";
 
 const ClosedForm = (() => {
-  // Columns of the leg table, as in pm3dof_pin/tripod/kernels.py.
+  // Columns of the leg table, as in pm3dof_pin/viewer/sliders.py.
   const BASE = 0, GUIDE = 3, JOINT = 6, LENGTH = 9, SOCKET = 10, FRAME_X = 13, FRAME_Y = 16, FRAME_Z = 19;
   const GRAVITY = 9.81;
 

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
-from pm3dof_pin.chapter import Tripod, kernels
+from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, direct_kinematics, newton
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
@@ -25,8 +25,8 @@ def test_convergence_is_quadratic(tripod: Tripod) -> None:
     u = inverse_kinematics(tripod, pose)
     errors = []
     for steps in range(1, 7):
-        stopped, _, _ = kernels.newton(u, tripod.home, tripod.legs, 0.0, steps)
-        errors.append(np.abs(stopped - pose).max())
+        stopped = newton(tripod, u, most_steps=steps)
+        errors.append(np.abs(stopped.poses - pose).max())
     useful = [(a, b) for a, b in itertools.pairwise(errors) if 1e-7 < a < 0.05]
     assert len(useful) >= 2
     assert all(b < 2.0 * a**2 for a, b in useful)

@@ -35,10 +35,10 @@ def test_constrained_axes_do_not_depend_on_the_tilt(tripod: Tripod) -> None:
 def test_out_of_reach(tripod: Tripod) -> None:
     with pytest.raises(UnreachablePoseError):
         chapter_stiffness(tripod, [0.0, 0.0, 0.9])
-    assert np.all(np.isnan(chapter_stiffness(tripod, [0.0, 0.0, 0.9], unreachable="nan")))
+    assert np.all(np.isnan(chapter_stiffness(tripod, [0.0, 0.0, 0.9], on_failure="nan")))
 
 
 def test_below_the_clamp(tripod: Tripod) -> None:
     with pytest.raises(InvalidValueError, match="clamps the passive leg"):
         chapter_stiffness(tripod, [0.0, 0.0, 0.35])
-    assert np.all(np.isnan(chapter_stiffness(tripod, [0.0, 0.0, 0.35], unreachable="nan")))
+    assert np.all(np.isnan(chapter_stiffness(tripod, [0.0, 0.0, 0.35], on_failure="nan")))

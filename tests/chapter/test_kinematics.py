@@ -207,7 +207,7 @@ def test_out_of_reach_raises_and_names_pose_and_leg(tripod: Tripod) -> None:
 
 
 def test_out_of_reach_can_be_nan(tripod: Tripod) -> None:
-    u = inverse_kinematics(tripod, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.9]], unreachable="nan")
+    u = inverse_kinematics(tripod, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.9]], on_failure="nan")
     assert np.all(np.isfinite(u[0]))
     assert np.all(np.isnan(u[1]))
 
