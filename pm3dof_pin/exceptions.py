@@ -173,3 +173,7 @@ class MissingPackageError(PM3DofError):
         self.package = package
         self.extra = extra
         super().__init__(f"{task} needs {package}: install it, or pm3dof-pin[{extra}]")
+
+
+class ProgramError(PM3DofError):
+    """A straight-line program cannot be made or compiled on this machine; the message says why."""

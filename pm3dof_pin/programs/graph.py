@@ -2,7 +2,7 @@
 
 Every operation on a `Number` is noted down in its `Graph` instead of done. Work that was noted before is shared,
 constants are folded, and zeros and ones vanish. Folding takes every number as finite: ``x * 0`` is 0 and ``x - x`` is
-0 also where x is NaN at run time.
+0 also where x is NaN at run time. Division is multiplication with a reciprocal.
 
 Vectors and matrices are NumPy arrays of dtype object, or lists::
 
@@ -462,6 +462,8 @@ def _divide(a: Number, b: Number) -> Number:
             return a.graph.constant(_folded("divide", a.value, b.value))
         if abs(b.value) == 1.0:
             return a if b.value > 0.0 else _negative(a)
+        if b.value:
+            return _multiply(a, a.graph.constant(1.0 / b.value))
     elif a.value == 0.0:
         return a
     if a is b:
@@ -470,4 +472,6 @@ def _divide(a: Number, b: Number) -> Number:
         return _negative(_divide(a.operands[0], b))
     if b.operation == "negative":
         return _negative(_divide(a, b.operands[0]))
+    if a.value != 1.0:  # one reciprocal serves all that is divided by the same
+        return _multiply(a, _divide(a.graph.constant(1.0), b))
     return _record(Number, "divide", a, b)

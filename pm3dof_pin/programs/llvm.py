@@ -1,0 +1,264 @@
+"""Programs compiled for this processor with LLVM: many poses at once, as many as a vector register has numbers."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import binding
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError
+from pm3dof_pin.programs import ir
+from pm3dof_pin.programs.program import Program
+
+_POSES_A_THREAD = 2048  # fewer are not worth a thread
+
+
+class Target(NamedTuple):
+    """The processor that is compiled for."""
+
+    name: str
+    features: str
+    lanes: int
+
+
+class Iteration(NamedTuple):
+    """What an iteration came to.
+
+    Attributes:
+        states: shape=(n, size of the state).
+        residuals: residual that the last step began with, shape=(n,).
+        steps: number of steps taken, shape=(n,).
+    """
+
+    states: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    steps: NDArray[np.float64]
+
+
+@cache
+def target() -> Target:
+    """Return this machine's processor, with the number of poses it computes at once.
+
+    Raises:
+        ProgramError: LLVM cannot compile for it.
+    """
+    try:
+        binding.initialize_native_target()
+        binding.initialize_native_asmprinter()
+        features = binding.get_host_cpu_features()
+        lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2
+        return Target(binding.get_host_cpu_name(), features.flatten(), lanes)
+    except RuntimeError as error:
+        raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
+
+
+def compile(program: Program, lanes: int | None = None) -> Compiled:
+    """Compile a program for this machine.
+
+    Args:
+        program: the program.
+        lanes: poses computed at once, a power of two; None takes what the processor has.
+
+    Raises:
+        ProgramError: LLVM does not compile it.
+    """
+    return Compiled(program, object_code(program, lanes or target().lanes))
+
+
+def object_code(program: Program, lanes: int) -> bytes:
+    """Return the compiled program as an object file.
+
+    Raises:
+        ProgramError: LLVM does not compile it.
+    """
+    machine = _machine()
+    try:
+        text = ir.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
+        module = binding.parse_assembly(text, binding.create_context())
+        module.triple = machine.triple
+        module.data_layout = str(machine.target_data)
+        return bytes(machine.emit_object(module))
+    except RuntimeError as error:
+        reason = str(error).splitlines()[0]
+        raise ProgramError(f"program '{program.name}': LLVM does not compile it: {reason}") from error
+
+
+def _attributes(lanes: int) -> str:
+    """Return attributes that keep vectors whole, and that leave out a second scheduling, whose time buys nothing."""
+    width = f'"prefer-vector-width"="{64 * lanes}" "min-legal-vector-width"="{64 * lanes}"'
+    return f'{width} "tune-cpu"="icelake-server"' if binding.get_process_triple().startswith("x86_64") else width
+
+
+def _machine() -> Any:
+    processor = target()
+    try:
+        return binding.Target.from_default_triple().create_target_machine(
+            cpu=processor.name, features=processor.features, opt=2, jit=True
+        )
+    except RuntimeError as error:
+        raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
+
+
+class Compiled:
+    """A program as machine code.
+
+    Results do not depend on how poses are grouped into calls, on their order, or on the number of threads.
+
+    Attributes:
+        program: the program.
+    """
+
+    def __init__(self, program: Program, code: bytes) -> None:
+        """Load object code of the program; LLVM crashes over code that is not whole.
+
+        Raises:
+            ProgramError: the code cannot be loaded.
+        """
+        self.program = program
+        try:
+            self._engine = binding.create_mcjit_compiler(
+                binding.parse_assembly("", binding.create_context()), _machine()
+            )
+            self._engine.add_object_file(binding.ObjectFileRef.from_data(code))
+            self._engine.finalize_object()
+            pointer, size = ctypes.c_void_p, ctypes.c_int64
+            common = (pointer, size, pointer, pointer, size, size)
+            self._evaluate = self._function("evaluate", *common)
+            self._iterate = (
+                self._function("iterate", *common, ctypes.c_double, size) if ir.can_iterate(program) else None
+            )
+        except (RuntimeError, OSError) as error:
+            raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
+
+    def _function(self, name: str, *arguments: Any) -> Callable[..., None]:
+        address = self._engine.get_function_address(name)
+        if not address:
+            raise RuntimeError(f"no function '{name}'")
+        return ctypes.CFUNCTYPE(None, *arguments)(address)
+
+    def __call__(
+        self,
+        inputs: ArrayLike,
+        parameters: ArrayLike = (),
+        out: NDArray[np.float64] | None = None,
+        threads: int | None = None,
+    ) -> NDArray[np.float64]:
+        """Evaluate the program at many poses.
+
+        Args:
+            inputs: shape=(n, number of inputs); rows may stand apart, as in a slice of columns.
+            parameters: shape=(number of parameters,).
+            out: where results are written, shape=(n, number of outputs); rows may stand apart.
+            threads: number of threads; None takes one.
+
+        Returns:
+            Outputs, shape=(n, number of outputs); `program.split` names them.
+
+        Raises:
+            InvalidValueError: an array has another shape.
+        """
+        rows = _rows("inputs", inputs, len(self.program.inputs))
+        n_outputs = len(self.program.results)
+        outputs = np.empty((len(rows), n_outputs)) if out is None else _writable("out", out, len(rows), n_outputs)
+        self._run(self._evaluate, rows, parameters, outputs, threads)
+        return outputs
+
+    def iterate(
+        self,
+        inputs: ArrayLike,
+        parameters: ArrayLike = (),
+        *,
+        tolerance: float,
+        max_steps: int,
+        threads: int | None = None,
+    ) -> Iteration:
+        """Repeat the program, whose outputs are the next state and a residual, until the residual is small.
+
+        The step that finds a residual of at most `tolerance` is the last one. A pose whose residual is NaN stops too.
+
+        Args:
+            inputs: first state, then inputs that stay as they are, shape=(n, number of inputs).
+            parameters: shape=(number of parameters,).
+            tolerance: residual from which one more step is enough.
+            max_steps: steps taken at most, at least 1.
+            threads: number of threads; None takes one.
+
+        Raises:
+            InvalidValueError: an array has another shape, or the program's outputs are no state and residual.
+        """
+        if self._iterate is None:
+            raise InvalidValueError("outputs", self.program.outputs, "a new value of the first inputs, then a residual")
+        if max_steps < 1:
+            raise InvalidValueError("max_steps", max_steps, "at least 1")
+        n = ir.state_size(self.program)
+        rows = _rows("inputs", inputs, len(self.program.inputs))
+        results = np.empty((len(rows), n + 2))
+        self._run(self._iterate, rows, parameters, results, threads, tolerance, max_steps)
+        return Iteration(results[:, :n], results[:, n], results[:, n + 1])
+
+    def _run(
+        self,
+        function: Callable[..., None],
+        rows: NDArray[np.float64],
+        parameters: ArrayLike,
+        outputs: NDArray[np.float64],
+        threads: int | None,
+        *more: float,
+    ) -> None:
+        """Call a function on the rows, in parts of them where there are threads."""
+        shared = np.ascontiguousarray(parameters, dtype=np.float64)
+        if shared.shape != (len(self.program.parameters),):
+            expected = f"shape ({len(self.program.parameters)},)"
+            raise InvalidValueError("parameters", f"array of shape {shared.shape}", expected)
+        n = len(rows)
+        strides = rows.strides[0] // 8, outputs.strides[0] // 8
+        first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
+
+        def part(start: int, stop: int) -> None:
+            function(
+                first_input + start * 8 * strides[0],
+                strides[0],
+                table,
+                first_output + start * 8 * strides[1],
+                strides[1],
+                stop - start,
+                *more,
+            )
+
+        parts = min(4 * threads, n // _POSES_A_THREAD) if threads and threads > 1 else 1
+        if parts <= 1:
+            part(0, n)
+            return
+        ends = [n * k // parts for k in range(parts + 1)]
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(part, ends[:-1], ends[1:]))
+
+
+def _address(array: NDArray[np.float64]) -> int:
+    address: int = array.__array_interface__["data"][0]
+    return address
+
+
+def _rows(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
+    """Return an array whose rows are contiguous, without a copy where possible."""
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        raise InvalidValueError(name, f"array of shape {rows.shape}", f"shape (n, {columns})")
+    if rows.strides[1] != 8 or rows.strides[0] % 8 or not rows.flags.aligned:
+        rows = np.ascontiguousarray(rows)
+    return rows
+
+
+def _writable(name: str, rows: NDArray[np.float64], n: int, columns: int) -> NDArray[np.float64]:
+    fits = rows.shape == (n, columns) and rows.dtype == np.float64 and rows.flags.writeable and rows.flags.aligned
+    if not fits or (columns > 1 and rows.strides[1] != 8) or rows.strides[0] % 8:
+        raise InvalidValueError(
+            name, f"{rows.dtype} array of shape {rows.shape}", f"a writable float64 array of shape ({n}, {columns})"
+        )
+    return rows

@@ -1,0 +1,111 @@
+"""Random programs: machine code, C and JavaScript compute what NumPy computes."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pm3dof_pin.programs import llvm
+from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, less, maximum, minimum, select, sin, sqrt
+from pm3dof_pin.programs.program import OPERATIONS as MEANING
+from pm3dof_pin.programs.program import Program
+
+N_INPUTS, N_PARAMETERS = 3, 2
+SPECIAL = (0.0, 1.0, -1.0, 0.5, -2.0, 3.75, 1e3, float("nan"), float("inf"), float("-inf"))
+
+# every operation that is as exact on one machine as on the other, a rounding of the last place apart
+OPERATIONS = (
+    lambda a, b, c: a + b,
+    lambda a, b, c: a - b,
+    lambda a, b, c: a * b,
+    lambda a, b, c: a / b,
+    lambda a, b, c: -a,
+    lambda a, b, c: sqrt(a),
+    lambda a, b, c: absolute(a),
+    lambda a, b, c: sin(a),
+    lambda a, b, c: cos(a),
+    lambda a, b, c: atan2(a, b),
+    lambda a, b, c: minimum(a, b),
+    lambda a, b, c: maximum(a, b),
+    lambda a, b, c: select(less(a, b), c, a),
+    lambda a, b, c: select(less(a, b) & less(b, c), a, c),
+    lambda a, b, c: select(less(a, b) | ~less(c, b), b, c),
+)
+
+
+def program_of(steps: list[tuple[int, int, int, int]]) -> Program:
+    """Record one random operation after the other, each on values recorded before; output all of them."""
+    graph = Graph()
+    values = [graph.input(f"x{k}", [0.5 + k]) for k in range(N_INPUTS)]
+    values += [graph.parameter(f"p{k}", 0.25 - k) for k in range(N_PARAMETERS)]
+    values += [graph.constant(0.75)]
+    for operation, *operands in steps:
+        values.append(OPERATIONS[operation % len(OPERATIONS)](*(values[k % len(values)] for k in operands)))
+    return graph.program("random_program", {"values": values})
+
+
+INDEX = st.integers(0, 1000)
+PROGRAMS = st.lists(st.tuples(INDEX, INDEX, INDEX, INDEX), min_size=1, max_size=25).map(program_of)
+
+
+def numbers(seed: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return inputs of n poses and parameters: ordinary ones, and some that are special."""
+    rng = np.random.default_rng(seed)
+    inputs = rng.normal(scale=2.0, size=(n, N_INPUTS))
+    special = rng.random(inputs.shape) < 0.2
+    inputs[special] = rng.choice(SPECIAL, special.sum())
+    return inputs, rng.normal(size=N_PARAMETERS)
+
+
+def allowance(program: Program, inputs: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return outputs, and how far each may be off: some of what small changes of all operations do to it.
+
+    It is infinite where NaN or infinity hang on rounding or on the range of angles, and after numbers too large or too
+    small for a fused operation to agree with two.
+    """
+    outputs = program.evaluate(inputs, parameters)
+    reach = 1e-15 * np.abs(outputs)
+    with np.errstate(all="ignore"):
+        for seed in range(12):
+            shaken = _shaken(program, inputs, parameters, seed)
+            change = np.abs(shaken - outputs)
+            change[(shaken == outputs) | (np.isnan(shaken) & np.isnan(outputs))] = 0.0
+            reach = np.fmax(reach, np.where(np.isnan(change), np.inf, change))
+        size = np.abs(outputs)
+        extreme = (np.isfinite(size) & (size > 1e100)) | ((size > 0.0) & (size < 1e-100))
+    reach[np.maximum.accumulate(extreme, axis=1)] = np.inf
+    return outputs, 20.0 * reach
+
+
+def assert_agree(actual: np.ndarray, program: Program, inputs: np.ndarray, parameters: np.ndarray) -> None:
+    """Compare outputs with what NumPy makes of the program: the same NaNs, and the same numbers to rounding."""
+    outputs, allowed = allowance(program, inputs, parameters)
+    with np.errstate(invalid="ignore"):
+        agree = np.abs(actual - outputs) <= allowed
+    agree |= (actual == outputs) | (np.isnan(actual) & np.isnan(outputs)) | (allowed == np.inf)
+    assert agree.all(), (actual[~agree], outputs[~agree], allowed[~agree], program.lines, program.results)
+
+
+def _shaken(program: Program, inputs: np.ndarray, parameters: np.ndarray, seed: int) -> np.ndarray:
+    """Evaluate with the result of every operation off by a few units of the last place at random."""
+    rng = np.random.default_rng(seed)
+    values = [*inputs.T, *parameters, *map(np.float64, program.constants)]
+    for operation, operands in program.lines:
+        value = MEANING[operation][1](*(values[k] for k in operands))
+        if value.dtype == np.float64:
+            value = value * (1.0 + 1e-15 * rng.choice([-1.0, 1.0], size=np.shape(value)))
+        if operation in ("sin", "cos"):
+            value = np.where(np.abs(values[operands[0]]) > 0.99e6, np.nan, value)
+        values.append(value)
+    flat = np.empty((len(inputs), len(program.results)))
+    for column, number in enumerate(program.results):
+        flat[:, column] = values[number]
+    return flat
+
+
+@settings(max_examples=60, deadline=None)
+@given(PROGRAMS, st.sampled_from([1, 7, 8, 9, 33]), st.integers(0, 2**32 - 1))
+def test_machine_code(program, n, seed):
+    inputs, parameters = numbers(seed, n)
+    assert_agree(llvm.compile(program)(inputs, parameters), program, inputs, parameters)

@@ -1,0 +1,164 @@
+"""Compiled programs: elementary functions, rows and lanes, threads, iteration, errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError
+from pm3dof_pin.programs import ir, llvm
+from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, sin, sqrt
+
+LANES = (2, 4, 8)
+
+
+def compiled(function, n_inputs, lanes=None):
+    graph = Graph()
+    inputs = [graph.input(f"x{k}", [0.5]) for k in range(n_inputs)]
+    return llvm.compile(graph.program("f", {"y": function(*inputs)}), lanes)
+
+
+def units(actual, exact):
+    """Return errors in units of the last place."""
+    return np.abs(actual - exact).astype(float) / np.spacing(np.abs(exact.astype(float)))
+
+
+@pytest.fixture(scope="module")
+def angles():
+    rng = np.random.default_rng(1)
+    quarters = np.arange(-4000, 4000) * (math.pi / 4)
+    near = [np.nextafter(quarters, np.inf), quarters, quarters * (1 + 1e-9)]
+    return np.concatenate([rng.uniform(-a, a, 100_000) for a in (1e-6, 1.0, 4.0, 100.0, ir.ANGLE_RANGE)] + near)
+
+
+def test_sine_and_cosine_are_exact_to_two_last_places(angles):
+    values = compiled(lambda x: [sin(x), cos(x)], 1)(angles[:, None])
+    if np.finfo(np.longdouble).nmant < 63:
+        pytest.skip("no extended precision on this machine")
+    long = angles.astype(np.longdouble)
+    for column, function in enumerate((np.sin, np.cos)):
+        errors = units(values[:, column], function(long))
+        assert errors.max() < 2.5
+        assert errors[np.abs(angles) < 3.0].max() < 1.5
+
+
+def test_sine_and_cosine_beyond_their_range_are_nan():
+    angles = np.array([[ir.ANGLE_RANGE], [np.nextafter(ir.ANGLE_RANGE, np.inf)], [-1e300], [np.inf], [np.nan]])
+    values = compiled(lambda x: [sin(x), cos(x)], 1)(angles)
+    assert np.isfinite(values[0]).all()
+    assert np.isnan(values[1:]).all()
+
+
+def test_arctangent_is_exact_to_two_last_places():
+    if np.finfo(np.longdouble).nmant < 63:
+        pytest.skip("no extended precision on this machine")
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(200_000, 2)) * 10.0 ** rng.uniform(-8, 8, size=(200_000, 2))
+    values = compiled(lambda y, x: atan2(y, x), 2)(points)[:, 0]
+    assert units(values, np.arctan2(*points.astype(np.longdouble).T)).max() < 2.0
+
+
+def test_arctangent_of_zeros_and_infinities_is_that_of_ieee():
+    special = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan]
+    points = np.array([[y, x] for y in special for x in special])
+    values = compiled(lambda y, x: atan2(y, x), 2)(points)[:, 0]
+    expected = np.arctan2(*points.T)
+    assert np.allclose(values, expected, rtol=3e-16, atol=0.0, equal_nan=True)
+    assert np.array_equal(np.signbit(values[~np.isnan(values)]), np.signbit(expected[~np.isnan(values)]))
+
+
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.parametrize("n_outputs", [1, 3, 8, 11])
+def test_rows_and_lanes(lanes, n_outputs):
+    """Rows may be any number, stand apart, and be written in place of others; what is beside them stays."""
+    evaluate = compiled(lambda *x: [sqrt(absolute(sum(x))) * k + x[k % len(x)] for k in range(n_outputs)], 9, lanes)
+    table = np.random.default_rng(3).normal(size=(40, 12))
+    for n in (0, 1, 7, 8, 9, 31):
+        inputs = table[:n, 1:10]
+        out = np.full((n + 1, n_outputs + 2), -1.0)
+        evaluate(inputs, out=out[:n, 1:-1])
+        assert np.allclose(out[:n, 1:-1], evaluate.program.evaluate(inputs), rtol=1e-15)
+        assert (out[:, [0, -1]] == -1.0).all()
+        assert (out[n] == -1.0).all()
+        assert np.array_equal(evaluate(np.asfortranarray(inputs)), out[:n, 1:-1])
+
+
+def test_bits_do_not_depend_on_lanes_calls_and_threads():
+    evaluate = compiled(lambda x, y: [sin(x) / y, atan2(x, y) * sqrt(absolute(x)), cos(x * y)], 2)
+    inputs = np.random.default_rng(4).normal(size=(20_011, 2))
+    whole = evaluate(inputs)
+    assert np.array_equal(whole, evaluate(inputs, threads=2))
+    assert np.array_equal(whole, evaluate(inputs, threads=7))
+    assert np.array_equal(whole[5:], evaluate(inputs[5:]))
+    assert np.array_equal(whole[13:14], evaluate(inputs[13:14]))
+
+
+def test_what_is_the_same_for_all_poses():
+    """Outputs and operands that depend on parameters and constants only."""
+    graph = Graph()
+    x, p, q = graph.input("x", [1.0]), graph.parameter("p", 2.0), graph.parameter("q", 3.0)
+    graph.parameter("unused", 0.0)
+    length = sqrt(p * p + q * q)
+    program = graph.program("f", {"y": [length, x * length, 4.0, p, x, sin(q) - x]})
+    values = llvm.compile(program)([[1.0], [2.0]], [3.0, 4.0, 0.0])
+    assert np.allclose(values, [[5, k * 5, 4, 3, k, math.sin(4.0) - k] for k in (1, 2)], rtol=1e-15)
+
+
+def root_finder(lanes=None):
+    """Newton's method for the square root of `a`; a residual of NaN where the state is."""
+    graph = Graph()
+    x, a = graph.input("x", [1.0]), graph.input("a", [2.0])
+    return llvm.compile(graph.program("root", {"x": 0.5 * (x + a / x), "residual": absolute(x * x - a)}), lanes)
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_iteration_stops_lane_by_lane(lanes):
+    squares = np.array([4.0, 2.0, 9.0, 1e4, np.nan, 5.0, 0.25, 1e-2, 3.0])
+    starts = np.array([2.0, 1.0, 2.9, 1.0, 1.0, 1e9, 0.5, 0.3, np.nan])
+    result = root_finder(lanes).iterate(np.column_stack([starts, squares]), tolerance=1e-5, max_steps=20)
+    for start, square, state, residual, steps in zip(starts, squares, *(*result.states.T, *result[1:]), strict=True):
+        x, taken, left = start, 0, math.inf
+        while taken < 20 and left > 1e-5:
+            left = abs(x * x - square)
+            x, taken = 0.5 * (x + square / x), taken + 1
+        assert steps == taken
+        assert state == pytest.approx(x, rel=1e-14, nan_ok=True)
+        assert residual == pytest.approx(left, rel=1e-6, abs=1e-12, nan_ok=True)
+    assert result.steps.max() == 20  # from 1e9 it is too far
+    assert result.states[0, 0] == 2.0
+
+
+def test_iteration_does_not_depend_on_neighbours_and_threads():
+    rng = np.random.default_rng(5)
+    inputs = rng.uniform(0.1, 100.0, size=(9_001, 2))
+    find = root_finder()
+    whole = find.iterate(inputs, tolerance=1e-6, max_steps=30)
+    assert np.allclose(whole.states[:, 0], np.sqrt(inputs[:, 1]), rtol=1e-15)
+    again = find.iterate(inputs, tolerance=1e-6, max_steps=30, threads=3)
+    part = find.iterate(inputs[3:10], tolerance=1e-6, max_steps=30)
+    for k in range(3):
+        assert np.array_equal(whole[k], again[k])
+        assert np.array_equal(whole[k][3:10], part[k])
+
+
+def test_errors():
+    find = root_finder()
+    with pytest.raises(InvalidValueError, match=r"inputs = array of shape \(3, 1\): expected shape \(n, 2\)"):
+        find(np.zeros((3, 1)))
+    with pytest.raises(InvalidValueError, match=r"parameters = .* expected shape \(0,\)"):
+        find(np.zeros((3, 2)), [1.0])
+    with pytest.raises(InvalidValueError, match=r"out = float32 array .* shape \(3, 2\)"):
+        find(np.zeros((3, 2)), out=np.zeros((3, 2), dtype=np.float32))
+    with pytest.raises(InvalidValueError, match="max_steps = 0"):
+        find.iterate(np.zeros((3, 2)), tolerance=1.0, max_steps=0)
+    with pytest.raises(InvalidValueError, match="a residual"):
+        compiled(lambda x: x, 1).iterate(np.zeros((3, 1)), tolerance=1.0, max_steps=1)
+
+
+def test_what_llvm_does_not_compile_is_said(monkeypatch):
+    program = root_finder().program
+    monkeypatch.setattr(ir, "module", lambda *_: "this is no module")
+    with pytest.raises(ProgramError, match="program 'root': LLVM does not compile it: "):
+        llvm.compile(program)
