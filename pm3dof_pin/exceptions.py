@@ -123,7 +123,10 @@ class RigidDirectionError(SingularConfigurationError):
 
 
 class ProgramError(PM3DofError):
-    """A mechanism has no program, or its program does not agree with Pinocchio. The message says why."""
+    """A mechanism has no program, or its program does not agree with Pinocchio, or cannot be compiled on this machine.
+
+    The message says why.
+    """
 
 
 class OutputError(PM3DofError):
@@ -173,7 +176,3 @@ class MissingPackageError(PM3DofError):
         self.package = package
         self.extra = extra
         super().__init__(f"{task} needs {package}: install it, or pm3dof-pin[{extra}]")
-
-
-class ProgramError(PM3DofError):
-    """A straight-line program cannot be made or compiled on this machine; the message says why."""
