@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
+import json
+import shutil
+import subprocess
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pm3dof_pin.programs import llvm
+from pm3dof_pin.programs.c import c99
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, less, maximum, minimum, select, sin, sqrt
+from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.program import OPERATIONS as MEANING
 from pm3dof_pin.programs.program import Program
 
@@ -34,7 +42,7 @@ OPERATIONS = (
 )
 
 
-def program_of(steps: list[tuple[int, int, int, int]]) -> Program:
+def program_of(steps: list[tuple[int, int, int, int]], name: str = "random_program") -> Program:
     """Record one random operation after the other, each on values recorded before; output all of them."""
     graph = Graph()
     values = [graph.input(f"x{k}", [0.5 + k]) for k in range(N_INPUTS)]
@@ -42,7 +50,7 @@ def program_of(steps: list[tuple[int, int, int, int]]) -> Program:
     values += [graph.constant(0.75)]
     for operation, *operands in steps:
         values.append(OPERATIONS[operation % len(OPERATIONS)](*(values[k % len(values)] for k in operands)))
-    return graph.program("random_program", {"values": values})
+    return graph.program(name, {"values": values})
 
 
 INDEX = st.integers(0, 1000)
@@ -109,3 +117,65 @@ def _shaken(program: Program, inputs: np.ndarray, parameters: np.ndarray, seed: 
 def test_machine_code(program, n, seed):
     inputs, parameters = numbers(seed, n)
     assert_agree(llvm.compile(program)(inputs, parameters), program, inputs, parameters)
+
+
+@pytest.fixture(scope="module")
+def many_programs():
+    """Programs that are printed and compiled all at once."""
+    rng = np.random.default_rng(6)
+    steps = rng.integers(0, 1000, size=(60, 30, 4)).tolist()
+    return [program_of(some[: 1 + k % 30], f"program_{k}") for k, some in enumerate(steps)]
+
+
+def test_c(many_programs, tmp_path):
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = tmp_path / "programs.c"
+    source.write_text("\n".join(c99(program, summary="Random.") for program in many_programs))
+    library = tmp_path / "programs.so"
+    strict = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC")
+    subprocess.run([compiler, *strict, source, "-o", library, "-lm"], check=True, timeout=100)
+    functions = ctypes.CDLL(str(library))
+    pointer = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
+    for k, program in enumerate(many_programs):
+        function = getattr(functions, program.name)
+        function.argtypes, function.restype = (pointer, pointer, pointer), None
+        inputs, parameters = numbers(k, 20)
+        outputs = np.empty((20, len(program.results)))
+        for row, out in zip(inputs, outputs, strict=True):
+            function(row, parameters, out)
+        assert_agree(outputs, program, inputs, parameters)
+
+
+def test_javascript(many_programs, tmp_path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no Node")
+    calls = []
+    for k, program in enumerate(many_programs):
+        inputs, parameters = (
+            [list(map(repr, row)) for row in array.tolist()] for array in map(np.atleast_2d, numbers(k, 20))
+        )
+        calls.append(
+            {"name": program.name, "inputs": inputs, "parameters": parameters[0], "size": len(program.results)}
+        )
+    script = tmp_path / "programs.js"
+    functions = "\n".join(javascript(program) for program in many_programs)
+    table = ", ".join(program.name for program in many_programs)
+    script.write_text(
+        f"{functions}\nconst functions = {{ {table} }};\nconst calls = {json.dumps(calls)};\n"
+        """
+        const number = (text) => Number(text.replace("inf", "Infinity"));
+        const results = calls.map((call) => call.inputs.map((row) => {
+          const y = new Float64Array(call.size);
+          functions[call.name](row.map(number), call.parameters.map(number), y);
+          return Array.from(y, String);
+        }));
+        console.log(JSON.stringify(results));
+        """
+    )
+    printed = subprocess.run([node, script], check=True, capture_output=True, text=True, timeout=100).stdout
+    for k, (program, rows) in enumerate(zip(many_programs, json.loads(printed), strict=True)):
+        inputs, parameters = numbers(k, 20)
+        assert_agree(np.array(rows, dtype=float), program, inputs, parameters)
