@@ -15,6 +15,7 @@ from pm3dof_pin.cli.pose_arguments import (
     Config,
     NamedConfiguration,
     OutFile,
+    PackagePath,
     Pose,
     PoseChoice,
     PosesFile,
@@ -54,6 +55,7 @@ def ik(
     poses: PosesFile = None,
     out: OutFile = None,
     tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
     as_json: Json = False,
 ) -> None:
@@ -63,7 +65,7 @@ def ik(
     that breaks a joint limit is still answered, with a message and exit status 1.
     """
     chosen = PoseChoice.of(pose, configuration, poses, out)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.file is not None:
@@ -88,6 +90,7 @@ def fk(
         bool, typer.Option("--all", help="Every assembly mode of chapter 8's machine, not only its own.")
     ] = False,
     tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
     as_json: Json = False,
 ) -> None:
@@ -99,7 +102,7 @@ def fk(
     chosen = PoseChoice.of(u, None, poses, out)
     if all_modes and (robot != THE_TRIPOD or chosen.file is not None):
         raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
-    machine = load_robot(robot, config=config, tool_frame=tool_frame)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     if chosen.is_empty:
         raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
     if chosen.file is not None:

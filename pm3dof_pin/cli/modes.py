@@ -6,52 +6,66 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import (
-    Json,
-    NamedConfiguration,
-    OptionalHeight,
-    OptionalThetaX,
-    OptionalThetaY,
-    Payload,
-    RobotName,
-    Target,
-    payloads_of,
-)
+from pm3dof_pin.cli.broken_limits import broken_limits
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, Payload, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.pose_arguments import (
+    Config,
+    NamedConfiguration,
+    OutFile,
+    PackagePath,
+    Pose,
+    PoseChoice,
+    PosesFile,
+    RobotName,
+    ToolFrame,
+    column_of,
+    load_robot,
+    read_poses,
+    write_batch,
+)
 from pm3dof_pin.cli.stiffness import AXES
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from pm3dof_pin.dynamics import Modes
+    from pm3dof_pin.typing import Vector
 
 
 def modes(
-    theta_x: OptionalThetaX = None,
-    theta_y: OptionalThetaY = None,
-    z_e: OptionalHeight = None,
+    pose: Pose = None,
     count: Annotated[int, typer.Option(min=1, help="Number of modes, from the lowest on.")] = 6,
     payload: Payload = 0.0,
-    robot: RobotName = None,
+    robot: RobotName = THE_TRIPOD,
     configuration: NamedConfiguration = None,
+    poses: PosesFile = None,
+    out: OutFile = None,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    config: Config = None,
     as_json: Json = False,
 ) -> None:
-    """Natural frequencies and mode shapes at a pose: angles in degrees, height in metres.
+    """Natural frequencies and mode shapes at a pose: angles in degrees, lengths in metres.
 
     A mode's shape is the twist of the tool, and with --json the motion of every joint, at unit modal mass: in m and rad
     per square root of kg m^2 / kg. Modes with all springs at rest, of frequency zero, are listed apart. A pose that
     breaks a joint limit is still answered, with a message and exit status 1.
     """
-    from pm3dof_pin.dynamics import natural_modes
+    from pm3dof_pin.dynamics import natural_frequencies, natural_modes
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
-    target = Target.of(theta_x, theta_y, z_e, robot, configuration)
-    model = ElasticModel.load(target.robot)
-    where = target.configuration(model.rigid)
-    found = natural_modes(model, where, count=count, payloads=payloads_of(model.rigid, payload))
-    broken = target.broken_limits(where)
-    result = {"robot": model.rigid.name, "payload_kg": payload, "within_limits": not broken} | _result(found)
+    chosen = PoseChoice.of(pose, configuration, poses, out)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    model, payloads = ElasticModel(machine), payloads_of(machine, payload)
+    if chosen.file is not None:
+        file, many = read_poses(machine, chosen.file)
+        frequencies = natural_frequencies(model, many, count=count, payloads=payloads)
+        columns = {column_of(f"mode{mode}", "Hz"): column for mode, column in enumerate(frequencies.T, start=1)}
+        write_batch(many, file.columns_as_written | columns, out, as_json)
+        return
+    solved = chosen.solve(machine).configuration()
+    found = natural_modes(model, solved, count=count, payloads=payloads)
+    broken = broken_limits(machine, solved)
+    result = {"robot": machine.name, "payload_kg": payload, "within_limits": not broken} | _result(found)
     print_result(result, _lines(result), as_json=as_json)
     stop_on_broken_limits(broken)
 
@@ -67,8 +81,8 @@ def _result(found: Modes) -> dict[str, Any]:
     }
 
 
-def _by_joint(found: Modes, velocity: NDArray[np.float64]) -> dict[str, Any]:
-    """Name the entries of a velocity: a number for a joint with one freedom, a list for one with several."""
+def _by_joint(found: Modes, velocity: Vector) -> dict[str, Any]:
+    """Name the entries of a velocity: a number for a single-DoF joint, a list for any other."""
     model = found.configuration.mechanism.model
     joints = list(zip(model.names, model.joints, strict=True))[1:]
     return {

@@ -88,9 +88,9 @@ def pose_of(theta_x_deg: float, theta_y_deg: float, z_e: float) -> NDArray[np.fl
     return np.array([math.radians(theta_x_deg), math.radians(theta_y_deg), z_e])
 
 
-def payloads_of(mechanism: Robot, payload: float) -> dict[str, float]:
+def payloads_of(robot: Robot, payload: float) -> dict[str, float]:
     """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
-    return {mechanism.model.frames[mechanism.tool_frame_id].name: payload} if payload else {}
+    return {robot.model.frames[robot.tool_frame_id].name: payload} if payload else {}
 
 
 @dataclass(frozen=True)

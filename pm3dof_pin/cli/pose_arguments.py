@@ -84,16 +84,27 @@ OutFile = Annotated[
 ]
 
 
-def load_robot(name: str, *, config: Path | None = None, tool_frame: str | None = None) -> Robot:
-    """Load the robot of `--robot`, `--config` and `--tool-frame`.
+PackagePath = Annotated[
+    list[Path] | None,
+    typer.Option("--package-path", metavar="DIR", help="Folder that ROS packages are in; may be repeated."),
+]
+
+
+def load_robot(
+    name: str,
+    *,
+    config: Path | None = None,
+    tool_frame: str | None = None,
+    package_paths: Sequence[Path] | None = None,
+) -> Robot:
+    """Load the robot of `--robot`, `--config`, `--tool-frame` and `--package-path`.
 
     Raises:
         PM3DofError: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
     """
     from pm3dof_pin.kinematics.robot import Robot
 
-    robot = Robot.load(description_path(name, config))
-    return robot if tool_frame is None else robot.replace(tool_frame=tool_frame)
+    return Robot.load(description_path(name, config), tool_frame=tool_frame, package_paths=package_paths or ())
 
 
 def description_path(name: str, config: Path | None) -> str | Path:
@@ -168,12 +179,12 @@ def read_poses(robot: Robot, path: Path, *, forward: bool = False) -> tuple[Pose
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.pose_file import column_of, read_pose_file
+    from pm3dof_pin.kinematics.pose_file import heading_of, read_pose_file
 
     given, others = robot.coordinates, robot.command_coordinates
     if forward:
         given, others = others, given
-    file = read_pose_file(path, given, known=[*map(column_of, others), BROKEN_LIMITS])
+    file = read_pose_file(path, given, known=[*map(heading_of, others), BROKEN_LIMITS])
     if file.unused:
         message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
     check_units(robot, given, file.values / [_factor(coordinate) for coordinate in given])
@@ -181,11 +192,16 @@ def read_poses(robot: Robot, path: Path, *, forward: bool = False) -> tuple[Pose
     return file, solve(np.array(file.values), on_failure="nan")
 
 
+def column_of(name: str, unit: str) -> str:
+    """Return the heading of a column: what it holds, and the unit."""
+    return f"{name}_{unit.replace(' ', '_')}"
+
+
 def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
     """Return columns of a file, angles in degrees, from values of coordinates, shape=(n, number of coordinates)."""
-    from pm3dof_pin.kinematics.pose_file import column_of
+    from pm3dof_pin.kinematics.pose_file import heading_of
 
-    return {column_of(c): column / _factor(c) for c, column in zip(coordinates, values.T, strict=True)}
+    return {heading_of(c): column / _factor(c) for c, column in zip(coordinates, values.T, strict=True)}
 
 
 def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:

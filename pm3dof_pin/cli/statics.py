@@ -4,71 +4,100 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pm3dof_pin.cli.options import (
-    Json,
-    NamedConfiguration,
-    OptionalHeight,
-    OptionalThetaX,
-    OptionalThetaY,
-    Payload,
-    RobotName,
-    Target,
-    payloads_of,
-)
+from pm3dof_pin.cli.broken_limits import broken_limits
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, Payload, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.pose_arguments import (
+    Config,
+    NamedConfiguration,
+    OutFile,
+    PackagePath,
+    Pose,
+    PoseChoice,
+    PosesFile,
+    RobotName,
+    ToolFrame,
+    column_of,
+    load_robot,
+    read_poses,
+    write_batch,
+)
 
 if TYPE_CHECKING:
     from pm3dof_pin.dynamics import ActuatorForces
+    from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Array
 
 
 def statics(
-    theta_x: OptionalThetaX = None,
-    theta_y: OptionalThetaY = None,
-    z_e: OptionalHeight = None,
+    pose: Pose = None,
     payload: Payload = 0.0,
-    robot: RobotName = None,
+    robot: RobotName = THE_TRIPOD,
     configuration: NamedConfiguration = None,
+    poses: PosesFile = None,
+    out: OutFile = None,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    config: Config = None,
     as_json: Json = False,
 ) -> None:
-    """Holding forces of the actuators against gravity, at a pose: angles in degrees, height in metres.
+    """Holding forces of the actuators against gravity, at a pose: angles in degrees, lengths in metres.
 
-    Positive as the joints' coordinates: up the guideways. The force in each loop closure is that on its second frame,
-    in the axes of its first one: for the legs, that of a link on the platform, z along the link. A pose that breaks a
-    joint limit is still answered, with a message and exit status 1.
+    Positive as the joints' coordinates. The force in each loop closure is that on its second frame, in the axes of its
+    first one: for the legs of pm3dof, that of a link on the platform, z along the link. A pose that breaks a joint
+    limit is still answered, with a message and exit status 1.
     """
     from pm3dof_pin.dynamics import holding_forces
-    from pm3dof_pin.kinematics.robot import Robot
 
-    target = Target.of(theta_x, theta_y, z_e, robot, configuration)
-    mechanism = Robot.load(target.robot)
-    where = target.configuration(mechanism)
-    forces = holding_forces(where, payloads=payloads_of(mechanism, payload))
-    broken = target.broken_limits(where)
-    result = {"robot": mechanism.name, "payload_kg": payload, "within_limits": not broken}
-    result |= _result(mechanism, forces)
+    chosen = PoseChoice.of(pose, configuration, poses, out)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    payloads = payloads_of(machine, payload)
+    if chosen.file is not None:
+        file, many = read_poses(machine, chosen.file)
+        write_batch(many, file.columns_as_written | _columns(machine, many, payloads), out, as_json)
+        return
+    solved = chosen.solve(machine).configuration()
+    forces = holding_forces(solved, payloads=payloads)
+    broken = broken_limits(machine, solved)
+    result = {"robot": machine.name, "payload_kg": payload, "within_limits": not broken}
+    result |= _result(machine, forces)
     print_result(result, _lines(result), as_json=as_json)
     stop_on_broken_limits(broken)
 
 
-def _result(mechanism: Robot, forces: ActuatorForces) -> dict[str, Any]:
-    slides = [mechanism.single_joint(name).translates for name in mechanism.actuated_joints]
+def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str, Array]:
+    import numpy as np
+
+    from pm3dof_pin.dynamics import holding_forces
+
+    forces = np.full((len(poses), len(robot.actuated_joints)), np.nan)
+    for index in np.flatnonzero(poses.solved).tolist():
+        forces[index] = holding_forces(poses.configuration(index), payloads=payloads).actuator_forces
+    units = ["N" if robot.single_joint(name).translates else "N m" for name in robot.actuated_joints]
+    headings = map(column_of, robot.actuated_joints, units)
+    return dict(zip(headings, forces.T, strict=True))
+
+
+def _result(robot: Robot, forces: ActuatorForces) -> dict[str, Any]:
+    slides = [robot.single_joint(name).translates for name in robot.actuated_joints]
     numbers = list(zip(forces.actuator_forces, slides, strict=True))
-    wrenches = [forces.closure_forces[rows] for rows in mechanism.loop_kinematics.rows]
+    wrenches = [forces.closure_forces[rows] for rows in robot.loop_kinematics.rows]
     result: dict[str, Any] = {
-        "actuated_joints": mechanism.actuated_joints,
+        "actuated_joints": robot.actuated_joints,
         "force_N": [number if slide else None for number, slide in numbers],
     }
     if not all(slides):
         result["torque_N_m"] = [None if slide else number for number, slide in numbers]
-    result["closures"] = [f"{closure.frame_a}-{closure.frame_b}" for closure in mechanism.closures]
+    result["closures"] = [f"{closure.frame_a}-{closure.frame_b}" for closure in robot.closures]
     result["closure_force_N"] = [wrench[:3] for wrench in wrenches]
-    if any(closure.type == "6d" for closure in mechanism.closures):
+    if any(closure.type == "6d" for closure in robot.closures):
         result["closure_moment_N_m"] = [wrench[3:] if len(wrench) == 6 else None for wrench in wrenches]
     return result | {
         "residual_N": forces.residual,
         "actuator_forces_unique": forces.actuator_forces_unique,
         "closure_forces_unique": forces.closure_forces_unique,
+        "unbalanced_idle": forces.unbalanced_idle,
     }
 
 
@@ -80,7 +109,9 @@ def _lines(result: dict[str, Any]) -> list[str]:
     ]
     lines = table_lines(["actuated joint", "holding force", ""], rows)
     if not result["actuator_forces_unique"]:
-        lines.append("more actuators than freedoms: these are the least forces that hold")
+        lines.append("more actuators than degrees of freedom: these are the least forces that hold")
+    if result["unbalanced_idle"]:
+        lines.append("gravity turns links that are free to spin; neither actuators nor tool take part")
     if result["closures"]:
         lines += ["", *_closure_lines(result)]
     return [*lines, "", f"residual {result['residual_N']:.1e} N"]

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import (
-    Config,
-    Json,
-    NamedConfiguration,
-    OptionalHeight,
-    OptionalThetaX,
-    OptionalThetaY,
-    RobotName,
-    Target,
-    load_tripod,
-    pose_of,
-)
+from pm3dof_pin.cli.broken_limits import broken_limits
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.pose_arguments import (
+    Config,
+    NamedConfiguration,
+    OutFile,
+    PackagePath,
+    Pose,
+    PoseChoice,
+    PosesFile,
+    RobotName,
+    ToolFrame,
+    column_of,
+    load_robot,
+    read_poses,
+    si_values,
+    write_batch,
+)
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.elastic.condensation import CartesianCompliance
+    from pm3dof_pin.elastic.elastic_model import ElasticModel
+    from pm3dof_pin.elastic.free_motions import FreeMotionStiffness
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.mechanism.configuration import Configuration
+    from pm3dof_pin.typing import Array, Matrix, Vector
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _RIGID = 1e-12  # an axis that gives less than this times the softest of its kind gives nothing
@@ -38,6 +48,7 @@ JSON_UNITS = {
     "eigenvalues": "N/m, at the characteristic length",
     "principal": "N/m (translation), N m/rad (rotation)",
     "spring_shares": "1",
+    "free_motion_stiffness": "N/m, N, N m/rad",
 }
 UNITS = ("N/m", "N/m", "N/m", "N m/rad", "N m/rad", "N m/rad")
 
@@ -50,58 +61,103 @@ class Model(StrEnum):
 
 
 def stiffness(
-    theta_x: OptionalThetaX = None,
-    theta_y: OptionalThetaY = None,
-    z_e: OptionalHeight = None,
+    pose: Pose = None,
     model: Annotated[
-        Model, typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3.")
+        Model,
+        typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3 (pm3dof)."),
     ] = Model.ELASTIC,
-    robot: RobotName = None,
+    robot: RobotName = THE_TRIPOD,
     configuration: NamedConfiguration = None,
-    as_json: Json = False,
+    poses: PosesFile = None,
+    out: OutFile = None,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
+    as_json: Json = False,
 ) -> None:
-    """Stiffness at a pose of the platform: angles in degrees, height in metres; or at a configuration of any robot.
+    """Stiffness of the tool at a pose: angles in degrees, lengths in metres.
 
-    A pose that breaks a joint limit is still answered, with a message and exit status 1.
+    Where the tool is rigid in some direction there is no 6 x 6 stiffness: its compliance is printed, and the stiffness
+    of the motions it is free to make. A pose that breaks a joint limit is still answered, with a message and exit
+    status 1.
     """
-    target = Target.of(theta_x, theta_y, z_e, robot, configuration)
-    if target.pose is None:
-        if model is Model.CHAPTER or config is not None:
-            raise typer.BadParameter("--model chapter and --config are for the tripod at a pose TX TY Z")
-        _print_of_robot(target, as_json)
+    from pm3dof_pin.elastic.condensation import cartesian_compliance
+    from pm3dof_pin.elastic.elastic_model import ElasticModel
+
+    chosen = PoseChoice.of(pose, configuration, poses, out)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    if model is Model.CHAPTER:
+        if robot != THE_TRIPOD or not chosen.numbers:
+            raise typer.BadParameter(f"--model chapter is for a pose of the machine of chapter 8, {THE_TRIPOD}")
+        _print_chapter(config, si_values(machine, machine.coordinates, chosen.numbers), as_json)
+        stop_on_broken_limits(broken_limits(machine, chosen.solve(machine).configuration()))
         return
-    from pm3dof_pin.chapter.limits import limit_violations
-
-    tripod = load_tripod(config)
-    pose = pose_of(*target.pose)
-    (_print_chapter if model is Model.CHAPTER else _print_elastic)(tripod, pose, as_json)
-    stop_on_broken_limits(limit_violations(tripod, pose))
-
-
-def _print_of_robot(target: Target, as_json: bool) -> None:
-    """Print the stiffness of any robot's tool by condensation over its loop closures."""
-    from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
-    from pm3dof_pin.elastic.directions import direction_names
-
-    elastic = ElasticModel.load(target.robot)
-    where = target.configuration(elastic.rigid)
-    tool = cartesian_compliance(elastic, where)
-    result = _read(tool.compliance, tool.spring_names, tool.contributions)
+    elastic = ElasticModel(machine)
+    if chosen.file is not None:
+        file, many = read_poses(machine, chosen.file)
+        write_batch(many, file.columns_as_written | _columns(elastic, many), out, as_json)
+        return
+    solved = chosen.solve(machine).configuration()
+    tool = cartesian_compliance(elastic, solved)
+    result = {"robot": machine.name, **_read(tool.compliance, tool.spring_names, tool.contributions)}
+    free = None
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
-        directions = direction_names(tool.rigid_directions)
-        message(f"pm3dof: the tool is rigid, so there is no K; this is C. Rigid are: {directions}")
+        free = _free_motions(elastic, tool, solved)
+        result |= {} if free is None else _read_free_motions(free)
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
     print_result(result | {"units": JSON_UNITS}, _elastic_lines(result), as_json=as_json)
-    stop_on_broken_limits(target.broken_limits(where))
+    stop_on_broken_limits(broken_limits(machine, solved))
 
 
-def _print_chapter(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> None:
+def _free_motions(
+    elastic: ElasticModel, tool: CartesianCompliance, configuration: Configuration
+) -> FreeMotionStiffness | None:
+    """Return the stiffness over the free motions; None, with a message, where there is none either."""
+    from pm3dof_pin.elastic.directions import direction_names
+    from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+    from pm3dof_pin.exceptions import SingularConfigurationError
+
+    message(f"pm3dof: the tool is rigid, so there is no 6 x 6 K. Rigid are: {direction_names(tool.rigid_directions)}")
+    try:
+        return free_motion_stiffness(elastic, configuration)
+    except SingularConfigurationError as error:
+        message(f"pm3dof: nor is there one of the free motions: {error}")
+        return None
+
+
+def _read_free_motions(free: FreeMotionStiffness) -> dict[str, Any]:
+    return {
+        "free_motions": [{"name": name, "unit": unit} for name, unit in zip(free.names, free.units, strict=True)],
+        "free_motion_twists": free.twists.T,
+        "free_motion_stiffness": free.stiffness,
+    }
+
+
+def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
+    """Return the felt stiffness and the compliance of many poses as columns."""
+    import numpy as np
+
+    from pm3dof_pin.elastic.condensation import cartesian_compliance
+
+    matrices = np.full((len(poses), 6, 6), np.nan)
+    for index in np.flatnonzero(poses.solved).tolist():
+        matrices[index] = cartesian_compliance(elastic, poses.configuration(index)).compliance
+    with np.errstate(divide="ignore"):
+        felt = 1.0 / np.einsum("nii->ni", matrices)
+    columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(AXES)}
+    for row, column in itertools.combinations_with_replacement(range(6), 2):
+        unit = ("m/N", "1/N", "rad/(N m)")[(row >= 3) + (column >= 3)]
+        columns[column_of(f"C_{AXES[row]}_{AXES[column]}", unit)] = matrices[:, row, column]
+    return columns
+
+
+def _print_chapter(config: Path | None, pose: Vector, as_json: bool) -> None:
     from pm3dof_pin.chapter import chapter_stiffness as chapter
+    from pm3dof_pin.chapter.tripod import Tripod
 
-    diagonal = chapter.chapter_stiffness(tripod, pose)
+    diagonal = chapter.chapter_stiffness(Tripod.load(config), pose)
     index = float(chapter.global_index(diagonal))
     named = dict(zip(chapter.AXES, diagonal, strict=True))
     rows = [[axis, f"{value:.6e}", chapter.UNITS[axis]] for axis, value in named.items()]
@@ -110,17 +166,7 @@ def _print_chapter(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> 
     print_result(result, table_lines(["axis", "stiffness", "unit"], rows), as_json=as_json)
 
 
-def _print_elastic(tripod: Tripod, pose: NDArray[np.float64], as_json: bool) -> None:
-    from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
-    from pm3dof_pin.elastic.indices import compliance
-
-    matrix = elastic_stiffness(tripod, pose)
-    tool = compliance(matrix)
-    result = _read(tool, spring_names(tripod), spring_contributions(tripod, pose)) | _read_stiffness(matrix, tool)
-    print_result(result | {"units": JSON_UNITS}, _elastic_lines(result), as_json=as_json)
-
-
-def _read(compliance: NDArray[np.float64], names: Sequence[str], contributions: NDArray[np.float64]) -> dict[str, Any]:
+def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dict[str, Any]:
     """Return what is read from a compliance; an axis that is rigid feels infinitely stiff and has no shares."""
     import numpy as np
 
@@ -140,7 +186,7 @@ def _read(compliance: NDArray[np.float64], names: Sequence[str], contributions: 
     }
 
 
-def _read_stiffness(stiffness: NDArray[np.float64], compliance: NDArray[np.float64]) -> dict[str, Any]:
+def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
     """Return what is read from a stiffness and the compliance that is its inverse."""
     import numpy as np
 
@@ -179,7 +225,18 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
         "stiffness that a probe feels, 1 / C_jj, and the part of each spring in the deflection",
         *table_lines(["axis", "felt", "unit", *result["spring_shares"]["x"]], felt),
     ]
-    return lines if result["K"] is None else [*lines, "", *_index_lines(result["indices"])]
+    if result["K"] is not None:
+        return [*lines, "", *_index_lines(result["indices"])]
+    return [*lines, "", *_free_motion_lines(result)] if "free_motions" in result else lines
+
+
+def _free_motion_lines(result: dict[str, Any]) -> list[str]:
+    names = [f"{motion['name']} [{motion['unit']}]" for motion in result["free_motions"]]
+    rows = [
+        [name, *(f"{entry:.4e}" for entry in row)]
+        for name, row in zip(names, result["free_motion_stiffness"], strict=True)
+    ]
+    return ["stiffness K of the free motions [N/m, N, N m/rad]", *table_lines(["", *names], rows)]
 
 
 def _percent(share: float) -> str:

@@ -14,7 +14,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
 
 BALANCE_TOLERANCE = 1e-9
-"""Part of the load on motions that no actuator holds, up to which it counts as rounding."""
+"""Equilibrium tolerance: load on motions that no actuator holds, relative to all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,12 @@ class ActuatorForces:
             of frame a, one closure after the other, shape=(m,) [N, N m].
         residual: greatest entry of what is left of the balance [N]; moments are divided by the characteristic length.
         actuator_forces_unique: whether no other actuator forces balance the load. If others do, as with more actuators
-            than freedoms, these are the shortest in scaled numbers.
+            than degrees of freedom, these are the shortest in scaled numbers.
         closure_forces_unique: whether no other closure forces balance the load with these actuator forces. If others
             do, as with redundant closures, rigid bodies do not tell which act, and these are the shortest in scaled
             numbers.
+        unbalanced_idle: whether the load works on idle degrees of freedom, such as the spin of a rod whose centre of
+            mass is off its axis. Actuators and tool do not take part in these motions; the balance leaves them out.
     """
 
     actuator_forces: Vector
@@ -39,6 +41,7 @@ class ActuatorForces:
     residual: float
     actuator_forces_unique: bool
     closure_forces_unique: bool
+    unbalanced_idle: bool = False
 
 
 def balance(
@@ -46,10 +49,10 @@ def balance(
 ) -> ActuatorForces:
     """Solve A^T f + G^T lambda = load for the forces of the actuators and of the loop closures.
 
-    A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the freedoms, the
-    actuators are found from (A Z)^T f = Z^T load, then the closures from what is left, both by singular value
-    decomposition in scaled numbers: lengths are divided by the characteristic length, forces along an axis multiplied
-    by it.
+    A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the motions that keep
+    the loops closed, the actuators are found from (A Z)^T f = Z^T load, then the closures from what is left, both by
+    singular value decomposition in scaled numbers: lengths are divided by the characteristic length, forces along an
+    axis multiplied by it. Work of the load on idle motions, which leave actuators and tool at rest, is left out.
 
     Args:
         configuration: an assembled configuration.
@@ -58,35 +61,40 @@ def balance(
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        SingularConfigurationError: the load works on a motion that the actuated joints do not hold.
+        SingularConfigurationError: the load works on a motion of the tool that the actuated joints do not hold.
         InvalidValueError: the loops are not closed.
     """
     mechanism = configuration.mechanism
-    here = DegreesOfFreedom(configuration, tolerance)
-    scaled = here.scale * load
-    work = float(np.linalg.norm(here.locked.motions.T @ scaled))
-    if work > BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled))):
+    dof = DegreesOfFreedom(configuration, tolerance)
+    scaled = dof.scale * load
+    rounding = BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled)))
+    idle = dof.idle.motions if mechanism.tool_frame is not None else dof.at_actuators.motions[:, :0]
+    idle_load = idle @ (idle.T @ scaled)
+    scaled = scaled - idle_load
+    work = float(np.linalg.norm(dof.at_actuators.motions.T @ scaled))
+    if work > rounding:
         raise SingularConfigurationError(
-            f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, here, tolerance)}; "
+            f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, dof, tolerance)}; "
             f"residual {work / mechanism.characteristic_length:.3e} N; at q = {listed(configuration.q)}"
         )
-    actuators = here.locked.inverse.T @ scaled
-    left = scaled - here.actuators.T @ actuators
-    closures = here.closures.inverse.T @ left
-    left -= here.closures.rows.T @ closures
+    actuators = dof.at_actuators.inverse.T @ scaled
+    left = scaled - dof.actuators.T @ actuators
+    closures = dof.closures.inverse.T @ left
+    left -= dof.closures.rows.T @ closures
     return ActuatorForces(
-        frozen(actuators / here.scale[mechanism.actuated_indices]),
+        frozen(actuators / dof.scale[mechanism.actuated_indices]),
         frozen(closures / mechanism.closure_scale),
         float(np.abs(left).max(initial=0.0)) / mechanism.characteristic_length,
-        here.locked.rank.rank == len(actuators),
-        here.constraint_rank.rank == len(closures),
+        dof.at_actuators.rank.rank == len(actuators),
+        dof.constraint_rank.rank == len(closures),
+        bool(np.linalg.norm(idle_load) > rounding),
     )
 
 
-def _name(configuration: Configuration, here: DegreesOfFreedom, tolerance: float) -> str:
+def _name(configuration: Configuration, dof: DegreesOfFreedom, tolerance: float) -> str:
     """Say what is wrong with a configuration whose actuated joints do not hold it."""
-    count = here.locked.motions.shape[1]
-    free = f"{count} freedom{'s are' if count > 1 else ' is'} left with the actuated joints at rest"
+    count = dof.at_actuators.motions.shape[1]
+    free = f"{count} degree{'s' if count > 1 else ''} of freedom left with the actuated joints at rest"
     if configuration.mechanism.tool_frame is None:
         return free
     try:

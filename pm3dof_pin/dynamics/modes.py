@@ -22,6 +22,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.payloads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
@@ -99,7 +100,7 @@ def natural_modes(
 
 def natural_frequencies(
     model: ElasticModel,
-    positions: ArrayLike,
+    poses: Poses | ArrayLike,
     *,
     count: int,
     payloads: Payloads | None = None,
@@ -109,8 +110,7 @@ def natural_frequencies(
 
     Args:
         model: the mechanism with its springs.
-        positions: q of the rigid mechanism, assembled, shape=(..., nq) [m, rad]; NaN where there is none, as for poses
-            out of reach.
+        poses: solved poses; or q of the rigid mechanism, assembled, shape=(..., nq) [m, rad], NaN where there is none.
         count: number of frequencies at each.
         payloads: see :func:`natural_modes`.
         tolerance: see :func:`natural_modes`.
@@ -121,7 +121,7 @@ def natural_frequencies(
     Raises:
         PM3DofError: see :func:`natural_modes`.
     """
-    q = np.asarray(positions, dtype=np.float64)
+    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=np.float64)
     frequencies = np.full((*q.shape[:-1], count), np.nan)
     for index in np.ndindex(q.shape[:-1]):
         if not np.isnan(q[index]).any():

@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen, listed
+from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
@@ -105,6 +105,28 @@ class CartesianCompliance:
         triangle = np.linalg.qr((rows / size[:, None]).T)[1]
         root = np.linalg.solve(triangle.T, self._held.T / size[:, None])
         return frozen(root.T @ root)
+
+    def stiffness_over(self, twists: ArrayLike) -> Matrix:
+        """Return the stiffness of some motions of the frame, all others being held, shape=(p, p).
+
+        With twist = T c it is T^T K T, and exists where K does not: for a planar mechanism over its three motions.
+
+        Args:
+            twists: T, the frame's twists at unit rates of the motions, shape=(6, p).
+
+        Raises:
+            RigidDirectionError: the springs do not allow one of these motions; the message names those they do not.
+            FreeDirectionError: the frame has free directions; the message names them.
+        """
+        if self.free_directions.size:
+            raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
+        scale = np.repeat([self.configuration.mechanism.characteristic_length, 1.0], 3)[:, None]
+        wanted = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
+        strains = np.linalg.lstsq(self._twists / scale, wanted, rcond=RANK_TOLERANCE**2)[0]
+        missed = np.abs(self._twists @ strains / scale - wanted).max(initial=0.0)
+        if missed > RANK_TOLERANCE * np.abs(wanted).max(initial=0.0):
+            raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
+        return frozen(strains.T @ strains)
 
     def _message(self, what: str, directions: Matrix) -> str:
         return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"

@@ -21,7 +21,7 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
 
     Otherwise column k is the velocity at which the tool has the k-th twist of a basis that is orthonormal in scaled
     numbers: the unit twists v_x, v_y, v_z (one characteristic length a second), omega_x, omega_y, omega_z, projected on
-    the twists possible dof; of these the p most independent ones, in this order, made orthonormal. A tool with six
+    the twists possible there; of these the p most independent ones, in this order, made orthonormal. A tool with six
     degrees of freedom gets the unit twists themselves.
 
     Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is taken.
@@ -31,7 +31,7 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        SingularConfigurationError: the motion coordinates are not independent dof, or actuated joints or the tool can
+        SingularConfigurationError: the motion coordinates are not independent there, or actuated joints or the tool can
             move without them.
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.

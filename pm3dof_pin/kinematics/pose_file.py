@@ -85,14 +85,14 @@ def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known
     return PoseFile(path, tuple(columns), frozen(written), frozen(written * factors), unused)
 
 
-def column_of(coordinate: Coordinate) -> str:
+def heading_of(coordinate: Coordinate) -> str:
     """Return the heading under which a coordinate is written: angles in degrees."""
     return f"{coordinate.name}_{'m' if coordinate.unit == 'm' else 'deg'}"
 
 
 def example_heading(coordinates: Sequence[Coordinate]) -> str:
     """Return the heading of a file with these coordinates."""
-    return ",".join(map(column_of, coordinates))
+    return ",".join(map(heading_of, coordinates))
 
 
 def write_columns(path: Path | str, columns: Mapping[str, ArrayLike | Sequence[str]]) -> Path:
