@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pm3dof_pin.description.coordinates import Unit
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.mechanism.configuration import Configuration, LimitViolation
 
@@ -28,7 +29,7 @@ class BrokenLimit:
     value: float
     lower: float
     upper: float
-    unit: str
+    unit: Unit
 
     def __str__(self) -> str:
         factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)
@@ -44,15 +45,25 @@ def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimi
     ]
 
 
-def _of_joint(robot: Robot, violation: LimitViolation) -> BrokenLimit:
-    numbers = (violation.value, violation.lower, violation.upper)
-    if not robot.model.existJointName(violation.name):  # one entry of a joint with several
-        return BrokenLimit(violation.name, *numbers, "rad")
+def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
+    """Return how the limits of an entry of q are read: unit, scale and offset, reading = scale * q + offset.
+
+    Args:
+        robot: the robot.
+        name: the entry, one of :attr:`q_names <pm3dof_pin.mechanism.mechanism.Mechanism>`.
+    """
+    if not robot.model.existJointName(name):  # one entry of a joint with several
+        return "rad", 1.0, 0.0
     for reading in (*robot.command_coordinates, *robot.coordinates):
-        if reading.joint == violation.name:
-            value, *ends = (reading.scale * number + reading.offset for number in numbers)
-            return BrokenLimit(violation.name, value, min(ends), max(ends), reading.unit)
-    return BrokenLimit(violation.name, *numbers, robot.single_joint(violation.name).unit)
+        if reading.joint == name:
+            return reading.unit, reading.scale, reading.offset
+    return robot.single_joint(name).unit, 1.0, 0.0
+
+
+def _of_joint(robot: Robot, violation: LimitViolation) -> BrokenLimit:
+    unit, scale, offset = limit_reading(robot, violation.name)
+    value, *ends = (scale * number + offset for number in (violation.value, violation.lower, violation.upper))
+    return BrokenLimit(violation.name, value, min(ends), max(ends), unit)
 
 
 def _of_closure(robot: Robot, violation: LimitViolation) -> BrokenLimit:
