@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
@@ -29,6 +28,7 @@ from pm3dof_pin.cli.pose_arguments import (
     solve_pose,
     write_batch,
 )
+from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
