@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.broken_limits import broken_limits
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, Payload, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
@@ -25,6 +24,7 @@ from pm3dof_pin.cli.pose_arguments import (
     write_batch,
 )
 from pm3dof_pin.cli.stiffness import AXES
+from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
     from pm3dof_pin.dynamics import Modes

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.broken_limits import broken_limits
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
@@ -30,6 +29,7 @@ from pm3dof_pin.cli.pose_arguments import (
     si_values,
     write_batch,
 )
+from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
     from pm3dof_pin.elastic.condensation import CartesianCompliance
