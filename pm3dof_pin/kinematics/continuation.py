@@ -1,0 +1,373 @@
+"""Closing the loops of many poses by compiled programs: walks from home, and marches over grids.
+
+A *walk* goes from a start along a straight line in the space of the coordinates, in legs short enough to stay in one
+assembly mode. A *march* fills a product grid from its point nearest to home, outward along axis after axis: every pose
+starts from its neighbour, with a linear predictor. Newton's steps are programs of :mod:`pm3dof_pin.programs.closing`.
+
+A pose is accepted if the loops are closed to rounding, the joints ended near where they were predicted, and no closing
+system is singular or has changed its orientation, which would be another assembly mode. What is not accepted is tried
+again in shorter legs; what a march leaves is walked to, from home and from solved neighbours; the last resort is the
+damped solver :func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians. Only then is a pose not solved.
+
+The result for a pose depends on the mechanism, the grid (or the part of it that is marched) and the coordinates, and
+neither on the number of threads nor on other poses of a walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.programs import geometry
+from pm3dof_pin.programs.checks import checks_program
+from pm3dof_pin.programs.closing import Task, closing_program, tool_components
+from pm3dof_pin.programs.llvm import Compiled, compile
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+_LEG = 0.1  # of a walk [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 64.0  # of that
+_NEARLY_CLOSED = 1e-8  # from here one quadratic step ends in rounding
+_STEPS = 6
+_JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
+_MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
+_SINGULAR = 1e-5  # margin below which a pose is left to the careful solver
+_REGULAR = 1e-3  # margin of a configuration away from singular ones
+_SAMPLES = 8
+_SAMPLE_DISTANCE = 0.1  # of the samples from home [rad, characteristic lengths]
+_SAMPLE_TRIALS = 10
+
+
+class Solution(NamedTuple):
+    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none.
+
+    Attributes:
+        q: joint configurations, shape=(n, nq) [m, rad].
+        residual: greatest closure error, shape=(n,) [m, rad].
+        broken_limits: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k.
+        transforms: placements of the tool, shape=(n, 4, 4); None for a mechanism without a tool frame.
+    """
+
+    q: Matrix
+    residual: Vector
+    broken_limits: NDArray[np.uint32]
+    transforms: Array | None
+
+
+def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
+    """Find closed configurations near home, at which programs choose what they eliminate.
+
+    Args:
+        mechanism: the mechanism.
+        home: its home configuration, with closed loops, shape=(nq,).
+
+    Returns:
+        shape=(s, nq), s = 8.
+
+    Raises:
+        ConvergenceError: the loops do not close there.
+    """
+    model, generator = mechanism.model, np.random.default_rng(0)
+    rows: list[Vector] = []
+    distance = _SAMPLE_DISTANCE
+    for _ in range(_SAMPLE_TRIALS):
+        for _ in range(_SAMPLES):
+            tangent = mechanism.velocity_scale * generator.uniform(-distance, distance, model.nv)
+            result = assemble(mechanism, pin.integrate(model, home, tangent))
+            if result.converged:
+                rows.append(np.array(result.configuration.q))
+            if len(rows) == _SAMPLES:
+                return np.array(rows)
+        distance /= 2.0
+    raise ConvergenceError(f"{mechanism.name}: closing the loops near home", result.residual, "m or rad", result.steps)
+
+
+class Continuation:
+    """Poses of a mechanism at values of some coordinates, by continuation from home.
+
+    Args:
+        mechanism: the mechanism.
+        home: its home configuration, with closed loops, shape=(nq,).
+        coordinates: the coordinates that are given.
+
+    Raises:
+        ProgramError: there is no program for the mechanism, or it does not agree with Pinocchio.
+        ConvergenceError: no closed configurations were found near home.
+    """
+
+    def __init__(self, mechanism: Mechanism, home: Vector, coordinates: Sequence[Coordinate]) -> None:
+        self._mechanism = mechanism
+        self._nq = mechanism.model.nq
+        self._coordinates = tuple(coordinates)
+        self._given = [mechanism.single_joint(c.joint) for c in self._coordinates if c.joint is not None]
+        self._joint_columns = [k for k, c in enumerate(self._coordinates) if c.joint is not None]
+        self._tool_columns = [k for k, c in enumerate(self._coordinates) if c.joint is None]
+        self._tool = tuple(c.tool for c in self._coordinates if c.tool is not None)
+        self._order = [*self._joint_columns, *self._tool_columns]  # in which the program takes the coordinates
+        self._offsets = np.array([c.offset for c in self._coordinates])
+        self._scales = np.array([c.scale for c in self._coordinates])
+        length = mechanism.characteristic_length
+        self._units = np.array([abs(c.scale) * (length if c.unit == "m" else 1.0) for c in self._coordinates])
+        angles = [c.tool in ("rx", "ry", "rz") for c in self._coordinates]
+        for column, joint in zip(self._joint_columns, self._given, strict=True):
+            angles[column] = joint.is_continuous
+        self._angles = np.flatnonzero(angles)  # which come back to where they were after a turn
+        self._turns = 2.0 * np.pi * np.abs(self._scales[self._angles])
+        self._linear = _linear_positions(mechanism)
+        self._load(np.array(home))
+        self._home = self._start(np.array(home))
+
+    def _load(self, home: Vector) -> None:
+        mechanism = self._mechanism
+        task = Task(tuple(joint.name for joint in self._given), self._tool)
+        samples = samples_near(mechanism, home)
+        verify(mechanism, samples)
+        closing, checks = closing_program(mechanism, task, samples), checks_program(mechanism, samples)
+        self._step: Compiled = compile(closing.program)
+        self._checks: Compiled = compile(checks.program)
+        self._samples = samples
+        self._step_parameters = geometry.values(mechanism, closing.program.parameters, closing.constants)
+        self._checks_parameters = geometry.values(mechanism, checks.program.parameters, checks.constants)
+
+    def _start(self, home: Vector) -> Vector:
+        """Return home, or if that is singular the most regular of the samples."""
+        rows = np.vstack([home, self._samples])
+        margins = np.abs(self._newton(rows, self._given_numbers(self.read(rows)), _JUMP)[0][:, -1])
+        start: Vector = rows[0] if margins[0] > _REGULAR else rows[np.nanargmax(margins)]
+        return start
+
+    def read(self, q: Matrix) -> Matrix:
+        """Read the coordinates off closed configurations, shape=(n, number of coordinates) [m, rad]."""
+        values = np.empty((len(q), len(self._coordinates)))
+        for k, joint in zip(self._joint_columns, self._given, strict=True):
+            first = joint.q_index
+            values[:, k] = np.arctan2(q[:, first + 1], q[:, first]) if joint.is_continuous else q[:, first]
+        if self._tool:
+            transforms = self._check(q).transforms
+            assert transforms is not None
+            values[:, self._tool_columns] = tool_components(transforms[:, :3, :3], transforms[:, :3, 3], self._tool)
+        values *= self._scales
+        values += self._offsets
+        return values
+
+    # walking
+
+    def walk(self, targets: Matrix, starts: Matrix | None = None) -> Solution:
+        """Find the poses at values of the coordinates, each by a walk of its own.
+
+        Args:
+            targets: values of the coordinates, shape=(n, number of coordinates) [m, rad].
+            starts: closed configurations to start from, shape=(n, nq); home by default.
+        """
+        targets = np.asarray(targets, dtype=float)
+        q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
+        self._solve_each(q, targets, self._home)
+        return self._check(q, targets)
+
+    def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
+        """Walk from q to the targets, in place; where that fails the careful solver starts there and at the guesses."""
+        arrived, q[:] = self._walked(q, targets)
+        arrived &= self._residuals(q, targets) <= CLOSURE_TOLERANCE
+        for row in np.flatnonzero(~arrived):
+            q[row] = self._careful(targets[row], (q[row], *guesses))
+
+    def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
+        """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
+        outputs = self._step(self._inputs(q, self._given_numbers(targets)), self._step_parameters)
+        residuals: Vector = outputs[:, -1]
+        return residuals
+
+    def _walked(self, q: Matrix, targets: Matrix) -> tuple[Mask, Matrix]:
+        """Walk without the careful solver; return which poses arrived, and where each ended."""
+        origins = self.read(q)
+        turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
+        origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
+        way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
+        legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / _LEG), 1.0), 1.0)
+        shortest, step = _SHORTEST_LEG / legs, 1.0 / legs
+        done, last_step = np.zeros(len(q)), np.zeros(len(q))
+        before = q.copy()
+        active = np.flatnonzero(np.isfinite(way) & np.isfinite(q).all(axis=1))
+        while active.size:
+            reached = np.minimum(done[active] + step[active], 1.0)
+            reached[reached > 1.0 - 0.1 * shortest[active]] = 1.0
+            share = reached[:, None]
+            values = np.where(share == 1.0, targets[active], origins[active] * (1.0 - share) + targets[active] * share)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.where(last_step[active] > 0.0, (reached - done[active]) / last_step[active], 0.0)
+            predicted = self._predicted(q[active], before[active], ratio[:, None])
+            states, accepted = self._newton(predicted, self._given_numbers(values), _JUMP)
+            found = states[:, :-1]
+            good = active[accepted]
+            before[good], q[good] = q[good], found[accepted]
+            last_step[good] = reached[accepted] - done[good]
+            done[good] = reached[accepted]
+            step[good] = np.minimum(2.0 * step[good], 1.0 / legs[good])
+            bad = active[~accepted]
+            step[bad] *= 0.5
+            active = active[(done[active] < 1.0) & (step[active] >= shortest[active])]
+        return done >= 1.0, q
+
+    # marching
+
+    def march(self, grid: Grid) -> Solution:
+        """Find the poses of a product grid.
+
+        Args:
+            grid: a grid over the coordinates. Poses depend on the whole of it: a part of a grid marched alone may
+                differ in the last digits, since its poses start from other neighbours.
+
+        Returns:
+            The poses in the order of `grid.values`, flat.
+        """
+        shape, values = grid.shape, np.reshape(grid.values, (*grid.shape, -1))
+        names = [coordinate.name for coordinate in self._coordinates]
+        at_home = dict(zip(names, self.read(self._home[None])[0], strict=True))
+        first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
+        q = np.full((*shape, self._nq), np.nan)
+        q[first] = self.walk(values[first][None]).q[0]
+        numbers = self._given_numbers(values)
+        for dimension, axis in enumerate(grid.axes.values()):
+            part: tuple[Any, ...] = (..., *first[dimension + 1 :], slice(None))
+            for direction in (1, -1):
+                self._march_lines(q[part], numbers[part], axis, first[dimension], direction)
+        flat_values = values.reshape(-1, values.shape[-1])
+        solution = self._check(q.reshape(-1, self._nq), flat_values)
+        if not np.isnan(solution.residual).any():
+            return solution
+        q = solution.q.reshape(q.shape)
+        self._fill(q, values)
+        return self._check(q.reshape(-1, self._nq), flat_values)
+
+    def _march_lines(self, lines: Array, numbers: Array, axis: Vector, first: int, direction: int) -> None:
+        """Go along the last dimension of a part of the grid from one index to its end, in place."""
+        count, stop = lines.shape[-2], lines.shape[-2] if direction > 0 else -1
+        q = lines[..., first, :].reshape(-1, self._nq)
+        before = None
+        if 0 <= first - direction < count:
+            before = lines[..., first - direction, :].reshape(-1, self._nq)
+            before = np.where(np.isfinite(before), before, q)
+        for index in range(first + direction, stop, direction):
+            predicted = q
+            if before is not None:
+                ratio = (axis[index] - axis[index - direction]) / (
+                    axis[index - direction] - axis[index - 2 * direction]
+                )
+                predicted = self._predicted(q, before, ratio)
+            states, accepted = self._newton(predicted, numbers[..., index, :].reshape(len(q), -1), _MARCH_JUMP)
+            before, q = q, states[:, :-1]
+            q[~(accepted & (np.abs(states[:, -1]) > _REGULAR))] = np.nan
+            lines[..., index, :] = q.reshape(lines[..., index, :].shape)
+
+    def _fill(self, q: Array, values: Array) -> None:
+        """Find what a march has left, by walks from home, then from solved neighbours, in place."""
+        missing = np.isnan(q[..., 0])
+        found = np.tile(self._home, (int(missing.sum()), 1))
+        arrived, found = self._walked(found, values[missing])
+        arrived &= self._residuals(found, values[missing]) <= CLOSURE_TOLERANCE
+        q[missing] = np.where(arrived[:, None], found, np.nan)
+        untried = np.isnan(q[..., 0])
+        while untried.any():
+            starts = _solved_neighbours(q)
+            frontier = untried & np.isfinite(starts[..., 0])
+            if not frontier.any():
+                return
+            untried &= ~frontier
+            found = starts[frontier]
+            self._solve_each(found, values[frontier])
+            q[frontier] = found
+
+    def _predicted(self, q: Matrix, before: Matrix, ratio: Array | float) -> Matrix:
+        """Extrapolate from two configurations, those entries of q that allow it."""
+        predicted: Matrix = q + (q - before) * (self._linear * ratio)
+        return predicted
+
+    def _given_numbers(self, values: Array) -> Array:
+        """Return coordinates as the program takes them."""
+        numbers: Array = ((values - self._offsets) / self._scales)[..., self._order]
+        return numbers
+
+    def _newton(self, q: Matrix, numbers: Matrix, jump: float) -> tuple[Matrix, Mask]:
+        """Close the loops; return q with the margins as its last column, and which poses are accepted.
+
+        Args:
+            q: where to start, shape=(n, nq).
+            numbers: the coordinates as the program takes them, shape=(n, number of coordinates).
+            jump: the greatest way of a joint that is accepted [rad, characteristic lengths].
+        """
+        nq = self._nq
+        states, residuals, _ = self._step.iterate(
+            self._inputs(q, numbers), self._step_parameters, tolerance=_NEARLY_CLOSED, max_steps=_STEPS
+        )
+        accepted = (residuals <= _NEARLY_CLOSED) & (states[:, nq] > _SINGULAR) & (states[:, nq + 1] <= jump)
+        return states[:, : nq + 1], accepted
+
+    def _inputs(self, q: Matrix, numbers: Matrix) -> Matrix:
+        nq = self._nq
+        inputs = np.empty((len(q), nq + 2 + numbers.shape[1]))
+        inputs[:, :nq] = q
+        inputs[:, nq : nq + 2] = 1.0, 0.0
+        inputs[:, nq + 2 :] = numbers
+        return inputs
+
+    def _careful(self, target: Vector, guesses: Sequence[Vector]) -> Vector:
+        """Return the pose that the damped solver finds from the first guess from which it finds one, or NaN."""
+        numbers = (target - self._offsets) / self._scales
+        missing = np.full(self._nq, np.nan)
+        if not np.isfinite(numbers).all():
+            return missing
+        joints = {joint.name: numbers[k] for joint, k in zip(self._given, self._joint_columns, strict=True)}
+        tool = dict(zip(self._tool, numbers[self._tool_columns], strict=True))
+        for guess in guesses:
+            if np.isfinite(guess).all():
+                result = assemble(self._mechanism, guess, joints=joints, tool=tool)
+                if result.converged:
+                    return np.array(result.configuration.q)
+        return missing
+
+    def _check(self, q: Matrix, values: Matrix | None = None) -> Solution:
+        """Check configurations; with values of the coordinates also whether the tool is there."""
+        outputs = self._checks.program.split(self._checks(q, self._checks_parameters))
+        residual, broken = outputs["residual"], outputs["broken"].astype(np.uint32)
+        if values is not None and self._tool:
+            residual = self._residuals(q, values)
+        unsolved = ~(residual <= CLOSURE_TOLERANCE)
+        if unsolved.any():
+            q = q.copy()
+            q[unsolved], residual[unsolved], broken[unsolved] = np.nan, np.nan, 1
+            outputs["transform"][unsolved] = np.nan
+        return Solution(q, residual, broken, outputs["transform"])
+
+
+def _solved_neighbours(q: Array) -> Array:
+    """Return for every point of a grid a neighbour along some dimension that is solved, or NaN."""
+    neighbours = np.full_like(q, np.nan)
+    for dimension in range(q.ndim - 1):
+        size = q.shape[dimension]
+        near, far = slice(0, size - 1), slice(1, size)
+        for target, source in ((far, near), (near, far)):
+            index: list[slice] = [slice(None)] * q.ndim
+            index[dimension] = target
+            into = neighbours[tuple(index)]
+            index[dimension] = source
+            into[...] = np.where(np.isfinite(into), into, q[tuple(index)])
+    return neighbours
+
+
+def _linear_positions(mechanism: Mechanism) -> Vector:
+    """Return which entries of q are linear in the joint's motion, as 1 and 0, shape=(nq,)."""
+    model = mechanism.model
+    linear = np.zeros(model.nq)
+    for joint in list(model.joints)[1:]:
+        if joint.nq == joint.nv:
+            linear[joint.idx_q : joint.idx_q + joint.nq] = 1.0
+    return linear

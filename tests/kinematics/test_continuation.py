@@ -1,0 +1,178 @@
+"""Closing loops by compiled programs against the careful engine, on machines of every kind."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.kinematics.continuation import Continuation, samples_near
+from pm3dof_pin.kinematics.robot import Robot
+
+MACHINES = Path(__file__).parents[1] / "machines"
+TOOLS = {"tool", "coordinates"}
+ROBOTS = ("pm3dof", "hexapod", "three_rps", "delta", "five_bar", "four_bar", "ur5")
+
+
+@cache
+def load(name: str) -> Robot:
+    if name == "ur5":
+        loaded = pytest.importorskip("example_robot_data").load("ur5")
+        model = loaded.model
+        model.referenceConfigurations["home"] = np.array([0.3, -1.2, 1.4, -0.6, 0.9, 0.2])
+        return Robot(model, tool_frame="tool0")
+    path = MACHINES / name / f"{name}.urdf"
+    return Robot.load(path if path.exists() else name)
+
+
+@cache
+def continuation(name: str, given: str) -> Continuation:
+    robot = load(name)
+    return Continuation(robot, robot.home.q, robot.coordinates if given == "coordinates" else robot.command_coordinates)
+
+
+def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.ndarray:
+    robot, solver = load(name), continuation(name, given)
+    coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
+    home = solver.read(robot.home.q[None])[0]
+    width = np.array([0.3 * robot.characteristic_length if c.unit == "m" else 0.4 for c in coordinates]) * share
+    ranges = np.array([robot.range_of(c) for c in coordinates])
+    lower, upper = np.maximum(ranges[:, 0], home - width), np.minimum(ranges[:, 1], home + width)
+    return np.random.default_rng(0).uniform(lower, upper, (count, len(home)))
+
+
+@pytest.mark.parametrize("given", ["coordinates", "commands"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_walks_end_where_the_careful_engine_does(name, given):
+    robot, solver = load(name), continuation(name, given)
+    values = random_values(name, given, 150)
+    found = solver.walk(values)
+    careful = robot.solve if given == "coordinates" else robot.forward
+    expected = careful(values, on_failure="nan", engine="pinocchio")
+    np.testing.assert_array_equal(np.isfinite(found.residual), expected.solved)
+    np.testing.assert_array_equal(found.broken_limits, expected.broken_limits)
+    np.testing.assert_allclose(found.transforms[expected.solved], expected.transforms[expected.solved], atol=1e-9)
+    poses = robot.at(found.q[expected.solved])
+    np.testing.assert_allclose(poses.commands, expected.commands[expected.solved], atol=1e-9)
+    assert poses.residual.max() < 1e-12
+    difference = (poses.coordinates if given == "coordinates" else poses.commands) - values[expected.solved]
+    is_angle = [c.unit == "rad" for c in (robot.coordinates if given == "coordinates" else robot.command_coordinates)]
+    difference[:, is_angle] = (difference[:, is_angle] + np.pi) % (2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(difference, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta", "five_bar"])
+def test_a_march_finds_what_walks_find(name):
+    robot, solver = load(name), continuation(name, "coordinates")
+    values = random_values(name, "coordinates", 200)
+    axes = {
+        coordinate.name: (values[:, k].min(), values[:, k].max(), count)
+        for k, (coordinate, count) in enumerate(zip(robot.coordinates, (13, 11, 9), strict=False))
+    }
+    grid = robot.grid(**axes)
+    marched = solver.march(grid)
+    walked = solver.walk(grid.values.reshape(-1, len(robot.coordinates)))
+    np.testing.assert_array_equal(marched.broken_limits, walked.broken_limits)
+    assert np.isfinite(marched.residual).all()
+    np.testing.assert_allclose(robot.at(marched.q).commands, robot.at(walked.q).commands, atol=1e-11)
+
+
+def test_a_march_over_more_than_the_workspace():
+    """The pen of a five-bar reaches less than the sum of its links: the grid is twice as wide."""
+    robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
+    grid = robot.grid(x=(-0.7, 0.7, 29), y=(0.05, 0.95, 19))
+    marched = solver.march(grid)
+    values = grid.values.reshape(-1, 2)
+    expected = robot.solve(values, on_failure="nan", engine="pinocchio")
+    solved = np.isfinite(marched.residual)
+    assert 0.2 < solved.mean() < 0.8
+    assert not (expected.solved & ~solved).any()
+    np.testing.assert_allclose(robot.at(marched.q[solved]).positions[:, :2], values[solved], atol=1e-12)
+
+
+def elbow_area(robot: Robot, q: np.ndarray) -> float:
+    """Return the signed area of the triangle of one arm: shoulder, elbow, pen; 0 where it is straight."""
+    configuration = robot.configuration(q)
+    joint = robot.command_coordinates[0].joint
+    index = robot.model.getJointId(joint)
+    elbow = next(k for k in range(robot.model.njoints) if robot.model.parents[k] == index and k != index)
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    shoulder, middle = data.oMi[index].translation, data.oMi[elbow].translation
+    return float(np.cross(middle - shoulder, configuration.tool_placement.translation - middle)[2])
+
+
+def test_a_walk_to_a_singular_pose_stays_in_the_mode_of_home_or_is_flagged():
+    """With an arm in line the five-bar's pen is at the end of its reach: walks stop there, and none gets past it."""
+    robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
+    q = robot.home.q
+    home, sign = solver.read(q[None])[0], np.sign(elbow_area(robot, q))
+    directions = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    way = 0.6 * np.column_stack([np.cos(directions), np.sin(directions)])
+    for share in np.linspace(0.05, 1.0, 20):
+        arrived, last = solver._walked(np.tile(q, (48, 1)), home + share * way)
+        for row in last[arrived]:
+            assert robot.configuration(row).closure_residual < 1e-12
+            assert sign * elbow_area(robot, row) > 0.0
+    assert not arrived.all()
+
+
+def test_results_do_not_depend_on_the_batch():
+    solver = continuation("hexapod", "commands")
+    values = random_values("hexapod", "commands", 37)
+    together = solver.walk(values)
+    for row in (0, 17, 36):
+        np.testing.assert_array_equal(solver.walk(values[row : row + 1]).q[0], together.q[row])
+
+
+def test_a_tool_angle_goes_the_shortest_way_round():
+    robot, solver = load("ur5"), continuation("ur5", "coordinates")
+    values = np.tile(solver.read(robot.home.q[None]), (3, 1))
+    values[1, 5] += 2.0 * np.pi
+    values[2, 5] -= 2.0 * np.pi
+    found = solver.walk(values)
+    np.testing.assert_allclose(found.q, np.tile(robot.home.q, (3, 1)), atol=1e-12)
+
+
+def test_values_that_are_not_finite_are_not_solved():
+    solver = continuation("pm3dof", "coordinates")
+    values = random_values("pm3dof", "coordinates", 3)
+    values[1, 1] = np.nan
+    found = solver.walk(values)
+    np.testing.assert_array_equal(found.broken_limits[[1]], [1])
+    assert np.isfinite(found.residual[[0, 2]]).all()
+    assert np.isnan(found.transforms[1]).all()
+
+
+def test_samples_are_closed_and_differ_from_home():
+    robot = load("hexapod")
+    samples = samples_near(robot, robot.home.q)
+    assert len(samples) == 8
+    assert all(robot.configuration(q).closure_residual < 1e-12 for q in samples)
+    assert (np.abs(samples - robot.home.q).max(axis=1) > 1e-3).all()
+
+
+def test_joints_of_any_kind_are_walked():
+    """A spherical joint and a free body between two arms."""
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "first")
+    ball = model.addJoint(first, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0])), "ball")
+    last = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3(np.eye(3), np.array([0.0, 0.4, 0.0])), "last")
+    free = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
+    shift = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    for name, joint in (("ball_tip", ball), ("last_tip", last), ("ball_middle", ball)):
+        model.addFrame(pin.Frame(name, joint, shift if "tip" in name else pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("body", free, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    from pm3dof_pin.description.closures import LoopClosure
+
+    closures = [LoopClosure("ball_tip", "last_tip", "3d"), LoopClosure("ball_middle", "body", "6d")]
+    robot = Robot(model, closures, actuated_joints=["first"], tool_frame="body")
+    solver = Continuation(robot, robot.home.q, robot.command_coordinates)
+    values = np.linspace(-0.3, 0.3, 13)[:, None]
+    found = solver.walk(values)
+    for row in found.q:
+        assert robot.configuration(row).closure_residual < 1e-12
+    np.testing.assert_allclose(robot.at(found.q).commands, values, atol=1e-15)
