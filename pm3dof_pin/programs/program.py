@@ -112,15 +112,13 @@ class Program:
             "outputs": [[name, list(shape)] for name, shape in self.outputs.items()],
             "counts": [len(self.constants), len(self.lines), len(self.results)],
         }
-        operands = np.zeros((len(self.lines), 3), dtype="<i4")
-        for row, (_, numbers) in zip(operands, self.lines, strict=True):
-            row[: len(numbers)] = numbers
+        operands = [(*numbers, -1, -1)[:3] for _, numbers in self.lines]
         return b"".join(
             (
                 json.dumps(header).encode() + b"\n",
                 np.array(self.constants, dtype="<f8").tobytes(),
                 np.array(self.results, dtype="<i4").tobytes(),
-                operands.tobytes(),
+                np.array(operands, dtype="<i4").reshape(-1, 3).T.tobytes(),
                 bytes(_CODES[operation] for operation, _ in self.lines),
             )
         )
@@ -146,8 +144,8 @@ class Program:
             ends = np.cumsum([8 * n_constants, 4 * n_results, 12 * n_lines, n_lines])
             if len(body) != ends[-1]:
                 raise ValueError("length")
-            operands = np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(-1, 3).tolist()
-            return cls(
+            operands = np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(3, -1).tolist()
+            program = cls(
                 name=header["name"],
                 inputs=tuple(header["inputs"]),
                 parameters=tuple(header["parameters"]),
@@ -155,10 +153,12 @@ class Program:
                 constants=tuple(np.frombuffer(body[: ends[0]], dtype="<f8").tolist()),
                 results=tuple(np.frombuffer(body[ends[0] : ends[1]], dtype="<i4").tolist()),
                 lines=tuple(
-                    (_NAMES[code], tuple(numbers[: OPERATIONS[_NAMES[code]][0]]))
-                    for code, numbers in zip(body[ends[2] :], operands, strict=True)
+                    (_NAMES[code], (a,) if b < 0 else (a, b) if c < 0 else (a, b, c))
+                    for code, a, b, c in zip(body[ends[2] :], *operands, strict=True)
                 ),
             )
+            program.__dict__["content"] = content  # it need not be made again for the key
+            return program
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
 

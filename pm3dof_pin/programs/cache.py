@@ -1,0 +1,168 @@
+"""Traced programs and compiled ones kept on disk, so that only the first use of a robot traces and compiles.
+
+The folder is ``PM3DOF_CACHE_DIR`` if that is set (nothing is kept if it is empty), else ``pm3dof-pin`` in the user's
+folder for caches. It is made for its user alone, and not used if somebody else owns it or may write to it: code is
+loaded from it. What is damaged is made again; where nothing can be written everything works, and is made each time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import llvmlite
+from llvmlite import binding
+
+import pm3dof_pin
+from pm3dof_pin.exceptions import InvalidValueError, OutputError, ProgramError
+from pm3dof_pin.files import write_atomically
+from pm3dof_pin.programs import llvm
+from pm3dof_pin.programs.program import Program
+
+LARGEST = 200 * 2**20
+"""Bytes kept at most; beyond, what was not used for longest goes."""
+
+_SUFFIX = ".program"
+_DIGEST = hashlib.sha256().digest_size
+_LOG = logging.getLogger(__name__)
+
+
+def stored(key: str, make: Callable[[], Program]) -> Program:
+    """Return the program kept under a key, or make it and keep it.
+
+    Args:
+        key: says everything the program depends on, except for this package's own sources.
+        make: traces the program.
+    """
+    name = _name("traced", key)
+    content = _read(name)
+    if content is not None:
+        try:
+            return Program.from_bytes(content)
+        except InvalidValueError:
+            _LOG.info("what is kept as %s is no program; made again", name)
+    program = make()
+    _keep(name, program.content)
+    return program
+
+
+def compiled(program: Program) -> llvm.Compiled:
+    """Return the program as machine code: as kept, or compiled now and kept.
+
+    Raises:
+        ProgramError: LLVM does not compile it.
+    """
+    processor = llvm.target()
+    versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
+    name = _name("compiled", program.key, *versions, processor.name, processor.features, str(processor.lanes))
+    code = _read(name)
+    if code is not None:
+        try:
+            return llvm.Compiled(program, code)
+        except ProgramError:
+            _LOG.info("what is kept as %s cannot be loaded; compiled again", name)
+    code = llvm.object_code(program, processor.lanes)
+    _keep(name, code)
+    return llvm.Compiled(program, code)
+
+
+def folder() -> Path | None:
+    """Return the folder where programs are kept, made if it was missing; None where there can be none."""
+    path = _wanted_folder()
+    if path is None:
+        return None
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = path.stat()
+    except OSError as error:
+        _LOG.info("compiled programs are not kept: %s: %s", path, error.strerror)
+        return None
+    if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        _LOG.warning("compiled programs are not kept: %s is not its user's alone to write", path)
+        return None
+    return path
+
+
+def _wanted_folder() -> Path | None:
+    named = os.environ.get("PM3DOF_CACHE_DIR")
+    if named is not None:
+        return Path(named) if named else None
+    shared = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(shared):
+        return Path(shared) / "pm3dof-pin"
+    try:
+        home = Path.home()
+    except RuntimeError:
+        return None
+    return home / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "pm3dof-pin"
+
+
+def _name(kind: str, *key: str) -> str:
+    """Return the name of an entry; entries of other versions of this package have other names."""
+    digest = hashlib.sha256("\0".join((_sources(), *key)).encode()).hexdigest()
+    return f"{kind}-{digest[:40]}{_SUFFIX}"
+
+
+@cache
+def _sources() -> str:
+    """Return the version of this package, and sizes and times of its sources, which may change between versions."""
+    root = os.path.dirname(pm3dof_pin.__file__)
+    return "\n".join([pm3dof_pin.__version__, *sorted(_source_files(root))])
+
+
+def _source_files(directory: str) -> Iterator[str]:
+    with os.scandir(directory) as entries:
+        for entry in entries:
+            if entry.name.endswith(".py"):
+                status = entry.stat()
+                yield f"{entry.path} {status.st_size} {status.st_mtime_ns}"
+            elif entry.is_dir() and not entry.name.startswith(("_", ".")):
+                yield from _source_files(entry.path)
+
+
+def _read(name: str) -> bytes | None:
+    """Return an entry, None if there is none or it is not as it was written."""
+    place = folder()
+    if place is None:
+        return None
+    path = place / name
+    try:
+        entry = path.read_bytes()
+        os.utime(path)
+    except OSError:
+        return None
+    content = entry[_DIGEST:]
+    if hashlib.sha256(content).digest() != entry[:_DIGEST]:
+        _LOG.info("%s is damaged; made again", path)
+        return None
+    return content
+
+
+def _keep(name: str, content: bytes) -> None:
+    """Write an entry, where that can be done, and make room."""
+    place = folder()
+    if place is None:
+        return
+    try:
+        with write_atomically(place / name) as temporary:
+            temporary.write_bytes(hashlib.sha256(content).digest() + content)
+        _make_room(place, name)
+    except (OutputError, OSError) as error:
+        _LOG.info("compiled programs are not kept: %s", error)
+
+
+def _make_room(place: Path, newest: str) -> None:
+    with os.scandir(place) as found:
+        entries = [(entry, entry.stat()) for entry in found if entry.name.endswith(_SUFFIX)]
+    entries.sort(key=lambda entry: (entry[0].name == newest, entry[1].st_mtime_ns), reverse=True)
+    total = 0
+    for entry, status in entries:
+        total += status.st_size
+        if total > LARGEST:
+            os.unlink(entry.path)
