@@ -20,6 +20,9 @@ from pm3dof_pin.programs.tree import Tree
 _ROUNDING = 1e-12
 """Determinants and pivots, scaled, that count as zero."""
 
+_RANK = 1e-6
+"""Least singular value, as a part of the greatest, of equations that determine their joints."""
+
 PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j in range(3)))
 """Components of a task that gives the tool's whole placement."""
 
@@ -54,9 +57,9 @@ class TracedProgram:
 def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
     """Record one Newton step.
 
-    Closures, and the tool's equations, that share joints free to move are solved together, the others apart from
-    each other. Overconstrained systems are solved as least squares; of joints whose motions are redundant, some are
-    left at rest, chosen at the samples. Convergence is quadratic where the loops can be closed.
+    Closures, and the tool's equations, that determine their joints are solved one after the other; those that do not,
+    and share joints, are solved together. Overconstrained systems are solved as least squares; of joints whose motions
+    are redundant, some are left at rest, chosen at the samples. Convergence is quadratic where the loops can be closed.
 
     Inputs: q; `margin` and `jump`, 1 and 0 at first; the coordinates of the held joints and the targets of the tool, in
     the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin`
@@ -98,14 +101,16 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
     scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
     slides = {k for k in range(mechanism.model.nv) if all(is_zero(entry) for entry in tree.screws[k].angular)}
-    velocities: dict[int, Scalar] = {}
     margin: Scalar = 1.0
     longest: Scalar = 0.0
-    for system in _systems(equations, {joint.v_index for joint in held}):
-        moves, system_margin = _solved(system, scale, slides)
-        velocities |= {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
+    moves: dict[int, Scalar] = {}
+    for system in _systems([_scaled(e, scale, slides) for e in equations], {joint.v_index for joint in held}):
+        matrix, right = system.reduced(moves)
+        solution, system_margin = _solved(matrix, right)
+        moves |= dict(zip(system.unknowns, solution, strict=True))
         margin = _least(margin, system_margin)
-        longest = maximum(longest, largest(objects(list(moves.values()))))
+        longest = maximum(longest, largest(solution))
+    velocities = {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
     residual: Scalar = 0.0
     for equation in equations:
         residual = equation.residual if is_zero(residual) else maximum(residual, equation.residual)
@@ -149,42 +154,98 @@ def tool_components(
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Equations that are solved together, and the entries of v that are free to solve them."""
+    """Scaled equations that are solved together: rows by the entries of v, and errors.
 
-    equations: list[Equations]
-    unknowns: list[int]
+    Attributes:
+        columns: derivative of the errors by the entries of v, each of shape=(m,).
+        error: shape=(m,).
+        unknowns: the entries of v that solve them; others are known by then, or held.
+    """
+
+    columns: Mapping[int, Objects]
+    error: Objects
+    unknowns: tuple[int, ...]
+
+    def reduced(self, known: Mapping[int, Scalar]) -> tuple[Objects, Objects]:
+        """Return matrix and right side in the unknowns, without rows that are zero.
+
+        Args:
+            known: entries of the scaled step that are found already.
+        """
+        matrix = np.stack([self.columns[k] for k in self.unknowns], axis=1)
+        right = -self.error
+        for k, move in known.items():
+            if k in self.columns:
+                right = right - self.columns[k] * move
+        kept = [not all(map(is_zero, row)) for row in matrix]
+        return matrix[kept], right[kept]
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the rows have full column rank at most of the samples."""
+        matrix = self.reduced({})[0]
+        if len(matrix) < len(self.unknowns):
+            return False
+        entries = [x.samples if isinstance(x, Number) else np.array([float(x)]) for x in matrix.ravel()]
+        values = np.stack(np.broadcast_arrays(*entries), axis=-1).reshape(-1, *matrix.shape)
+        singular = np.linalg.svd(values, compute_uv=False)
+        return bool(np.median(singular[:, -1]) > _RANK * np.median(singular[:, 0]))
+
+
+def _scaled(equations: Equations, scale: float, slides: set[int]) -> Equations:
+    """Divide lengths by the scale."""
+    rows = objects([1.0 if is_angular else 1.0 / scale for is_angular in equations.is_angular])
+    columns = {k: c if k in slides else c * rows for k, c in equations.columns.items()}
+    return Equations(equations.error * rows, equations.is_angular, columns, equations.residual)
 
 
 def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
-    systems: list[_System] = []
-    for equation in equations:
-        free = {k for k, column in equation.columns.items() if k not in held and not all(map(is_zero, column))}
-        if not free:
+    """Put equations into systems, in an order in which they can be solved.
+
+    Equations that determine all of their joints are solved on their own; then those that do with the joints found; and
+    what is left is joined where it shares joints.
+    """
+    waiting, found, systems = list(equations), set(held), []
+    while (ready := next(filter(None, (_alone(equation, found) for equation in waiting)), None)) is not None:
+        equation, system = ready
+        waiting.remove(equation)
+        found |= set(system.unknowns)
+        systems.append(system)
+    joined: list[_System] = []
+    for equation in waiting:
+        system = _system(equation, found)
+        if not system.unknowns:
             continue
-        joined = [system for system in systems if free & set(system.unknowns)]
-        systems = [system for system in systems if system not in joined]
-        together = [member for system in joined for member in system.equations] + [equation]
-        systems.append(_System(together, sorted(free.union(*(system.unknowns for system in joined)))))
-    return systems
+        sharing = [other for other in joined if set(other.unknowns) & set(system.unknowns)]
+        joined = [other for other in joined if other not in sharing]
+        joined.append(_union([*sharing, system]))
+    return systems + joined
 
 
-def _solved(system: _System, scale: float, slides: set[int]) -> tuple[dict[int, Scalar], Scalar]:
-    """Return the scaled velocities of the step, and the margin."""
-    rows: list[Objects] = []
-    right: list[Scalar] = []
-    for equation in system.equations:
-        for i, is_angular in enumerate(equation.is_angular):
-            row = [equation.columns[k][i] if k in equation.columns else 0.0 for k in system.unknowns]
-            if all(is_zero(entry) for entry in row):
-                continue
-            if not is_angular:
-                row = [x if k in slides else x * (1.0 / scale) for k, x in zip(system.unknowns, row, strict=True)]
-            rows.append(objects(row))
-            right.append(-equation.error[i] if is_angular else equation.error[i] * (-1.0 / scale))
-    matrix, size = np.stack(rows), len(system.unknowns)
-    solve = _solved_directly if len(rows) == size <= 3 else _solved_by_elimination
-    solution, margin = solve(matrix, objects(right))
-    return dict(zip(system.unknowns, solution, strict=True)), margin
+def _system(equations: Equations, found: set[int]) -> _System:
+    free = [k for k, column in equations.columns.items() if k not in found and not all(map(is_zero, column))]
+    return _System(equations.columns, equations.error, tuple(sorted(free)))
+
+
+def _union(systems: list[_System]) -> _System:
+    """Stack systems."""
+    names = {k for system in systems for k in system.columns}
+    columns = {
+        k: np.concatenate([s.columns.get(k, objects([0.0] * len(s.error))) for s in systems]) for k in sorted(names)
+    }
+    unknowns = {k for system in systems for k in system.unknowns}
+    return _System(columns, np.concatenate([system.error for system in systems]), tuple(sorted(unknowns)))
+
+
+def _alone(equation: Equations, found: set[int]) -> tuple[Equations, _System] | None:
+    system = _system(equation, found)
+    return (equation, system) if system.unknowns and system.is_determined else None
+
+
+def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
+    """Return the solution, and the margin."""
+    direct = matrix.shape[0] == matrix.shape[1] <= 3
+    return _solved_directly(matrix, right) if direct else _solved_by_elimination(matrix, right)
 
 
 def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
