@@ -34,8 +34,9 @@ if TYPE_CHECKING:
         ElasticModel,
         buckling_load,
         cartesian_compliance,
-        compliance_over,
+        compliance,
         loaded_equilibrium,
+        stiffness,
     )
     from pm3dof_pin.elastic.shares import ranking, shares
     from pm3dof_pin.errors.error_map import error_map
@@ -76,7 +77,7 @@ _HOMES = {
     "buckling_load": "elastic",
     "cartesian_compliance": "elastic",
     "chapter_stiffness": "chapter.chapter_stiffness",
-    "compliance_over": "elastic",
+    "compliance": "elastic",
     "compute_atlas": "maps.atlas",
     "design_derivatives": "chapter.design_derivatives",
     "direct_kinematics": "chapter.direct_kinematics",
@@ -104,6 +105,7 @@ _HOMES = {
     "shares": "elastic.shares",
     "singularities": "mechanism",
     "spring_contributions": "chapter.elastic_stiffness",
+    "stiffness": "elastic",
     "stiffness_section": "maps.section",
     "table_8_3": "chapter.table_8_3",
 }
@@ -131,7 +133,7 @@ __all__ = [
     "buckling_load",
     "cartesian_compliance",
     "chapter_stiffness",
-    "compliance_over",
+    "compliance",
     "compute_atlas",
     "design_derivatives",
     "direct_kinematics",
@@ -159,6 +161,7 @@ __all__ = [
     "shares",
     "singularities",
     "spring_contributions",
+    "stiffness",
     "stiffness_section",
     "table_8_3",
 ]

@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pm3dof_pin.elastic.batch import Evaluation, compliance, evaluate, stiffness
     from pm3dof_pin.elastic.buckling import BucklingLoad, buckling_load
     from pm3dof_pin.elastic.condensation import (
         CartesianCompliance,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
         Spring,
         read_springs,
     )
-    from pm3dof_pin.elastic.sweep import compliance_over
 
 _HOMES = {
     "AxialSpring": "springs",
@@ -45,6 +45,7 @@ _HOMES = {
     "CartesianCompliance": "condensation",
     "ClosureSpring": "springs",
     "ElasticModel": "elastic_model",
+    "Evaluation": "batch",
     "JointLength": "springs",
     "JointSpring": "springs",
     "LoadedEquilibrium": "loaded",
@@ -53,11 +54,13 @@ _HOMES = {
     "SpringBlock": "elastic_model",
     "buckling_load": "buckling",
     "cartesian_compliance": "condensation",
-    "compliance_over": "sweep",
+    "compliance": "batch",
     "equilibrium_path": "loaded",
+    "evaluate": "batch",
     "load_deflection": "loaded",
     "loaded_equilibrium": "loaded",
     "read_springs": "springs",
+    "stiffness": "batch",
     "transformed_compliance": "condensation",
     "transformed_stiffness": "condensation",
     "twist_transform": "condensation",
@@ -71,6 +74,7 @@ __all__ = [
     "CartesianCompliance",
     "ClosureSpring",
     "ElasticModel",
+    "Evaluation",
     "JointLength",
     "JointSpring",
     "LoadedEquilibrium",
@@ -79,11 +83,13 @@ __all__ = [
     "SpringBlock",
     "buckling_load",
     "cartesian_compliance",
-    "compliance_over",
+    "compliance",
     "equilibrium_path",
+    "evaluate",
     "load_deflection",
     "loaded_equilibrium",
     "read_springs",
+    "stiffness",
     "transformed_compliance",
     "transformed_stiffness",
     "twist_transform",

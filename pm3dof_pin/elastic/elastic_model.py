@@ -79,6 +79,8 @@ class ElasticModel:
         spring_indices: entries of v of `mechanism` that springs are at, block after block, shape=(s,).
         locked_indices: entries of v of actuated joints without a spring.
         passive_indices: all other entries of v.
+        rigid_indices: index in q of `mechanism` of each entry of q of `rigid`.
+        programs: compiled programs that were asked for, see :mod:`pm3dof_pin.elastic.compiled`.
 
     Raises:
         FrameNotFoundError: a spring stands at a joint or frame that is not there.
@@ -101,6 +103,7 @@ class ElasticModel:
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
         held = np.concatenate([self.spring_indices, self.locked_indices])
         self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), held))
+        self.programs: dict[tuple[str, str, bool], object] = {}
 
     @classmethod
     def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:

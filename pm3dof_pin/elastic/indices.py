@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.elastic.kernels import inverse_definite
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 

@@ -71,36 +71,6 @@ class LoopKinematics(threading.local):
                 jacobian[rows] = pin.Jlog6(placement) @ placement.actionInverse @ jacobian[rows]
         return error, jacobian
 
-    def jacobians_over(
-        self, positions: Matrix, frame_id: int, reference: pin.ReferenceFrame
-    ) -> tuple[Matrix, Matrix, Matrix]:
-        """Compute what :meth:`closures` and :meth:`frame_jacobian` do at many configurations, in one loop.
-
-        Args:
-            positions: configurations, shape=(n, nq).
-            frame_id: the frame.
-            reference: its axes.
-
-        Returns:
-            e, shape=(n, m), G, shape=(n, m, nv), and J, shape=(n, 6, nv).
-        """
-        count, nv = len(positions), self._model.nv
-        errors, closures = np.empty((count, self.row_count)), np.empty((count, self.row_count, nv))
-        frames = np.empty((count, 6, nv))
-        for k, q in enumerate(positions):
-            closures[k] = self._constraint_rows(q)
-            error = errors[k]
-            for rows, detail, _ in self._details:
-                error[rows] = detail.constraint_position_error
-            # the joint Jacobians are those of this q
-            frames[k] = pin.getFrameJacobian(self._model, self._data, frame_id, reference).reshape(6, nv)
-        # where a loop is closed, Pinocchio's rows for frame closures are exact to the closure error
-        has_frames = any(is_frame for _, _, is_frame in self._details)
-        open_loops = np.abs(errors).max(axis=1, initial=0.0) > _CLOSED
-        for index in np.flatnonzero(open_loops) if has_frames else ():
-            errors[index], closures[index] = self.closures(positions[index])
-        return errors, closures, frames
-
     def _constraint_rows(self, q: Vector) -> Matrix:
         """Fill the work space at q and return Pinocchio's constraint Jacobian, shape=(m, nv)."""
         pin.computeJointJacobians(self._model, self._data, q)

@@ -103,6 +103,17 @@ class Elimination:
     reflections: tuple[Reflection, ...] = field(repr=False)
     rest_rows: tuple[int, ...]
 
+    def carry(self, columns: Objects) -> tuple[Objects, Objects]:
+        """Apply the reflections to more columns of the system; return their part in the pivot rows and in the rest."""
+        carried = zeros(*columns.shape)
+        for c in range(columns.shape[1]):
+            numbers = list(columns[:, c])
+            for reflection in self.reflections:
+                reflection.apply(numbers)
+            carried[:, c] = numbers
+        pivots = [reflection.indices[0] for reflection in self.reflections]
+        return carried[pivots], carried[list(self.rest_rows)]
+
     def complement(self) -> Objects:
         """Return the rows that take the system to its rest, orthonormal, shape=(m - r, m)."""
         count = len(self.rest_rows) + len(self.columns)
@@ -175,8 +186,8 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     return Elimination(
         tuple(done),
         tuple(dropped),
-        objects([rows[i] for i in pivots], n),
-        objects([rows[i] for i in active], n),
+        matrix_of([rows[i] for i in pivots], n),
+        matrix_of([rows[i] for i in active], n),
         tuple(reflections),
         tuple(active),
     )
@@ -262,7 +273,7 @@ def zeros(rows: int, columns: int) -> Objects:
     return matrix
 
 
-def objects(rows: Sequence[Sequence[Scalar]], columns: int) -> Objects:
+def matrix_of(rows: Sequence[Sequence[Scalar]], columns: int) -> Objects:
     """Return rows as a matrix, which may have none."""
     matrix = zeros(len(rows), columns)
     for k, row in enumerate(rows):

@@ -13,7 +13,7 @@ compared with 1 are of that size.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from pm3dof_pin.programs.elimination import (
     Objects,
     eliminate,
     is_zero,
-    objects,
+    matrix_of,
     product,
     zeros,
 )
@@ -64,12 +64,16 @@ class Branch:
         twist: shape=(n, 6).
         motion: shape=(n, number of its sources).
         relations: equations among its sources, shape=(k, number of its sources).
+        weighted: motion in other numbers than its sources, see :func:`branches`, shape=(n, w).
+        weighted_relations: relations in these, shape=(k, w).
     """
 
     sources: tuple[int, ...]
     twist: Objects
     motion: Objects
     relations: Objects
+    weighted: Objects
+    weighted_relations: Objects
 
 
 def length_unit(characteristic_length: float) -> float:
@@ -92,6 +96,7 @@ def branches(
     doubt: Doubt,
     *,
     joined: Iterable[Sequence[int]] = (),
+    weights: Callable[[tuple[int, ...], Objects], Objects] | None = None,
 ) -> list[Branch]:
     """Eliminate the passive joints.
 
@@ -102,20 +107,18 @@ def branches(
         sources: the sources' columns.
         doubt: where to record pivots and what is dropped.
         joined: numbers of sources that are to be in one branch.
+        weights: from the numbers of a branch's sources and its equations, shape=(m, number of its sources), to these
+            in other numbers, shape=(m, w); sources by themselves decide on ranks, and nothing else.
     """
     columns = [*passive, *sources]
     twist, rates = _rows(tree, frame, columns)
     result = []
     for rows, members in _components(rates, [[len(passive) + k for k in group] for group in joined]):
         joints = [c for c in members if c < len(passive)]
-        inputs = [c for c in members if c >= len(passive)]
-        branch = _branch(
-            rates[np.ix_(rows, joints)],
-            rates[np.ix_(rows, inputs)],
-            twist[rows],
-            tuple(c - len(passive) for c in inputs),
-            doubt,
-        )
+        inputs = tuple(c - len(passive) for c in members if c >= len(passive))
+        motion = rates[np.ix_(rows, [len(passive) + k for k in inputs])]
+        weighted = weights(inputs, motion) if weights else zeros(len(rows), 0)
+        branch = _branch(rates[np.ix_(rows, joints)], motion, weighted, twist[rows], inputs, doubt)
         if len(branch.twist) or len(branch.relations):
             result.append(branch)
     return result
@@ -126,7 +129,7 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
     unit = length_unit(tree.mechanism.characteristic_length)
     tool = tree.frame(frame).translation
     twists, rates = (
-        [objects(np.eye(6).tolist(), 6)],
+        [matrix_of(np.eye(6).tolist(), 6)],
         [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
     )
     for loop in tree.mechanism.closures:
@@ -137,7 +140,7 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
         size = 3 if loop.type == "3d" else 6
         point = tree.frame(loop.frame_a if factor < 0.0 else loop.frame_b).translation
         lever = (point - tool) * (1.0 / unit)
-        twist = objects(np.eye(6).tolist(), 6)
+        twist = matrix_of(np.eye(6).tolist(), 6)
         for k in range(3):
             twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
         twists.append(twist[:size] * factor)
@@ -182,27 +185,37 @@ def _components(rates: Objects, joined: Iterable[Sequence[int]]) -> list[tuple[l
     return [part for part in parts.values() if part[0]]
 
 
-def _branch(passive: Objects, motion: Objects, twist: Objects, sources: tuple[int, ...], doubt: Doubt) -> Branch:
-    """Eliminate the passive joints of one branch, and what its rows know of the twist where they are more than that."""
-    count = passive.shape[1]
+def _branch(
+    passive: Objects, motion: Objects, weighted: Objects, twist: Objects, sources: tuple[int, ...], doubt: Doubt
+) -> Branch:
+    """Eliminate the passive joints of one branch, and the twist where there are more equations than it enters."""
     ports = [i for i, row in enumerate(twist) if not all(map(is_zero, row))]
-    carried = zeros(len(motion), len(ports) + len(sources))
+    count = len(sources)
+    selected = zeros(len(motion), len(ports))
     for k, row in enumerate(ports):
-        carried[row, k] = 1.0
-    carried[:, len(ports) :] = motion
-    first = eliminate(passive, range(count), doubt)
-    filled = sum(not is_zero(entry) for entry in carried.ravel())
-    if 2 * len(first.rest_rows) * filled < first.cost * carried.shape[1]:
-        rest = product(first.complement(), carried)
+        selected[row, k] = 1.0
+    carried = np.hstack([motion, weighted])
+    filled = sum(not is_zero(entry) for entry in weighted.ravel())
+    first = eliminate(passive, range(passive.shape[1]), doubt)
+    complement = first.complement()
+    held = product(complement, selected)
+    explicit = 2 * len(complement) * filled  # operations that a product with the complement costs
+    is_explicit = explicit < first.cost * weighted.shape[1]
+    relations = zeros(0, carried.shape[1])
+    if len(held) <= len(ports):
+        rest = product(complement, carried) if is_explicit else first.carry(carried)[1]
     else:
-        rest = eliminate(np.hstack([passive, carried]), range(count), Doubt()).rest[:, count:]
-    relations = zeros(0, len(sources))
-    if len(rest) > len(ports):
-        second = eliminate(rest, range(len(ports)), doubt)
-        rest, relations = second.pivot_rows, second.rest[:, len(ports) :]
+        second = eliminate(held, range(len(ports)), doubt)
+        held = second.pivot_rows
+        in_turn = second.cost * weighted.shape[1] + min(explicit, first.cost * weighted.shape[1])
+        if second.cost * len(motion) + explicit < in_turn:
+            rest, relations = (product(rows, carried) for rows in second.carry(complement))
+        else:
+            rest, relations = second.carry(product(complement, carried) if is_explicit else first.carry(carried)[1])
+        relations = relations[[k for k, row in enumerate(relations) if not all(map(is_zero, row))]]
     return Branch(
         sources,
-        product(rest[:, : len(ports)], twist[ports]),
-        rest[:, len(ports) :],
-        relations[[k for k, row in enumerate(relations) if not all(map(is_zero, row))]],
+        product(held, twist[ports]),
+        *(rest[:, :count], relations[:, :count]),
+        *(rest[:, count:], relations[:, count:]),
     )

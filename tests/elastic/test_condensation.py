@@ -21,7 +21,7 @@ from pm3dof_pin.elastic import (
     JointSpring,
     Spring,
     cartesian_compliance,
-    compliance_over,
+    compliance,
     indices,
     transformed_compliance,
     transformed_stiffness,
@@ -60,7 +60,7 @@ def test_general_engine_is_the_closed_form_at_ten_thousand_poses(
     reachable_poses: np.ndarray,
     tripod_positions: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    compliances = compliance_over(elastic, tripod_positions(reachable_poses))
+    compliances = compliance(elastic, tripod_positions(reachable_poses))
     assert_same(indices.stiffness(compliances), elastic_stiffness(tripod, reachable_poses), 1e-11)
 
 
@@ -240,13 +240,13 @@ def test_a_serial_arm_with_joint_springs(arm: Robot) -> None:
     model, data = ElasticModel(arm, springs), arm.model.createData()
     generator = np.random.default_rng(7)
     positions = generator.uniform(-2.0, 2.0, (50, 6))
-    swept = compliance_over(model, positions)
-    for q, compliance in zip(positions, swept, strict=True):
+    swept = compliance(model, positions)
+    for q, matrix in zip(positions, swept, strict=True):
         frame = arm.model.getFrameId("tool0")
         jacobian = pin.computeFrameJacobian(arm.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         expected = jacobian @ np.diag(1.0 / stiffnesses) @ jacobian.T
         assert_same(cartesian_compliance(model, q).compliance, expected, 1e-13)
-        assert_same(compliance, expected, 1e-13)
+        assert_same(matrix, expected, 1e-13)
 
 
 def test_joints_of_an_arm_without_a_spring_are_locked(arm: Robot) -> None:
@@ -284,8 +284,8 @@ def test_a_free_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
     with pytest.raises(SingularConfigurationError, match="with translation"):
         _ = cartesian_compliance(model, [0.0, 0.0]).compliance
     with pytest.raises(FreeDirectionError):
-        compliance_over(model, [[0.0, 0.0], [0.1, 0.1]])
-    assert np.isnan(compliance_over(model, [[0.0, 0.0], [0.1, 0.1]], nonexistent="nan")).all()
+        compliance(model, [[0.0, 0.0], [0.1, 0.1]])
+    assert np.isnan(compliance(model, [[0.0, 0.0], [0.1, 0.1]], on_failure="nan")).all()
 
 
 def test_a_rigid_direction_is_named(rigid_tree: Callable[..., Robot]) -> None:
@@ -344,7 +344,7 @@ def test_idle_freedoms_do_no_harm(rigid_tree: Callable[..., Robot]) -> None:
     assert result.free_directions.shape == (6, 0)
     # tool at radius 1 with the rod along its path: k = 1e6 / 1^2 + 2e6
     assert result.compliance[1, 1] == pytest.approx(1.0 / 3e6, rel=1e-12)
-    np.testing.assert_allclose(compliance_over(model, [q])[0], result.compliance, atol=1e-20)
+    np.testing.assert_allclose(compliance(model, [q])[0], result.compliance, atol=1e-20)
 
 
 def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Robot]) -> None:
@@ -371,7 +371,7 @@ def test_redundant_constraints_do_no_harm(rigid_tree: Callable[..., Robot]) -> N
         model = ElasticModel(tree, [JointSpring("motor", "crank_joint", 70.0, "N m/rad")])
         where = tree.assemble(np.full(tree.model.nq, 0.8), joints={"crank_joint": 1.0})
         results[kind] = cartesian_compliance(model, where)
-        np.testing.assert_allclose(compliance_over(model, [where.q])[0], results[kind].compliance, atol=1e-16)
+        np.testing.assert_allclose(compliance(model, [where.q])[0], results[kind].compliance, atol=1e-16)
     assert results["3d"].motions.redundant_constraints == 1
     assert results["6d"].motions.redundant_constraints == 3
     np.testing.assert_allclose(results["6d"].compliance, results["3d"].compliance, atol=1e-14)
@@ -429,7 +429,7 @@ def test_a_frame_that_is_not_there(elastic: ElasticModel) -> None:
     with pytest.raises(FrameNotFoundError, match="nowhere"):
         cartesian_compliance(elastic, elastic.rigid.home, frame="nowhere")
     with pytest.raises(FrameNotFoundError, match="nowhere"):
-        compliance_over(elastic, [elastic.rigid.home.q], frame="nowhere")
+        compliance(elastic, [elastic.rigid.home.q], frame="nowhere")
 
 
 # --- spring forces
@@ -452,11 +452,11 @@ def test_spring_forces_balance_the_wrench(elastic: ElasticModel, tripod_position
         np.testing.assert_allclose(part, np.outer(forces, forces) / 9.5950e7, rtol=1e-12)
 
 
-# --- the sweep
+# --- many poses
 
 
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
-def test_the_sweep_is_the_single_pose(robot: str) -> None:
+def test_many_poses_are_the_single_pose(robot: str) -> None:
     model = ElasticModel.load(robot)
     home = model.rigid.home.q
     generator = np.random.default_rng(10)
@@ -465,26 +465,27 @@ def test_the_sweep_is_the_single_pose(robot: str) -> None:
         guess = pin.integrate(model.rigid.model, home, generator.uniform(-0.05, 0.05, model.rigid.model.nv))
         positions.append(model.rigid.assemble(guess).q)
     frame = model.rigid.tool_frame
-    for q, compliance in zip(positions, compliance_over(model, positions, frame=frame), strict=True):
-        assert_same(compliance, cartesian_compliance(model, q).compliance, 1e-11)
+    for q, matrix in zip(positions, compliance(model, positions, frame=frame), strict=True):
+        assert_same(matrix, cartesian_compliance(model, q).compliance, 1e-11)
 
 
-def test_the_sweep_marks_or_raises(elastic: ElasticModel) -> None:
+def test_many_poses_mark_or_raise(elastic: ElasticModel) -> None:
     home = np.array(elastic.rigid.home.q)
     apart, nowhere, below = home.copy(), np.full(12, np.nan), home.copy()
     apart[elastic.rigid.single_joint("slider1_joint").q_index] += 0.01
     for joint in ("passive_slider_joint", "slider1_joint", "slider2_joint", "slider3_joint"):
         below[elastic.rigid.single_joint(joint).q_index] -= 0.2
     positions = np.array([home, apart, nowhere, home, below])
-    swept = compliance_over(elastic, positions, nonexistent="nan")
+    swept = compliance(elastic, positions, on_failure="nan")
     assert np.isnan(swept).all(axis=(1, 2)).tolist() == [False, True, True, False, True]
     np.testing.assert_array_equal(swept[0], swept[3])
     for bad in (apart, nowhere, below):
         with pytest.raises(InvalidValueError):
-            compliance_over(elastic, [home, bad])
-    assert compliance_over(elastic, np.empty((0, 12))).shape == (0, 6, 6)
-    with pytest.raises(InvalidValueError, match="positions"):
-        compliance_over(elastic, home)
+            compliance(elastic, [home, bad])
+    assert compliance(elastic, np.empty((0, 12))).shape == (0, 6, 6)
+    assert_same(compliance(elastic, home), swept[0], 1e-14)
+    with pytest.raises(InvalidValueError, match="poses"):
+        compliance(elastic, home[:5])
 
 
 def test_a_passive_leg_that_is_drawn_in(elastic: ElasticModel) -> None:

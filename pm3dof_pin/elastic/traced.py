@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
-from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
 from pm3dof_pin.programs.elimination import (
     ZERO,
     Doubt,
@@ -29,7 +29,7 @@ from pm3dof_pin.programs.elimination import (
     Reflection,
     eliminate,
     is_zero,
-    objects,
+    matrix_of,
     product,
     reflect,
     samples,
@@ -37,22 +37,22 @@ from pm3dof_pin.programs.elimination import (
     total,
     zeros,
 )
-from pm3dof_pin.programs.graph import Graph, Scalar, minimum, sqrt
+from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
 from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit
 from pm3dof_pin.programs.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """The root X of a compliance, C = X X^T.
+    """The root X of a compliance or stiffness X X^T.
 
     Attributes:
-        twists: X, shape=(6, number of strains).
+        columns: X, shape=(6, n).
         pivot: the least pivot, that of the frame's own triangle included; small where a rank is in doubt.
         dropped: the largest entry dropped as zero.
     """
 
-    twists: Objects
+    columns: Objects
     pivot: Scalar
     dropped: Scalar
 
@@ -72,32 +72,61 @@ def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: n
     return Tree(graph, model.mechanism, model.embed(poses), (frame,), positions=embedded)
 
 
-def compliance_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> Root:
-    """Record the root of the compliance of a frame.
+def compliance_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str, *, by_spring: bool = False) -> Root:
+    """Record the root X of the compliance of a frame, C = X X^T.
 
     Args:
         graph: the graph to record in.
         model: the elastic mechanism.
         tree: its tree, of :func:`elastic_tree`.
         frame: the frame.
+        by_spring: whether the columns are to be those of the springs, in the order of the model's spring_indices.
 
     Raises:
         ProgramError: the frame can move with all springs at rest, at all sample poses.
     """
     doubt = Doubt()
-    held = held_by(model, tree, frame, doubt)
     root = spring_root(graph, model, tree)
+    held = _held(model, tree, frame, root, doubt)
+    triangle, strains, order = (_condensed_as_one if by_spring else _condensed)(held, root, doubt)
     unit = length_unit(model.mechanism.characteristic_length)
-    triangle, strains, order = _condensed(held, root, doubt)
-    inverse = solve_upper(triangle, objects(np.eye(6).tolist(), 6))
+    inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
     twists = product(inverse, strains)[np.argsort(order)]
     twists[:3] = twists[:3] * unit
     size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
     return Root(twists, minimum(doubt.pivot, 6.0 / size), doubt.dropped)
 
 
-def held_by(model: ElasticModel, tree: Tree, frame: str, doubt: Doubt) -> list[Branch]:
-    """Record how branches and their springs hold a frame; sources are the springs' rates."""
+def stiffness_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> Root:
+    """Record the root W of the stiffness of a frame, K = W^T W, as columns of W^T; arguments as above.
+
+    Raises:
+        RigidDirectionError: the springs of a branch do not give in some direction, at all poses.
+    """
+    doubt = Doubt()
+    root = spring_root(graph, model, tree)
+    held = _held(model, tree, frame, root, doubt)
+    rows = np.vstack([_whitened(_branch_rows(branch, doubt), doubt) for branch in held])
+    rows[:, :3] = rows[:, :3] * (1.0 / length_unit(model.mechanism.characteristic_length))
+    return Root(rows.T, doubt.pivot, doubt.dropped)
+
+
+def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Doubt) -> list[Branch]:
+    """Record how branches hold a frame; sources are the springs' rates, weighted their strains, as few as possible."""
+
+    def strains(sources: tuple[int, ...], motion: Objects) -> Objects:
+        own = product(motion, root[np.ix_(sources, sources)])
+        parts: dict[tuple[int, ...], list[int]] = {}
+        for c in range(own.shape[1]):
+            rows = tuple(i for i in range(len(own)) if not is_zero(own[i, c]))
+            parts.setdefault(rows, []).append(c)
+        blocks = []
+        for rows, columns in parts.items():
+            turned = compressed(own[np.ix_(rows, columns)])
+            blocks.append(zeros(len(own), turned.shape[1]))
+            blocks[-1][list(rows)] = turned
+        return np.hstack(blocks) if blocks else own
+
     numbers = {int(index): k for k, index in enumerate(model.spring_indices)}
     return branches(
         tree,
@@ -106,6 +135,7 @@ def held_by(model: ElasticModel, tree: Tree, frame: str, doubt: Doubt) -> list[B
         joint_columns(tree, model.spring_indices, frame),
         doubt,
         joined=[[numbers[int(index)] for index in block.indices] for block in model.blocks],
+        weights=strains,
     )
 
 
@@ -131,7 +161,7 @@ def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
 def spring_parameters(model: ElasticModel) -> dict[str, float]:
     """Return the numbers of the springs that are parameters of programs, by name."""
     root, _ = model.compliance_root
-    slides = np.array([mechanism_slides(model, int(index)) for index in model.spring_indices])
+    slides = np.array([_slides(model, int(index)) for index in model.spring_indices])
     scaled = root / np.where(slides, length_unit(model.mechanism.characteristic_length), 1.0)[:, None]
     values: dict[str, float] = {}
     start = 0
@@ -146,7 +176,7 @@ def spring_parameters(model: ElasticModel) -> dict[str, float]:
     return values
 
 
-def mechanism_slides(model: ElasticModel, index: int) -> bool:
+def _slides(model: ElasticModel, index: int) -> bool:
     """Tell whether an entry of v is the rate of a slide."""
     return bool(model.mechanism.velocity_scale[index] != 1.0)
 
@@ -184,20 +214,18 @@ class _Rows:
     motion: Objects
 
 
-def _branch_rows(branch: Branch, root: Objects, doubt: Doubt) -> _Rows:
+def _branch_rows(branch: Branch, doubt: Doubt) -> _Rows:
     """Bring the springs into a branch: its relations taken into account, no more strains than equations."""
-    columns = list(branch.sources)
-    own = root[np.ix_(columns, columns)]
-    relations = branch.relations
-    if rank(relations) < len(relations):
-        relations = eliminate(relations, range(len(columns)), doubt).pivot_rows
-    strain = compressed(projected(product(relations, own), product(branch.motion, own), doubt))
+    relations = branch.weighted_relations
+    if rank(branch.relations) < len(relations):
+        relations = _independent(relations, branch.relations, doubt)
+    strain = compressed(projected(relations, branch.weighted, doubt))
     return _Rows(branch.twist, strain, branch.motion)
 
 
 def _condensed(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
     """Return R and the projected A1 of the frame, and the order of its twist's entries in both."""
-    rows = [_branch_rows(branch, root, doubt) for branch in held]
+    rows = [_branch_rows(branch, doubt) for branch in held]
     strains, motions = _diagonal([r.strain for r in rows]), _diagonal([r.motion for r in rows])
     twists = np.vstack([r.twist for r in rows])
     result = eliminate(np.hstack([twists, strains, motions]), range(6), doubt)
@@ -215,14 +243,17 @@ def _condensed(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Obj
 
 
 def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
-    """Do the same where relations within branches and among them depend on each other."""
-    twists, motions = np.vstack([b.twist for b in held]), _diagonal([b.motion for b in held])
-    own = _diagonal([root[np.ix_(b.sources, b.sources)] for b in held])
+    """Do the same with all springs at once: where relations depend on each other, or springs are asked for singly."""
+    twists, motions = np.vstack([b.twist for b in held]), _scattered([b.motion for b in held], held, len(root))
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
-    rates = np.vstack([_diagonal([b.relations for b in held]), result.rest[:, 6:]])
-    relations = _independent(product(rates, own), rates, doubt)
+    if len(result.columns) < 6:
+        raise ProgramError("the frame can move with all springs at rest, at every sample pose")
+    rates = np.vstack([_scattered([b.relations for b in held], held, len(root)), result.rest[:, 6:]])
+    relations = product(rates, root)
+    if rank(rates) < len(rates):
+        relations = _independent(relations, rates, doubt)
     order = list(result.columns)
-    strains = projected(relations, product(result.pivot_rows[:, 6:], own), doubt)
+    strains = projected(relations, product(result.pivot_rows[:, 6:], root), doubt, restored=True)
     return result.pivot_rows[:, order], strains, order
 
 
@@ -230,6 +261,30 @@ def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
     """Return independent relations with the same solutions; which depend on others is seen by the springs' rates."""
     width = relations.shape[1]
     return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
+
+
+def _whitened(rows: _Rows, doubt: Doubt) -> Objects:
+    """Return the equations of a branch in which each strain appears by itself."""
+    triangle = triangular(rows.strain)
+    if triangle.shape[1] < len(triangle):
+        raise RigidDirectionError("the springs of a branch do not give in some direction")
+    solution = zeros(*rows.twist.shape)
+    for i, row in enumerate(triangle):
+        doubt.note_pivot(absolute(row[i]) / sqrt(total([entry * entry for entry in row])) if i else 1.0)
+        inverse = 1.0 / row[i]
+        for c in range(6):
+            solution[i, c] = (rows.twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
+    return solution
+
+
+def _scattered(blocks: Sequence[Objects], held: Sequence[Branch], count: int) -> Objects:
+    """Return the rows of branches in the columns of their sources."""
+    rows = []
+    for block, branch in zip(blocks, held, strict=True):
+        wide = zeros(len(block), count)
+        wide[:, list(branch.sources)] = block
+        rows.append(wide)
+    return np.vstack(rows)
 
 
 def _diagonal(blocks: Sequence[Objects]) -> Objects:
@@ -242,32 +297,46 @@ def _diagonal(blocks: Sequence[Objects]) -> Objects:
     return matrix
 
 
-def projected(relations: Objects, rows: Objects, doubt: Doubt) -> Objects:
-    """Return the part of rows at right angles to independent relations, in an orthonormal basis of that space.
+def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool = False) -> Objects:
+    """Return the part of rows at right angles to independent relations.
 
     Args:
         relations: shape=(k, n).
         rows: shape=(m, n).
         doubt: where to record the pivots.
+        restored: whether the part is wanted in its own numbers instead of in an orthonormal basis of that space.
 
     Returns:
-        shape=(m, n - k).
+        shape=(m, n - k); (m, n) if restored.
     """
     stack = [list(row) for row in (*relations, *rows)]
     left = list(range(relations.shape[1]))
+    reflections = []
     for i in range(len(relations)):
         entries = {c: stack[i][c] for c in left if not is_zero(stack[i][c])}
         whole = sqrt(total([entry * entry for entry in relations[i]]))
-        reflection = _turn(entries, stack[i + 1 :])
-        left.remove(reflection.indices[0])
-        doubt.note_pivot(reflection.size / whole)
-    return objects(stack[len(relations) :], relations.shape[1])[:, left]
+        reflections.append(_turn(entries, stack[i + 1 :]))
+        left.remove(reflections[-1].indices[0])
+        if i:
+            doubt.note_pivot(reflections[-1].size / whole)
+    parts = stack[len(relations) :]
+    if not restored:
+        return matrix_of(parts, relations.shape[1])[:, left]
+    for row in parts:
+        for reflection in reversed(reflections):
+            row[reflection.indices[0]] = 0.0
+        for reflection in reversed(reflections):
+            reflection.apply(row, transposed=True)
+    return matrix_of(parts, relations.shape[1])
 
 
 def compressed(rows: Objects) -> Objects:
     """Return rows turned by an orthogonal matrix from the right, such that no more columns than rows are left."""
-    if rows.shape[1] <= len(rows):
-        return rows
+    return triangular(rows) if rows.shape[1] > len(rows) else rows
+
+
+def triangular(rows: Objects) -> Objects:
+    """Return rows turned by an orthogonal matrix from the right into lower triangular ones."""
     stack = [list(row) for row in rows]
     left, taken = list(range(rows.shape[1])), []
     for i, row in enumerate(stack):
@@ -280,7 +349,7 @@ def compressed(rows: Objects) -> Objects:
         row[reflection.indices[0]] = reflection.pivot
         left.remove(reflection.indices[0])
         taken.append(reflection.indices[0])
-    return objects(stack, rows.shape[1])[:, taken]
+    return matrix_of(stack, rows.shape[1])[:, taken]
 
 
 def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:

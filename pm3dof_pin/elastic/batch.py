@@ -1,0 +1,148 @@
+"""The Cartesian compliance and stiffness at many poses, from a compiled program, with care where that is in doubt."""
+
+from __future__ import annotations
+
+import logging
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.elastic.compiled import elastic_program
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Engine, Mask, OnFailure
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A quantity at many poses.
+
+    Attributes:
+        values: shape=(..., *shape of the quantity); NaN where it failed.
+        redone: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...).
+        failed: poses that have no value, shape=(...).
+    """
+
+    values: Array
+    redone: Mask
+    failed: Mask
+
+
+def compliance(
+    model: ElasticModel | Robot,
+    poses: Poses | ArrayLike,
+    *,
+    frame: str | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Compute the Cartesian compliance of a frame at many poses.
+
+    Args:
+        model: the robot, with the springs of its description; or an elastic model.
+        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        frame: the frame; the tool by default.
+        on_failure: "raise", or "nan" to mark poses that are not solved, those at which the length of a spring is not
+            positive, and those at which the frame is free. Their number is logged.
+        engine: "program"; or "pinocchio" for Pinocchio's Jacobians and singular value decompositions at every pose.
+        threads: the number of processors by default. The result does not depend on it.
+
+    Returns:
+        C, twist = C wrench at the frame's origin, world axes, shape=(..., 6, 6) [m/N, 1/N, rad/(N m)].
+
+    Raises:
+        FreeDirectionError: the frame has free directions at a pose, and `on_failure` is "raise".
+        InvalidValueError: a pose is not solved, or the length of a spring is not positive, and `on_failure` is "raise";
+            or `poses` has another shape.
+        FrameNotFoundError: the model has no such frame.
+        DescriptionError: no frame is given, and the mechanism has no tool frame; or the robot has no springs.
+    """
+    return evaluate(model, poses, COMPLIANCE, frame=frame, on_failure=on_failure, engine=engine, threads=threads).values
+
+
+def stiffness(
+    model: ElasticModel | Robot,
+    poses: Poses | ArrayLike,
+    *,
+    frame: str | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Compute the Cartesian stiffness of a frame at many poses; arguments and errors as for :func:`compliance`.
+
+    Returns:
+        K, wrench = K twist at the frame's origin, world axes, shape=(..., 6, 6) [N/m, N, N m/rad]; NaN where no spring
+        gives in some direction.
+    """
+    return evaluate(model, poses, STIFFNESS, frame=frame, on_failure=on_failure, engine=engine, threads=threads).values
+
+
+def evaluate(
+    model: ElasticModel | Robot,
+    poses: Poses | ArrayLike,
+    quantity: ElasticQuantity,
+    *,
+    frame: str | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Evaluation:
+    """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`.
+
+    Args:
+        model: the robot or elastic model.
+        poses: the poses.
+        quantity: the quantity.
+        frame: the frame.
+        on_failure: what happens to a pose that fails.
+        engine: what computes.
+        threads: number of threads.
+    """
+    elastic = model if isinstance(model, ElasticModel) else ElasticModel(model)
+    name = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name if frame is None else frame
+    elastic.mechanism.frame_id(name)
+    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
+    if q.shape[-1:] != (elastic.rigid.model.nq,):
+        raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {elastic.rigid.model.nq})")
+    rows = q.reshape(-1, q.shape[-1])
+    values: Array | None = None
+    doubtful = np.arange(len(rows))
+    if engine == "program":
+        with suppress(ProgramError):
+            values, sound = elastic_program(elastic, name, quantity, closed=isinstance(poses, Poses))(rows, threads)
+            doubtful = np.flatnonzero(~sound)
+    if values is None:
+        values = np.empty((len(rows), math.prod(quantity.shape)))
+    failed = np.zeros(len(rows), dtype=bool)
+    for index in doubtful:
+        values[index] = np.nan
+        try:
+            if on_failure == "raise" or np.isfinite(rows[index]).all():
+                report = cartesian_compliance(elastic, rows[index], frame=name)
+                values[index] = quantity.computed(report).ravel()
+            else:
+                failed[index] = True
+        except PM3DofError:
+            if on_failure == "raise":
+                raise
+            failed[index] = True
+    redone = np.zeros(len(rows), dtype=bool)
+    redone[doubtful] = ~failed[doubtful]
+    if len(doubtful):
+        _logger.info(
+            "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
+            *(quantity.name, elastic.rigid.name, int(redone.sum()), len(rows), int(failed.sum())),
+        )
+    shape = q.shape[:-1]
+    return Evaluation(values.reshape(*shape, *quantity.shape), redone.reshape(shape), failed.reshape(shape))

@@ -1,0 +1,141 @@
+"""Programs of elastic mechanisms: recorded, compared with Pinocchio and compiled once for each structure."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.quantities import ElasticQuantity
+from pm3dof_pin.elastic.traced import (
+    compliance_root,
+    elastic_tree,
+    spring_parameters,
+    stiffness_root,
+)
+from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
+from pm3dof_pin.kinematics.sample_poses import sample_poses
+from pm3dof_pin.programs import geometry
+from pm3dof_pin.programs.closing import TracedProgram
+from pm3dof_pin.programs.elimination import total
+from pm3dof_pin.programs.graph import Graph, Truth, less, select
+from pm3dof_pin.programs.llvm import Compiled, compile
+from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, length_unit
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Mask, Matrix
+
+_logger = logging.getLogger(__name__)
+
+_compiled: dict[str, Compiled | ProgramError] = {}
+"""Programs by what they depend on; the error where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticProgram:
+    """A compiled program with the numbers of one model."""
+
+    compiled: Compiled
+    parameters: Array
+
+    def __call__(self, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+        """Evaluate the program.
+
+        Args:
+            q: configurations of the rigid mechanism, shape=(n, nq).
+            threads: the number of processors by default.
+
+        Returns:
+            Values, flat, shape=(n, size); and the poses at which nothing is in doubt, shape=(n,).
+        """
+        results = self.compiled(q, self.parameters, threads=threads)
+        return results[:, :-1], results[:, -1] == 1.0
+
+
+def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> ElasticProgram:
+    """Return the program of a quantity, compiled if no model of this structure needed it before.
+
+    Args:
+        model: the elastic mechanism.
+        frame: the frame.
+        quantity: the quantity.
+        closed: whether the loops are known to be closed; else the program tells where they are not.
+
+    Raises:
+        ProgramError: there is no program for this mechanism, or it does not agree with Pinocchio.
+    """
+    known = (frame, quantity.name, closed)
+    if known not in model.programs:
+        key = _key(model, frame, quantity, closed)
+        if key not in _compiled:
+            try:
+                _compiled[key] = compile(traced_quantity(model, frame, quantity, closed=closed).program)
+            except ProgramError as error:
+                _logger.warning("%s, %s: computed by Pinocchio pose by pose: %s", model, quantity.name, error)
+                _compiled[key] = error
+        compiled = _compiled[key]
+        model.programs[known] = (
+            compiled
+            if isinstance(compiled, ProgramError)
+            else ElasticProgram(compiled, _parameters(model, compiled.program.parameters))
+        )
+    found = model.programs[known]
+    if isinstance(found, ProgramError):
+        raise found
+    assert isinstance(found, ElasticProgram)
+    return found
+
+
+def traced_quantity(
+    model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool = False
+) -> TracedProgram:
+    """Record a quantity as a program.
+
+    Inputs are q of the rigid mechanism; outputs the quantity and `sound`, 1 where nothing is in doubt, else 0.
+
+    Raises:
+        ProgramError: the mechanism has a joint for which there is no program, the frame is free or rigid at all sample
+            poses, or the traced Jacobians are not Pinocchio's.
+    """
+    poses = sample_poses(model.rigid)
+    verify(model.mechanism, model.embed(poses))
+    graph = Graph()
+    q = np.array([graph.input(f"q[{k}]", poses[:, k]) for k in range(poses.shape[1])], dtype=object)
+    tree = elastic_tree(graph, model, q, poses, frame)
+    sound: Truth = np.True_
+    try:
+        root = (compliance_root if quantity.root == "compliance" else stiffness_root)(graph, model, tree, frame)
+        values = quantity.traced(root.columns)
+        trace = total([total([entry * entry for entry in row]) for row in root.columns])  # NaN if an entry is
+        sound = less(PIVOT, root.pivot) & less(root.dropped, DROPPED) & less(-1.0, trace)
+    except RigidDirectionError:
+        values = np.full(quantity.shape, np.nan)
+    if not closed:
+        tolerance = ASSEMBLED_TOLERANCE * length_unit(model.mechanism.characteristic_length)
+        for index in range(len(model.mechanism.closures)):
+            sound = sound & less(closure_equations(tree, index).residual, tolerance)
+    program = graph.program(quantity.name, {quantity.name: values, "sound": select(sound, 1.0, 0.0)})
+    return TracedProgram(program, tree.geometry.constants)
+
+
+def _key(model: ElasticModel, frame: str, quantity: ElasticQuantity, closed: bool) -> str:
+    mechanism = model.mechanism
+    entry = mechanism.model.frames[mechanism.frame_id(frame)]
+    lengths = [block.length.joint if block.length else "" for block in model.blocks]
+    parts = (
+        *(quantity.name, closed, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
+        *(model.spring_indices.tolist(), model.passive_indices.tolist(), model.rigid_indices.tolist(), lengths),
+        *(list(spring_parameters(model)), model.compliance_root[1].tolist()),
+        *(geometry.structure(mechanism), geometry.pattern(mechanism, (frame,))),
+    )
+    return repr(parts)
+
+
+def _parameters(model: ElasticModel, names: tuple[str, ...]) -> Array:
+    springs = spring_parameters(model)
+    others = [name for name in names if name not in springs]
+    found = springs | dict(zip(others, geometry.values(model.mechanism, others), strict=True))
+    return np.array([found[name] for name in names])

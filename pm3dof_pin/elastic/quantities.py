@@ -1,0 +1,154 @@
+"""What maps read from an elastic mechanism, reduced inside its program: a pose costs a few numbers instead of a matrix.
+
+Every quantity is given twice: traced, from a root of the compliance or the stiffness, and in NumPy, from the report of
+one pose, for poses at which a program is in doubt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pm3dof_pin.elastic import indices
+from pm3dof_pin.elastic.condensation import CartesianCompliance
+from pm3dof_pin.elastic.traced import compressed
+from pm3dof_pin.exceptions import RigidDirectionError
+from pm3dof_pin.programs.elimination import Objects, is_zero, total, zeros
+from pm3dof_pin.programs.graph import Scalar, absolute, less, maximum, minimum, select, sqrt
+from pm3dof_pin.typing import Array
+
+_SWEEPS = 6
+_TINY = 1e-300
+
+RootKind = Literal["compliance", "stiffness"]
+
+
+@dataclass(frozen=True)
+class ElasticQuantity:
+    """A quantity of the elastic behaviour of a frame.
+
+    Attributes:
+        name: its name.
+        shape: shape of its value.
+        root: the root it is traced from.
+        traced: from the columns of that root, X of X X^T, shape=(6, n), to numbers of that shape.
+        computed: from the careful report of one pose to its value.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    root: RootKind
+    traced: Callable[[Objects], Objects]
+    computed: Callable[[CartesianCompliance], Array]
+
+
+def _matrix(columns: Objects) -> Objects:
+    """Return X X^T, exactly symmetric."""
+    result = zeros(6, 6)
+    for i in range(6):
+        for j in range(i, 6):
+            result[i, j] = result[j, i] = total([a * b for a, b in zip(columns[i], columns[j], strict=True)])
+    return result
+
+
+def _felt(columns: Objects) -> Objects:
+    squares = [total([entry * entry for entry in row]) for row in columns]
+    return np.array([math.inf if is_zero(square) else 1.0 / square for square in squares], dtype=object)
+
+
+def _principal(columns: Objects) -> Objects:
+    """Return the principal stiffnesses of both blocks of the compliance, ascending, shape=(2, 3)."""
+    result = zeros(2, 3)
+    for block in range(2):
+        squares = squared_singular_values(columns[3 * block : 3 * block + 3])
+        result[block] = [1.0 / square for square in reversed(squares)]
+    return result
+
+
+def _conditioning(columns: Objects) -> Objects:
+    """Return the eigenvalues of K at its characteristic length, ascending, and this length."""
+    translation, rotation = (
+        total([entry * entry for entry in columns[rows].ravel()]) for rows in (slice(0, 3), slice(3, 6))
+    )
+    length = sqrt(rotation / translation)
+    scaled = columns.copy()
+    scaled[3:] = scaled[3:] * (1.0 / length)
+    return np.array([*squared_singular_values(scaled), length], dtype=object)
+
+
+def squared_singular_values(rows: Objects) -> list[Scalar]:
+    """Return the squares of the singular values of rows, the least first, each accurate relative to its own size.
+
+    One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.
+
+    Raises:
+        RigidDirectionError: there are less columns than rows.
+    """
+    if rows.shape[1] < len(rows):
+        raise RigidDirectionError("a direction is rigid at all poses")
+    work = compressed(rows)
+    for _ in range(_SWEEPS if len(rows) > 3 else _SWEEPS - 1):
+        for i in range(len(work)):
+            for j in range(i + 1, len(work)):
+                work[[i, j]] = _orthogonal(work[i], work[j])
+    return _sorted([total([entry * entry for entry in row]) for row in work])
+
+
+def _orthogonal(a: Objects, b: Objects) -> Objects:
+    """Turn two rows into two at right angles."""
+    aa, bb, ab = (total(list(x * y)) for x, y in ((a, a), (b, b), (a, b)))
+    difference, twice = bb - aa, 2.0 * ab
+    size = absolute(difference) + sqrt(difference * difference + twice * twice) + _TINY
+    tangent = select(less(difference, 0.0), -twice, twice) / size
+    cosine = 1.0 / sqrt(1.0 + tangent * tangent)
+    sine = cosine * tangent
+    return np.stack([cosine * a - sine * b, sine * a + cosine * b])
+
+
+def _sorted(numbers: list[Scalar]) -> list[Scalar]:
+    result = list(numbers)
+    for end in range(len(result) - 1, 0, -1):
+        for k in range(end):
+            result[k], result[k + 1] = minimum(result[k], result[k + 1]), maximum(result[k], result[k + 1])
+    return result
+
+
+def _computed_stiffness(report: CartesianCompliance) -> Array:
+    return np.full((6, 6), np.nan) if report.rigid_directions.size else report.stiffness
+
+
+def _computed_principal(report: CartesianCompliance) -> Array:
+    blocks = [indices.condensed_stiffness(report.compliance, motion) for motion in ("translation", "rotation")]
+    return np.stack([indices.ellipsoid(block).values for block in blocks])
+
+
+def _computed_conditioning(report: CartesianCompliance) -> Array:
+    if not report.exists:
+        return np.full(7, np.nan)
+    length = indices.characteristic_length(report.stiffness)
+    return np.append(indices.eigenvalues(report.stiffness, length), length)
+
+
+def _computed_felt(report: CartesianCompliance) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / report.compliance.diagonal())
+
+
+COMPLIANCE = ElasticQuantity("compliance", (6, 6), "compliance", _matrix, lambda report: report.compliance)
+"""C, twist = C wrench [m/N, 1/N, rad/(N m)]."""
+
+STIFFNESS = ElasticQuantity("stiffness", (6, 6), "stiffness", _matrix, _computed_stiffness)
+"""K, wrench = K twist [N/m, N, N m/rad]; NaN where a direction is rigid."""
+
+FELT_STIFFNESS = ElasticQuantity("felt_stiffness", (6,), "compliance", _felt, _computed_felt)
+"""Stiffness felt along and about each axis, all else free [N/m, N m/rad]."""
+
+PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), "compliance", _principal, _computed_principal)
+"""Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""
+
+CONDITIONING = ElasticQuantity("conditioning", (7,), "stiffness", _conditioning, _computed_conditioning)
+"""Eigenvalues of K at its characteristic length, ascending [N/m], and this length [m]."""
