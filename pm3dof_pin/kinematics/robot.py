@@ -22,7 +22,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.model_files import read_description
+from pm3dof_pin.mechanism.robot_description import read_description
 from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
 
 _HOME = "home"

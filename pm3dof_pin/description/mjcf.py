@@ -1,0 +1,281 @@
+"""MJCF files, put into the form that Pinocchio reads faithfully, and what Pinocchio leaves out of them.
+
+Pinocchio's reader loses bodies in silence if the world has several, if they stand in a `<frame>`, or if they share a
+name with a site; it makes one nameless joint of several on one body, and drops sites that do not move. Here every such
+file is rewritten as one that means the same: the world becomes a body, frames and sites become bodies without joints,
+and each joint gets a body of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+from pm3dof_pin.description.robots import read_xml
+from pm3dof_pin.exceptions import DescriptionError
+
+WORLD = "world"
+TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector", "attachment_site")
+
+_POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
+_NOT_READ = ("replicate", "attach", "composite", "flexcomp")
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class EqualityConstraint:
+    """A `<connect>` or `<weld>`.
+
+    Attributes:
+        name: its name, or its kind and position.
+        kind: "connect", two points coincide, or "weld", two frames do.
+        places: its two bodies or sites.
+        by_sites: the places are sites, which coincide.
+        anchor: the point, in the first body of a connect and in the second of a weld [m].
+        relative_pose: position in the first body and quaternion (w, x, y, z) that a weld holds, or None for those of
+            the initial configuration.
+    """
+
+    name: str
+    kind: str
+    places: tuple[str, str]
+    by_sites: bool
+    anchor: tuple[float, ...]
+    relative_pose: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """What Pinocchio does not take from a joint.
+
+    Attributes:
+        stiffness: of its spring [N/m or N m/rad].
+        unlimited: its range does not count.
+    """
+
+    stiffness: float
+    unlimited: bool
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """An MJCF file as read.
+
+    Attributes:
+        path: the file.
+        name: name of the model.
+        text: the same model in the form that Pinocchio reads.
+        joints: settings by joint.
+        equalities: its closures.
+        actuators: name of the first actuator of each actuated joint, by joint.
+        gravity: acceleration of gravity [m/s^2].
+        tool: a site whose name is one of those in use for tools, or None.
+    """
+
+    path: Path
+    name: str
+    text: str
+    joints: dict[str, JointSettings] = field(default_factory=dict)
+    equalities: tuple[EqualityConstraint, ...] = ()
+    actuators: dict[str, str] = field(default_factory=dict)
+    gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
+    tool: str | None = None
+
+
+def read_mjcf(path: Path) -> Mjcf:
+    """Read an MJCF file.
+
+    Args:
+        path: the file; files that it includes are read from where it says.
+
+    Raises:
+        DescriptionError: a file is unreadable or no XML, a number is none, or the file has an element that is not read.
+    """
+    root = read_xml(path)
+    _include(root, path)
+    for tag in _NOT_READ:
+        if root.find(f"worldbody//{tag}") is not None:
+            raise DescriptionError(path, f"<{tag}>", "is not read: expected bodies written out")
+    for directory in ("meshdir", "texturedir", "assetdir"):
+        for compiler in root.iter("compiler"):
+            if directory in compiler.attrib:
+                compiler.set(directory, str(path.resolve().parent / compiler.attrib[directory]))
+    if root.find("compiler[@meshdir]") is None and root.find("compiler[@assetdir]") is None:
+        ElementTree.SubElement(root, "compiler", meshdir=str(path.resolve().parent))
+    return _Reader(path, root).read()
+
+
+def _include(root: ElementTree.Element, path: Path) -> None:
+    for parent in list(root.iter()):
+        for index, child in reversed(list(enumerate(parent))):
+            if child.tag == "include":
+                included = path.parent / child.get("file", "")
+                content = read_xml(included)
+                _include(content, path)
+                parent[index : index + 1] = list(content)
+
+
+class _Reader:
+    """Rewrites one file and notes what Pinocchio would lose."""
+
+    def __init__(self, path: Path, root: ElementTree.Element) -> None:
+        self.path = path
+        self.root = root
+        self.sites: dict[str, str] = {}
+        self.joints: dict[str, JointSettings] = {}
+        self.defaults = {name: settings for tree in root.findall("default") for name, settings in _classes(tree, {})}
+        self.taken: set[str] = set()
+        self.autolimits = all(compiler.get("autolimits") != "false" for compiler in root.iter("compiler"))
+
+    def read(self) -> Mjcf:
+        worlds = self.root.findall("worldbody")
+        for index, body in enumerate(body for world in worlds for body in world.iter("body")):
+            body.attrib.setdefault("name", f"body{index + 1}")
+        self.taken = {WORLD} | {body.attrib["name"] for world in worlds for body in world.iter("body")}
+        root = ElementTree.Element("body", name=WORLD)
+        for world in worlds:
+            for child in list(world):
+                if child.tag in ("body", "frame", "site"):
+                    world.remove(child)
+                    root.append(child)
+        self._rewrite(root, next(iter(self.defaults), "main"))
+        meshes = [body.attrib["name"] for body in root.iter("body") if body.find("geom[@mesh]") is not None]
+        if unknown := [name for name in meshes if root.find(f".//body[@name='{name}']/inertial") is None]:
+            _logger.warning(
+                "%s: the masses of meshes are not computed: Pinocchio takes 1 kg for each of %s, whose mass and "
+                "inertia the file should give by <inertial>",
+                self.path,
+                ", ".join(unknown),
+            )
+        for extra in worlds[1:]:
+            self.root.remove(extra)
+        (worlds[0] if worlds else ElementTree.SubElement(self.root, "worldbody")).append(root)
+        for index, key in enumerate(self.root.findall("keyframe/key")):
+            key.attrib.setdefault("name", f"key{index}")
+        equalities, actuators = tuple(self._equalities()), self._actuators()
+        for tag in ("equality", "actuator", "sensor", "contact", "tendon"):  # these name bodies and sites by old names
+            for section in self.root.findall(tag):
+                self.root.remove(section)
+        return Mjcf(
+            path=self.path,
+            name=self.root.get("model") or self.path.stem,
+            text=ElementTree.tostring(self.root, encoding="unicode"),
+            joints=self.joints,
+            equalities=equalities,
+            actuators=actuators,
+            gravity=self._gravity(),
+            tool=next((self.sites[name] for name in TOOL_SITES if name in self.sites), None),
+        )
+
+    def _rewrite(self, body: ElementTree.Element, default_class: str) -> None:
+        """Rewrite what hangs on a body: frames and sites become bodies, and joints after the first get their own."""
+        default_class = body.get("childclass", default_class)
+        for index, child in enumerate(list(body)):
+            if child.tag == "frame":
+                if child.find("joint") is not None or child.find("freejoint") is not None:
+                    raise DescriptionError(self.path, "<frame>", "joints in it are not read: expected them in the body")
+                child.tag = "body"
+                child.set("name", self._free_name(f"{body.get('name')}_frame{index}"))
+            elif child.tag == "site" and "name" in child.attrib:
+                name = self.sites[child.attrib["name"]] = self._free_name(child.attrib["name"], "_site")
+                pose = {key: child.attrib[key] for key in _POSE if key in child.attrib}
+                body[list(body).index(child)] = ElementTree.Element("body", {"name": name} | pose)
+                continue
+            if child.tag == "body":
+                body[list(body).index(child)] = self._with_one_joint_a_body(child, default_class)
+
+    def _with_one_joint_a_body(self, body: ElementTree.Element, default_class: str) -> ElementTree.Element:
+        joints = [child for child in body if child.tag in ("joint", "freejoint")]
+        for index, joint in enumerate(joints):
+            joint.attrib.setdefault("name", f"{body.get('name')}_joint{index if len(joints) > 1 else ''}")
+            self._note(joint, body.get("childclass", default_class))
+        self._rewrite(body, default_class)
+        outer = body
+        for joint in reversed(joints[:-1]):
+            body.remove(joint)
+            carrier = ElementTree.Element("body", outer.attrib | {"name": self._free_name(f"{joint.get('name')}_body")})
+            for key in (*_POSE, "childclass"):
+                outer.attrib.pop(key, None)
+            carrier.extend([joint, outer])
+            outer = carrier
+        return outer
+
+    def _note(self, joint: ElementTree.Element, default_class: str) -> None:
+        settings = self.defaults.get(joint.get("class", default_class), {}) | joint.attrib
+        settings = {} if joint.tag == "freejoint" else settings
+        limited = settings.get("limited", "auto")
+        unlimited = limited == "false" or (limited == "auto" and not self.autolimits)
+        (stiffness, *_) = self._numbers(joint, settings.get("stiffness", "0"))
+        if stiffness and settings.get("type", "hinge") not in ("hinge", "slide"):
+            _logger.warning("%s: the spring of joint '%s' is not read", self.path, joint.get("name"))
+            stiffness = 0.0
+        self.joints[joint.attrib["name"]] = JointSettings(stiffness, unlimited)
+
+    def _equalities(self) -> Iterator[EqualityConstraint]:
+        for index, element in enumerate(element for section in self.root.findall("equality") for element in section):
+            name = element.get("name") or f"{element.tag}{index + 1}"
+            if element.get("active") == "false":
+                continue
+            if element.tag not in ("connect", "weld"):
+                _logger.warning("%s: equality '%s', a <%s>, is not read", self.path, name, element.tag)
+                continue
+            by_sites = "site1" in element.attrib
+            if by_sites:
+                places = tuple(self.sites.get(element.get(key, ""), "") for key in ("site1", "site2"))
+            else:
+                places = (element.get("body1", WORLD), element.get("body2", WORLD))
+            if not all(places):
+                raise DescriptionError(self.path, f"<{element.tag} name='{name}'>", "expected sites that are there")
+            pose = tuple(self._numbers(element, element.get("relpose", "0 1 0 0 0 0 0")))
+            yield EqualityConstraint(
+                name=name,
+                kind=element.tag,
+                places=(places[0], places[1]),
+                by_sites=by_sites,
+                anchor=tuple(self._numbers(element, element.get("anchor", "0 0 0"))),
+                relative_pose=pose if any(pose[3:]) else None,
+            )
+
+    def _actuators(self) -> dict[str, str]:
+        actuators: dict[str, str] = {}
+        for element in (element for section in self.root.findall("actuator") for element in section):
+            joint = element.get("joint") or element.get("jointinparent")
+            if joint is None:
+                name = f" '{element.get('name')}'" if "name" in element.attrib else ""
+                _logger.warning("%s: actuator%s drives no joint and is not read", self.path, name)
+            else:
+                actuators.setdefault(joint, element.get("name", joint))
+        return actuators
+
+    def _gravity(self) -> tuple[float, ...]:
+        gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
+        for option in self.root.iter("option"):
+            gravity = tuple(self._numbers(option, option.get("gravity", "0 0 -9.81")))
+        disabled = any(flag.get("gravity") == "disable" for flag in self.root.iter("flag"))
+        return (0.0, 0.0, 0.0) if disabled else gravity
+
+    def _numbers(self, element: ElementTree.Element, text: str) -> list[float]:
+        try:
+            return [float(word) for word in text.split()]
+        except ValueError as error:
+            name = f" name='{element.get('name')}'" if "name" in element.attrib else ""
+            raise DescriptionError(self.path, f"<{element.tag}{name}>", f"expected numbers, not '{text}'") from error
+
+    def _free_name(self, name: str, suffix: str = "_") -> str:
+        while name in self.taken:
+            name += suffix
+        self.taken.add(name)
+        return name
+
+
+def _classes(default: ElementTree.Element, inherited: dict[str, str]) -> Iterator[tuple[str, dict[str, str]]]:
+    """List the joint settings of a default class and of those within it."""
+    settings = dict(inherited)
+    for joint in default.findall("joint"):
+        settings |= joint.attrib
+    yield default.get("class", "main"), settings
+    for child in default.findall("default"):
+        yield from _classes(child, settings)

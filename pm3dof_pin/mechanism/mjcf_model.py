@@ -1,0 +1,152 @@
+"""An MJCF file in Pinocchio: its tree, closures between frames, drives, springs and named configurations."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.description.closures import ClosuresFile, LoopClosure
+from pm3dof_pin.description.coordinates import Command
+from pm3dof_pin.description.mjcf import EqualityConstraint, Mjcf, read_mjcf
+from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
+from pm3dof_pin.mechanism.model_files import UNLIMITED, captured_output, first_error, log_output
+
+_INITIAL = "qpos0"
+_HOME = "home"
+
+
+def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
+    """Read an MJCF file.
+
+    Joints stand where MuJoCo has them: q is qpos but for the order of a quaternion's numbers, and home is the key of
+    that name, or the initial configuration. Connects and welds become closures, as they are in the initial
+    configuration where the file does not say; springs of joints become springs, actuated joints drives.
+
+    Args:
+        path: the file.
+        said: the closures file beside it, if there is one; what it says goes before what the MJCF says, and its
+            closures and springs come on top.
+
+    Returns:
+        The model, and the closures file completed.
+
+    Raises:
+        DescriptionError: the file is unreadable or of a form that is not read.
+        FrameNotFoundError: a closure is at a body that is not there.
+        JointNotFoundError: an actuator is at a joint that is not there.
+    """
+    mjcf = read_mjcf(path)
+    model = _tree(mjcf)
+    for name, settings in mjcf.joints.items():
+        joint = model.joints[model.getJointId(name)]
+        if settings.unlimited and joint.nq == 1:
+            model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = -UNLIMITED, UNLIMITED
+    closures = _closures(model, mjcf)
+    drives = _drives(model, mjcf)
+    springs = [
+        {
+            "name": name,
+            "type": "joint",
+            "joint": name,
+            "stiffness": settings.stiffness,
+            "unit": _spring_unit(model, name),
+        }
+        for name, settings in mjcf.joints.items()
+        if settings.stiffness > 0.0
+    ]
+    return model, replace(
+        said,
+        closures=(*closures, *said.closures),
+        actuated_joints=said.actuated_joints or tuple(drive.joint for drive in drives),
+        commands=said.commands or (() if said.actuated_joints else drives),
+        tool_frame=said.tool_frame or mjcf.tool,
+        springs=(*springs, *said.springs),
+    )
+
+
+def _tree(mjcf: Mjcf) -> pin.Model:
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "model.xml"
+        copy.write_text(mjcf.text, encoding="utf-8")
+        try:
+            with captured_output() as output:
+                model = pin.buildModelFromMJCF(str(copy))
+        except (ValueError, RuntimeError) as error:
+            reason = first_error(output) or " ".join(str(error).split())
+            raise DescriptionError(mjcf.path, "MJCF", f"expected a model that Pinocchio reads ({reason})") from error
+    log_output(mjcf.path, output)
+    if lost := [name for name in mjcf.joints if not model.existJointName(name)]:
+        raise DescriptionError(
+            mjcf.path, f"joint '{lost[0]}'", "is not read: expected a hinge, slide, ball or free joint"
+        )
+    model.name = mjcf.name
+    model.gravity.linear = np.array(mjcf.gravity)
+    references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
+    if _HOME not in references:
+        model.referenceConfigurations[_HOME] = references.get(_INITIAL, pin.neutral(model))
+    return model
+
+
+def _closures(model: pin.Model, mjcf: Mjcf) -> list[LoopClosure]:
+    """Put frames where the equality constraints hold the bodies."""
+    data = model.createData()
+    references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
+    pin.framesForwardKinematics(model, data, references.get(_INITIAL, pin.neutral(model)))
+    closures = []
+    for equality in mjcf.equalities:
+        ids = [_frame_id(model, place, mjcf, equality) for place in equality.places]
+        frames = equality.places
+        if not equality.by_sites:
+            first, second = (data.oMf[index] for index in ids)
+            placements = _placements(equality, first.actInv(second))
+            frames = (
+                _add_frame(model, f"{equality.name}_{frames[0]}", ids[0], placements[0]),
+                _add_frame(model, f"{equality.name}_{frames[1]}", ids[1], placements[1]),
+            )
+        closures.append(LoopClosure(*frames, "3d" if equality.kind == "connect" else "6d"))
+    return closures
+
+
+def _placements(equality: EqualityConstraint, initial: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
+    """Where the closure's frames are in its two bodies, the second of which is at `initial` in the first."""
+    anchor = pin.SE3(np.eye(3), np.array(equality.anchor))
+    if equality.kind == "connect":
+        return anchor, initial.actInv(anchor)
+    if equality.relative_pose is None:
+        return initial * anchor, anchor
+    position, (w, x, y, z) = np.array(equality.relative_pose[:3]), equality.relative_pose[3:]
+    return pin.SE3(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix(), position), anchor
+
+
+def _frame_id(model: pin.Model, place: str, mjcf: Mjcf, equality: EqualityConstraint) -> int:
+    if not model.existFrame(place, pin.FrameType.BODY):
+        bodies = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+        raise FrameNotFoundError(place, f"{mjcf.path}: <{equality.kind} name='{equality.name}'>", bodies)
+    return int(model.getFrameId(place, pin.FrameType.BODY))
+
+
+def _add_frame(model: pin.Model, name: str, body: int, placement: pin.SE3) -> str:
+    frame = model.frames[body]
+    model.addFrame(pin.Frame(name, frame.parentJoint, body, frame.placement * placement, pin.FrameType.OP_FRAME))
+    return name
+
+
+def _drives(model: pin.Model, mjcf: Mjcf) -> tuple[Command, ...]:
+    drives = []
+    for joint, name in mjcf.actuators.items():
+        if not model.existJointName(joint):
+            raise JointNotFoundError(joint, f"{mjcf.path}: <actuator>", list(model.names)[1:])
+        drives.append(Command(name, joint, "m" if _slides(model, joint) else "rad"))
+    return tuple(drives)
+
+
+def _spring_unit(model: pin.Model, joint: str) -> str:
+    return "N/m" if _slides(model, joint) else "N m/rad"
+
+
+def _slides(model: pin.Model, joint: str) -> bool:
+    return bool(model.joints[model.getJointId(joint)].shortname().startswith("JointModelP"))
