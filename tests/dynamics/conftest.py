@@ -176,7 +176,7 @@ def spatial_crank() -> SpatialCrank:
     mechanism = Robot(model, [LoopClosure("tip", "slider", "3d")], actuated_joints=["crank_joint"], tool_frame="slider")
     guess = pin.neutral(model)
     guess[mechanism.single_joint("slider_joint").q_index] = 0.35
-    return SpatialCrank(mechanism, mechanism.assemble(guess, held={"crank_joint": 0.4}))
+    return SpatialCrank(mechanism, mechanism.assemble(guess, joints={"crank_joint": 0.4}))
 
 
 @pytest.fixture(scope="session")

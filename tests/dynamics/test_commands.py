@@ -134,7 +134,6 @@ def test_a_pose_beyond_a_limit_is_answered_and_named(command: str) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
         ["1", "2"],
         ["1", "2", "0.5", "--robot", "hexapod"],
         ["1", "2", "0.5", "--configuration", "home"],

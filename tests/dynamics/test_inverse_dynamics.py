@@ -22,7 +22,7 @@ RATES, ACCELERATIONS = np.array([0.5, -0.3, 0.1]), np.array([1.0, 2.0, -0.5])
 
 @pytest.fixture
 def tilted(mechanism: Robot, tripod: Tripod) -> Configuration:
-    return mechanism.at_motion_coordinates(POSE - [0.0, 0.0, tripod.height_home])
+    return mechanism.solve(POSE).configuration()
 
 
 def test_a_moving_tripod_needs_the_forces_found_by_other_simulators(tilted: Configuration) -> None:
@@ -47,7 +47,7 @@ def test_velocity_and_acceleration_are_those_of_the_closed_loops(tilted: Configu
 
     def at(time: float) -> np.ndarray:
         values = start + time * RATES + 0.5 * time**2 * ACCELERATIONS
-        return np.array(mechanism.assemble(tilted, held=dict(zip(joints, values, strict=True))).q)
+        return np.array(mechanism.assemble(tilted, joints=dict(zip(joints, values, strict=True))).q)
 
     far, near, middle, next_, last = (at(k * step) for k in (-2, -1, 0, 1, 2))
     velocity = (8.0 * (next_ - near) - (last - far)) / (12.0 * step)
@@ -124,8 +124,8 @@ def test_the_power_of_the_actuators_is_the_rate_of_the_energy(mechanism: Robot, 
     result = inverse_dynamics(tilted, RATES, ACCELERATIONS, joints=joints)
 
     def energy(time: float) -> float:
-        values = tilted.motion_coordinates + time * RATES + 0.5 * time**2 * ACCELERATIONS
-        there = mechanism.at_motion_coordinates(values, tilted)
+        values = POSE + time * RATES + 0.5 * time**2 * ACCELERATIONS
+        there = mechanism.solve(values, guess=tilted.q).configuration()
         velocity = loop_motion(there, RATES + time * ACCELERATIONS, ACCELERATIONS, joints=joints).velocity
         data = mechanism.model.createData()
         kinetic = pin.computeKineticEnergy(mechanism.model, data, np.array(there.q), velocity)

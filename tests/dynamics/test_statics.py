@@ -30,7 +30,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 @pytest.fixture(scope="module")
 def at(mechanism: Robot, tripod: Tripod) -> Callable[..., Configuration]:
     def place(pose: np.ndarray) -> Configuration:
-        return mechanism.at_motion_coordinates(np.array(pose) - [0.0, 0.0, tripod.height_home])
+        return mechanism.solve(pose).configuration()
 
     return place
 
@@ -165,7 +165,7 @@ def test_a_planar_linkage_is_held_by_the_slope_of_its_potential_energy_and_its_r
     assert np.abs(null @ result.closure_forces).max() < 1e-12
 
 
-def test_more_actuators_than_freedoms_share_the_load_and_that_is_said(
+def test_more_actuators_than_degrees_of_freedom_share_the_load_and_that_is_said(
     make_four_bar: Callable[..., Robot], place_four_bar: Callable[..., Configuration], four_bar: Any
 ) -> None:
     crank = 1.1
@@ -202,7 +202,7 @@ def test_without_an_actuator_the_linkage_falls(
 ) -> None:
     model = make_four_bar()
     undriven = Robot(model.model, model.closures, tool_frame=model.tool_frame)
-    with pytest.raises(SingularConfigurationError, match="1 freedom is left"):
+    with pytest.raises(SingularConfigurationError, match="1 degree of freedom left"):
         holding_forces(place_four_bar(undriven, 0.3))
 
 
@@ -214,11 +214,27 @@ def test_a_link_that_may_spin_about_its_own_axis_is_held(spatial_crank: Any) -> 
         pin.computePotentialEnergy(
             mechanism.model,
             mechanism.model.createData(),
-            np.array(mechanism.assemble(configuration, held={"crank_joint": 0.4 + side * step}).q),
+            np.array(mechanism.assemble(configuration, joints={"crank_joint": 0.4 + side * step}).q),
         )
         for side in (-1.0, 1.0)
     ]
     assert result.actuator_forces[0] == pytest.approx((energies[1] - energies[0]) / (2 * step), abs=1e-7)
+
+
+def test_a_link_that_gravity_spins_does_not_withhold_the_forces(spatial_crank: Any) -> None:
+    """Its centre of mass off its axis, the link would turn; crank and slider are held all the same."""
+    mechanism, model = spatial_crank.mechanism, spatial_crank.mechanism.model.copy()
+    link = model.getJointId("ball_joint")
+    bar = model.inertias[link]
+    model.inertias[link] = pin.Inertia(bar.mass, bar.lever + [0.0, 0.02, 0.0], bar.inertia)
+    result = holding_forces(mechanism.replace(model=model).configuration(spatial_crank.configuration.q))
+    assert result.unbalanced_idle
+    assert result.residual < 1e-12
+    straight = holding_forces(spatial_crank.configuration)
+    assert not straight.unbalanced_idle
+    # the weight of the link does not change, its lever at the crank by 0.02 m at most
+    difference = abs(result.actuator_forces[0] - straight.actuator_forces[0])
+    assert difference <= bar.mass * 9.81 * 0.02
 
 
 def test_a_serial_arm_bears_its_gravity_torques(ur5: Robot) -> None:
@@ -255,5 +271,5 @@ def test_a_machine_that_nothing_holds_is_named_in_one_line(mechanism: Robot) -> 
     slack = Robot(mechanism.model, mechanism.closures, actuated_joints=["slider1_joint"], tool_frame="O_e")
     with pytest.raises(SingularConfigurationError) as caught:
         holding_forces(slack.assemble())
-    assert "2 freedoms are left with the actuated joints at rest" in str(caught.value)
+    assert "2 degrees of freedom left with the actuated joints at rest" in str(caught.value)
     assert "\n" not in str(caught.value)

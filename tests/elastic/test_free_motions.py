@@ -1,0 +1,107 @@
+"""The stiffness of the free motions, against Gosselin's J^T k J of a planar 3-RPR and against K where it exists."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.elastic import ElasticModel, JointSpring, cartesian_compliance
+from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+from pm3dof_pin.exceptions import RigidDirectionError
+from pm3dof_pin.kinematics.robot import Robot
+
+BASE = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.9]])
+PLATFORM = np.array([[-0.1, -0.06], [0.1, -0.06], [0.0, 0.12]])
+SPRINGS = np.array([2.0e5, 3.0e5, 5.0e5])
+
+
+def _three_rpr(coordinates: tuple[Coordinate, ...] = ()) -> Robot:
+    model = pin.Model()
+    model.name = "three_rpr"
+    joint = 0
+    for name, kind in (("x", pin.JointModelPX()), ("y", pin.JointModelPY()), ("turn", pin.JointModelRZ())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"{name}_joint")
+    model.addFrame(pin.Frame("tool", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    for leg, (base, point) in enumerate(zip(BASE, PLATFORM, strict=True)):
+        hinge = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.append(base, 0.0)), f"hinge{leg}_joint")
+        slide = model.addJoint(hinge, pin.JointModelPX(), pin.SE3.Identity(), f"slide{leg}_joint")
+        model.addFrame(pin.Frame(f"tip{leg}", slide, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        place = pin.SE3(np.eye(3), np.append(point, 0.0))
+        model.addFrame(pin.Frame(f"corner{leg}", joint, 0, place, pin.FrameType.OP_FRAME))
+    return Robot(
+        model,
+        [LoopClosure(f"tip{leg}", f"corner{leg}", "3d") for leg in range(3)],
+        actuated_joints=[f"slide{leg}_joint" for leg in range(3)],
+        tool_frame="tool",
+        coordinates=coordinates,
+    )
+
+
+def _elastic(robot: Robot) -> ElasticModel:
+    drives = zip(robot.actuated_joints, SPRINGS, strict=True)
+    return ElasticModel(robot, [JointSpring(name, name, stiffness, "N/m") for name, stiffness in drives])
+
+
+def _legs(x: float, y: float, turn: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors of the legs, and of the platform's corners from its centre, shape=(3, 2) each."""
+    c, s = np.cos(turn), np.sin(turn)
+    corners = PLATFORM @ np.array([[c, s], [-s, c]])
+    return np.array([x, y]) + corners - BASE, corners
+
+
+def _joints(x: float, y: float, turn: float) -> np.ndarray:
+    legs, _ = _legs(x, y, turn)
+    each = np.stack([np.arctan2(legs[:, 1], legs[:, 0]), np.linalg.norm(legs, axis=1)], axis=1)
+    return np.concatenate([[x, y, turn], each.ravel()])
+
+
+def _gosselin(x: float, y: float, turn: float) -> np.ndarray:
+    """J^T k J, C. Gosselin, IEEE Trans. Robotics and Automation 6 (1990), J the rates of the legs' lengths."""
+    legs, corners = _legs(x, y, turn)
+    along = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+    jacobian = np.column_stack([along, corners[:, 0] * along[:, 1] - corners[:, 1] * along[:, 0]])
+    return jacobian.T @ np.diag(SPRINGS) @ jacobian
+
+
+def test_a_planar_3_rpr_has_gosselins_stiffness() -> None:
+    model = _elastic(_three_rpr())
+    generator = np.random.default_rng(3)
+    for pose in generator.uniform([0.3, 0.15, -0.6], [0.7, 0.5, 0.6], (200, 3)):
+        free = free_motion_stiffness(model, model.rigid.configuration(_joints(*pose)))
+        assert free.names == ("x", "y", "rz")
+        assert free.units == ("m", "m", "rad")
+        expected = _gosselin(*pose)
+        np.testing.assert_allclose(free.stiffness, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_declared_coordinates_give_their_names_scales_and_order() -> None:
+    """phi in the other sense and in front, x from elsewhere."""
+    coordinates = (
+        Coordinate("phi", "rad", joint="turn_joint", scale=-1.0),
+        Coordinate("x", "m", joint="x_joint", offset=3.0),
+        Coordinate("y", "m", tool="y"),
+    )
+    model = _elastic(_three_rpr(coordinates))
+    free = free_motion_stiffness(model, model.rigid.configuration(_joints(0.4, 0.3, 0.2)))
+    change = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    assert free.names == ("phi", "x", "y")
+    np.testing.assert_allclose(free.stiffness, change.T @ _gosselin(0.4, 0.3, 0.2) @ change, rtol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps"])
+def test_where_k_exists_it_is_its_restriction(name: str) -> None:
+    model = ElasticModel.load(name)
+    free = free_motion_stiffness(model, model.rigid.home)
+    stiffness = cartesian_compliance(model, model.rigid.home).stiffness
+    expected = free.twists.T @ stiffness @ free.twists
+    np.testing.assert_allclose(free.stiffness, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_motion_that_the_springs_do_not_allow_is_refused() -> None:
+    model = _elastic(_three_rpr())
+    tool = cartesian_compliance(model, model.rigid.configuration(_joints(0.4, 0.3, 0.2)))
+    with pytest.raises(RigidDirectionError, match="translation along"):
+        tool.stiffness_over(np.eye(6))
