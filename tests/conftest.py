@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
+import json
 import os
-from typing import TYPE_CHECKING
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 # as the command has it: the matrices are small, and threads inside BLAS only get in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -15,6 +21,53 @@ import pytest
 if TYPE_CHECKING:
     from pm3dof_pin.chapter import Tripod
     from pm3dof_pin.kinematics.robot import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class Done:
+    """What a command left: its exit status, and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run_command(*arguments: str, cwd: Path | None = None) -> Done:
+    """Run `pm3dof` with arguments inside this process, which spares the imports, and in a folder."""
+    from pm3dof_pin.cli.app import main
+
+    stdout, stderr, status = io.StringIO(), io.StringIO(), 0
+    argv, sys.argv = sys.argv, ["pm3dof", *arguments]
+    try:
+        with (
+            contextlib.redirect_stdout(stdout),
+            contextlib.redirect_stderr(stderr),
+            contextlib.chdir(cwd or Path.cwd()),
+        ):
+            main()
+    except SystemExit as leaving:
+        status = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+    finally:
+        sys.argv = argv
+    return Done(status, stdout.getvalue(), stderr.getvalue())
+
+
+@pytest.fixture(scope="session")
+def run() -> Callable[..., Done]:
+    """Run `pm3dof`: see :func:`run_command`."""
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def answer() -> Callable[..., dict[str, Any]]:
+    """Run `pm3dof` with --json, expecting an exit status, and return what it answers."""
+
+    def read(*arguments: str, status: int = 0) -> dict[str, Any]:
+        done = run_command(*arguments, "--json")
+        assert done.returncode == status, done.stderr
+        return json.loads(done.stdout)
+
+    return read
 
 
 @pytest.fixture(scope="session")

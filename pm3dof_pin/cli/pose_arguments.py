@@ -179,12 +179,13 @@ def read_poses(robot: Robot, path: Path, *, forward: bool = False) -> tuple[Pose
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.pose_file import heading_of, read_pose_file
+    from pm3dof_pin.kinematics.pose_file import possible_headings, read_pose_file
 
     given, others = robot.coordinates, robot.command_coordinates
     if forward:
         given, others = others, given
-    file = read_pose_file(path, given, known=[*map(heading_of, others), BROKEN_LIMITS])
+    known = [heading for coordinate in others for heading in possible_headings(coordinate)]
+    file = read_pose_file(path, given, known=[*known, BROKEN_LIMITS])
     if file.unused:
         message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
     check_units(robot, given, file.values / [_factor(coordinate) for coordinate in given])

@@ -100,14 +100,14 @@ def stiffness(
     solved = chosen.solve(machine).configuration()
     tool = cartesian_compliance(elastic, solved)
     result = {"robot": machine.name, **_read(tool.compliance, tool.spring_names, tool.contributions)}
-    free = None
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
         free = _free_motions(elastic, tool, solved)
         result |= {} if free is None else _read_free_motions(free)
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
-    print_result(result | {"units": JSON_UNITS}, _elastic_lines(result), as_json=as_json)
+    units = {key: unit for key, unit in JSON_UNITS.items() if key in result or key in result.get("indices", {})}
+    print_result(result | {"units": units}, _elastic_lines(result), as_json=as_json)
     stop_on_broken_limits(broken_limits(machine, solved))
 
 

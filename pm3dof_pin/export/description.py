@@ -90,8 +90,15 @@ def _described(robot: str, config: Path | str | None) -> tuple[str, dict[str, st
     name = read_mapping(config).get("name")
     if not isinstance(name, str):
         raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
-    urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(config)})
-    closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
+    try:
+        urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(config)})
+        closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
+    except DescriptionError as error:
+        problem = error.expected.removeprefix(f"{config}: ")
+        if problem == error.expected:
+            raise
+        element, _, expected = problem.partition(": ")
+        raise DescriptionError(config, element, expected) from error
     srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", config, urdf, closures)
     return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
 

@@ -85,6 +85,11 @@ def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known
     return PoseFile(path, tuple(columns), frozen(written), frozen(written * factors), unused)
 
 
+def possible_headings(coordinate: Coordinate) -> list[str]:
+    """Return the headings that a coordinate's column may have."""
+    return [f"{coordinate.name}_{unit}" for unit in _UNITS[coordinate.unit]]
+
+
 def heading_of(coordinate: Coordinate) -> str:
     """Return the heading under which a coordinate is written: angles in degrees."""
     return f"{coordinate.name}_{'m' if coordinate.unit == 'm' else 'deg'}"
@@ -119,19 +124,15 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
     return "".join(f"{','.join(row)}\n" for row in [tuple(columns), *zip(*cells, strict=True)])
 
 
-def _headings(coordinate: Coordinate) -> list[str]:
-    return [f"{coordinate.name}_{unit}" for unit in _UNITS[coordinate.unit]]
-
-
 def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:
-    possible = {*known, *(name for coordinate in coordinates for name in _headings(coordinate))}
+    possible = {*known, *(name for coordinate in coordinates for name in possible_headings(coordinate))}
     if unknown := [name for name in heading if name not in possible]:
         expected = f"is unknown, expected a heading such as {example_heading(coordinates)}"
         raise DescriptionError(path, f"column {', '.join(unknown)}", expected)
 
 
 def _column(path: Path, heading: Sequence[str], coordinate: Coordinate, coordinates: Sequence[Coordinate]) -> str:
-    possible = _headings(coordinate)
+    possible = possible_headings(coordinate)
     found = [name for name in heading if name in possible]
     if len(found) != 1:
         problem = "is missing" if not found else "stands there twice"

@@ -226,7 +226,7 @@ def test_a_link_that_gravity_spins_does_not_withhold_the_forces(spatial_crank: A
     mechanism, model = spatial_crank.mechanism, spatial_crank.mechanism.model.copy()
     link = model.getJointId("ball_joint")
     bar = model.inertias[link]
-    model.inertias[link] = pin.Inertia(bar.mass, bar.lever + [0.0, 0.02, 0.0], bar.inertia)
+    model.inertias[link] = pin.Inertia(bar.mass, np.add(bar.lever, [0.0, 0.02, 0.0]), bar.inertia)
     result = holding_forces(mechanism.replace(model=model).configuration(spatial_crank.configuration.q))
     assert result.unbalanced_idle
     assert result.residual < 1e-12
