@@ -16,23 +16,22 @@ neither on the number of threads nor on other poses of a walk.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.samples import samples_near as samples_near
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.checks import checks_program
-from pm3dof_pin.programs.closing import Task, closing_program, tool_components
-from pm3dof_pin.programs.llvm import Compiled, compile
-from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.programs.closing import Task, tool_components
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
 
 _LEG = 0.1  # of a walk [rad, characteristic lengths]
 _SHORTEST_LEG = 1.0 / 64.0  # of that
@@ -42,9 +41,6 @@ _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, 
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
 _SINGULAR = 1e-5  # margin below which a pose is left to the careful solver
 _REGULAR = 1e-3  # margin of a configuration away from singular ones
-_SAMPLES = 8
-_SAMPLE_DISTANCE = 0.1  # of the samples from home [rad, characteristic lengths]
-_SAMPLE_TRIALS = 10
 
 
 class Solution(NamedTuple):
@@ -63,49 +59,20 @@ class Solution(NamedTuple):
     transforms: Array | None
 
 
-def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
-    """Find closed configurations near home, at which programs choose what they eliminate.
-
-    Args:
-        mechanism: the mechanism.
-        home: its home configuration, with closed loops, shape=(nq,).
-
-    Returns:
-        shape=(s, nq), s = 8.
-
-    Raises:
-        ConvergenceError: the loops do not close there.
-    """
-    model, generator = mechanism.model, np.random.default_rng(0)
-    rows: list[Vector] = []
-    distance = _SAMPLE_DISTANCE
-    for _ in range(_SAMPLE_TRIALS):
-        for _ in range(_SAMPLES):
-            tangent = mechanism.velocity_scale * generator.uniform(-distance, distance, model.nv)
-            result = assemble(mechanism, pin.integrate(model, home, tangent))
-            if result.converged:
-                rows.append(np.array(result.configuration.q))
-            if len(rows) == _SAMPLES:
-                return np.array(rows)
-        distance /= 2.0
-    raise ConvergenceError(f"{mechanism.name}: closing the loops near home", result.residual, "m or rad", result.steps)
-
-
 class Continuation:
-    """Poses of a mechanism at values of some coordinates, by continuation from home.
+    """Poses of a robot at values of some coordinates, by continuation from home.
 
     Args:
-        mechanism: the mechanism.
-        home: its home configuration, with closed loops, shape=(nq,).
+        robot: the robot.
         coordinates: the coordinates that are given.
 
     Raises:
-        ProgramError: there is no program for the mechanism, or it does not agree with Pinocchio.
+        ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
         ConvergenceError: no closed configurations were found near home.
     """
 
-    def __init__(self, mechanism: Mechanism, home: Vector, coordinates: Sequence[Coordinate]) -> None:
-        self._mechanism = mechanism
+    def __init__(self, robot: Robot, coordinates: Sequence[Coordinate]) -> None:
+        self._mechanism = mechanism = robot
         self._nq = mechanism.model.nq
         self._coordinates = tuple(coordinates)
         self._given = [mechanism.single_joint(c.joint) for c in self._coordinates if c.joint is not None]
@@ -123,27 +90,24 @@ class Continuation:
         self._angles = np.flatnonzero(angles)  # which come back to where they were after a turn
         self._turns = 2.0 * np.pi * np.abs(self._scales[self._angles])
         self._linear = _linear_positions(mechanism)
-        self._load(np.array(home))
-        self._home = self._start(np.array(home))
+        source = robot.prototype.program_source
+        if not source.serves(robot):
+            source = robot.program_source
+        self._source = source
+        self._programs = source.programs(robot, Task(tuple(joint.name for joint in self._given), self._tool))
 
-    def _load(self, home: Vector) -> None:
-        mechanism = self._mechanism
-        task = Task(tuple(joint.name for joint in self._given), self._tool)
-        samples = samples_near(mechanism, home)
-        verify(mechanism, samples)
-        closing, checks = closing_program(mechanism, task, samples), checks_program(mechanism, samples)
-        self._step: Compiled = compile(closing.program)
-        self._checks: Compiled = compile(checks.program)
-        self._samples = samples
-        self._step_parameters = geometry.values(mechanism, closing.program.parameters, closing.constants)
-        self._checks_parameters = geometry.values(mechanism, checks.program.parameters, checks.constants)
-
-    def _start(self, home: Vector) -> Vector:
-        """Return home, or if that is singular the most regular of the samples."""
-        rows = np.vstack([home, self._samples])
-        margins = np.abs(self._newton(rows, self._given_numbers(self.read(rows)), _JUMP)[0][:, -1])
-        start: Vector = rows[0] if margins[0] > _REGULAR else rows[np.nanargmax(margins)]
+    @cached_property
+    def _home(self) -> Vector:
+        """The home configuration, or if that is singular the most regular of the samples."""
+        home = self._mechanism.home.q
+        if self._margins(home[None])[0] > _REGULAR:
+            return home
+        rows = np.vstack([home, self._source.samples])
+        start: Vector = rows[np.nanargmax(np.nan_to_num(self._margins(rows)))]
         return start
+
+    def _margins(self, q: Matrix) -> Vector:
+        return np.asarray(np.abs(self._newton(q, self._given_numbers(self.read(q)), _JUMP)[0][:, -1]))
 
     def read(self, q: Matrix) -> Matrix:
         """Read the coordinates off closed configurations, shape=(n, number of coordinates) [m, rad]."""
@@ -182,7 +146,7 @@ class Continuation:
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
         """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
-        outputs = self._step(self._inputs(q, self._given_numbers(targets)), self._step_parameters)
+        outputs = self._programs.step(self._inputs(q, self._given_numbers(targets)), self._programs.step_parameters)
         residuals: Vector = outputs[:, -1]
         return residuals
 
@@ -305,8 +269,8 @@ class Continuation:
             jump: the greatest way of a joint that is accepted [rad, characteristic lengths].
         """
         nq = self._nq
-        states, residuals, _ = self._step.iterate(
-            self._inputs(q, numbers), self._step_parameters, tolerance=_NEARLY_CLOSED, max_steps=_STEPS
+        states, residuals, _ = self._programs.step.iterate(
+            self._inputs(q, numbers), self._programs.step_parameters, tolerance=_NEARLY_CLOSED, max_steps=_STEPS
         )
         accepted = (residuals <= _NEARLY_CLOSED) & (states[:, nq] > _SINGULAR) & (states[:, nq + 1] <= jump)
         return states[:, : nq + 1], accepted
@@ -336,7 +300,8 @@ class Continuation:
 
     def _check(self, q: Matrix, values: Matrix | None = None) -> Solution:
         """Check configurations; with values of the coordinates also whether the tool is there."""
-        outputs = self._checks.program.split(self._checks(q, self._checks_parameters))
+        programs = self._programs
+        outputs = programs.checks.program.split(programs.checks(q, programs.checks_parameters))
         residual, broken = outputs["residual"], outputs["broken"].astype(np.uint32)
         if values is not None and self._tool:
             residual = self._residuals(q, values)

@@ -16,6 +16,7 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
+from pm3dof_pin.kinematics.closing_programs import ProgramSource
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
@@ -84,6 +85,11 @@ class Robot(Mechanism):
             if result.converged:
                 return result.configuration
         return described
+
+    @cached_property
+    def program_source(self) -> ProgramSource:
+        """Where the programs of this robot and its variants come from."""
+        return ProgramSource(self)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:

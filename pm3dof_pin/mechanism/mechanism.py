@@ -130,6 +130,7 @@ class Mechanism:
         characteristic_length: float | None = None,
         source: Path | str | None = None,
     ) -> None:
+        self._prototype: Self | None = None
         self.model = model.copy()
         self.name: str = model.name
         self.closures = tuple(closures)
@@ -204,11 +205,21 @@ class Mechanism:
             closures: other loop closures.
             changes: other keyword arguments of :class:`Mechanism`.
         """
-        return type(self)(
+        variant = type(self)(
             self.model if model is None else model,
             self.closures if closures is None else closures,
             **(self._description | changes),
         )
+        variant._prototype = self.prototype
+        return variant
+
+    @property
+    def prototype(self) -> Self:
+        """The mechanism that this one was made from by :meth:`replace`, first of all; or itself.
+
+        Compiled programs of the prototype serve all that differ from it in numbers only.
+        """
+        return self if self._prototype is None else self._prototype
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Make the read-only configuration at q.

@@ -93,7 +93,17 @@ def values(mechanism: Mechanism, names: Iterable[str], constants: Mapping[str, f
             )
     if missing := [name for name in wanted if name not in found]:
         raise ProgramError(f"{mechanism.name}: no geometry {missing[0]}, expected that of the program's mechanism")
-    return np.array([found[name] for name in wanted])
+    return chosen(found, wanted)
+
+
+def chosen(found: Mapping[str, float], names: Iterable[str]) -> NDArray[Any]:
+    """Return the values of a program's parameters, of the :func:`numbers` of a mechanism, shape=(number of names,)."""
+    return np.array([found[name] for name in names])
+
+
+def share_constants(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
+    """Tell whether the :func:`numbers` of two mechanisms of one structure have the same pattern."""
+    return _constants(first) == _constants(second)
 
 
 class Geometry:
@@ -143,9 +153,16 @@ class Geometry:
 
 def pattern(mechanism: Mechanism, frames: Iterable[str] = ()) -> str:
     """Return a hash of which entries are constants, and of which value."""
-    found = numbers(mechanism, frames).items()
-    rows = [(n, value) for n, value in found if value in _CONSTANTS and not n.startswith(("limit/", "swing/"))]
+    rows = _constants(numbers(mechanism, frames))
     return hashlib.sha256(repr(rows).encode()).hexdigest()
+
+
+def _constants(found: Mapping[str, float]) -> list[tuple[str, float]]:
+    return [
+        (name, value)
+        for name, value in found.items()
+        if value in (0.0, 1.0, -1.0) and not name.startswith(("limit/", "swing/"))
+    ]
 
 
 def _frame_key(name: str) -> str:

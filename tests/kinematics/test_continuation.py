@@ -31,7 +31,7 @@ def load(name: str) -> Robot:
 @cache
 def continuation(name: str, given: str) -> Continuation:
     robot = load(name)
-    return Continuation(robot, robot.home.q, robot.coordinates if given == "coordinates" else robot.command_coordinates)
+    return Continuation(robot, robot.coordinates if given == "coordinates" else robot.command_coordinates)
 
 
 def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.ndarray:
@@ -170,7 +170,7 @@ def test_joints_of_any_kind_are_walked():
 
     closures = [LoopClosure("ball_tip", "last_tip", "3d"), LoopClosure("ball_middle", "body", "6d")]
     robot = Robot(model, closures, actuated_joints=["first"], tool_frame="body")
-    solver = Continuation(robot, robot.home.q, robot.command_coordinates)
+    solver = Continuation(robot, robot.command_coordinates)
     values = np.linspace(-0.3, 0.3, 13)[:, None]
     found = solver.walk(values)
     for row in found.q:
