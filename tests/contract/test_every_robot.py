@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.contract.conftest import Case, Done
 
-Run = Callable[..., Done]
+
+Run = Callable[..., Any]
+Case = Any  # of conftest
 
 
 def _home(run: Run, case: Case) -> dict[str, float]:
