@@ -1,4 +1,4 @@
-"""Pinocchio's Jacobians in C++, compiled where a compiler and Eigen's headers are at hand: a yardstick for benchmarks."""
+"""Jacobians by Pinocchio in C++, where a compiler and Eigen's headers are at hand: a yardstick for benchmarks."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ CASES = (
     Case("delta", ("--robot", str(MACHINES / "delta" / "delta.urdf")), (("x", 0.03), ("y", 0.03))),
     Case("five_bar", ("--robot", str(MACHINES / "five_bar")), (("x", 0.02), ("y", 0.02))),
     Case("four_bar", ("--robot", str(MACHINES / "four_bar" / "four_bar.closures.yaml")), (("crank_joint", 20.0),)),
-    Case("walker", ("--robot", str(MACHINES / "walker" / "walker.xml"), "--tool-frame", "left_sole"), (), springs=False),
+    Case("walker", ("--robot", str(MACHINES / "walker/walker.xml"), "--tool-frame", "left_sole"), (), springs=False),
     Case("ur5", ("--robot", "ur5", "--tool-frame", "tool0"), (("x", 0.02), ("y", 0.02)), springs=False),
 )
 
@@ -74,9 +74,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 @pytest.fixture
-def pm3dof(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> Callable[..., Done]:
+def pm3dof(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Done]:
     """Run a command in an empty folder, in process, and demand its exit status."""
     from pm3dof_pin.cli.app import main
 

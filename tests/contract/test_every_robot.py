@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-
-
 Run = Callable[..., Any]
 Case = Any  # of conftest
 
