@@ -32,11 +32,18 @@ class Done:
     stderr: str
 
 
-def run_command(*arguments: str, cwd: Path | None = None) -> Done:
-    """Run `pm3dof` with arguments inside this process, which spares the imports, and in a folder."""
+def run_command(*arguments: str, cwd: Path | None = None, merged: bool = False) -> Done:
+    """Run `pm3dof` with arguments inside this process, which spares the imports.
+
+    Args:
+        arguments: as on the command line.
+        cwd: folder to run it in.
+        merged: whether messages come in `stdout` between the results, as on a terminal.
+    """
     from pm3dof_pin.cli.app import main
 
-    stdout, stderr, status = io.StringIO(), io.StringIO(), 0
+    stdout, status = io.StringIO(), 0
+    stderr = stdout if merged else io.StringIO()
     argv, sys.argv = sys.argv, ["pm3dof", *arguments]
     try:
         with (
@@ -49,7 +56,7 @@ def run_command(*arguments: str, cwd: Path | None = None) -> Done:
         status = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     finally:
         sys.argv = argv
-    return Done(status, stdout.getvalue(), stderr.getvalue())
+    return Done(status, stdout.getvalue(), "" if merged else stderr.getvalue())
 
 
 @pytest.fixture(scope="session")

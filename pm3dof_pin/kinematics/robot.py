@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +13,10 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
 from pm3dof_pin.kinematics.closing_programs import ProgramSource
-from pm3dof_pin.kinematics.continuation import Continuation, Solution
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
@@ -27,8 +25,6 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
 from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
-
-_logger = logging.getLogger(__name__)
 
 _HOME = "home"
 
@@ -196,7 +192,8 @@ class Robot(Mechanism):
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
             InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise".
         """
-        return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine)
+        numbers = values.values if isinstance(values, Grid) else values
+        return self._meet(self.coordinates, "coordinates", numbers, guess, on_failure, engine)
 
     def forward(
         self,
@@ -308,13 +305,13 @@ class Robot(Mechanism):
         self,
         coordinates: tuple[Coordinate, ...],
         what: str,
-        values: Grid | ArrayLike,
+        values: ArrayLike,
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
         engine: Engine,
     ) -> Poses:
         names = ", ".join(coordinate.name for coordinate in coordinates)
-        targets = _numbers(what, values.values if isinstance(values, Grid) else values)
+        targets = _numbers(what, values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
             expected = f"shape (..., {len(coordinates)}): {names}"
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
@@ -330,39 +327,18 @@ class Robot(Mechanism):
                 raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
             starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
         rows = targets.reshape(-1, len(coordinates))
-        continuation = self._continuation(coordinates) if engine == "program" else None
-        if continuation is None:
-            found = Solution(close_all(self, self.home.q, coordinates, rows, starts)[0])
-        elif isinstance(values, Grid) and starts is None:
-            found = continuation.march(values)
-        else:
-            found = continuation.walk(rows, starts)
-        failed = np.flatnonzero(np.isnan(found.q).any(axis=-1))
+        q, residuals = close_all(self, self.home.q, coordinates, rows, starts)
+        failed = np.flatnonzero(~np.isfinite(q).all(axis=-1))
         if failed.size and on_failure == "raise":
-            first = failed[:1]
-            residual = float(close_all(self, self.home.q, coordinates, rows[first], None)[1][0])
-            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[first[0]], strict=True))
+            row = failed[0]
+            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[row], strict=True))
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             raise UnreachablePoseError(
-                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residual:.3e} m or rad; "
-                "the pose may be out of reach",
-                residual,
+                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residuals[row]:.3e} m or "
+                "rad; the pose may be out of reach",
+                float(residuals[row]),
             )
-        return Poses(self, *found).reshape(*shape)
-
-    def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
-        """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
-        if coordinates not in self._continuations:
-            try:
-                self._continuations[coordinates] = Continuation(self, coordinates)
-            except (ProgramError, ConvergenceError) as error:
-                _logger.info("%s: solved without programs: %s", self.name, error)
-                self._continuations[coordinates] = None
-        return self._continuations[coordinates]
-
-    @cached_property
-    def _continuations(self) -> dict[tuple[Coordinate, ...], Continuation | None]:
-        return {}
+        return Poses(self, q.reshape(*shape, nq))
 
     def _tool_mobility(self) -> int:
         try:
@@ -376,6 +352,28 @@ def _numbers(name: str, values: ArrayLike) -> Array:
         return np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise InvalidValueError(name, values, "numbers") from error
+
+
+def load(
+    name_or_path: str | Path,
+    *,
+    tool_frame: str | None = None,
+    package_paths: Iterable[str | Path] = (),
+    characteristic_length: float | None = None,
+) -> Robot:
+    """Load a robot by its name or from its description; see :meth:`Robot.load` for arguments and errors.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> pm.load("hexapod")
+        Robot(hexapod: 18 joints, 6 actuated, 6 closures, tool platform_center)
+    """
+    return Robot.load(
+        name_or_path,
+        tool_frame=tool_frame,
+        package_paths=package_paths,
+        characteristic_length=characteristic_length,
+    )
 
 
 def _require_placements(matrices: Array) -> None:

@@ -2,8 +2,8 @@
 
 On every page, in order:
 
-- ```` ```console ```` blocks: lines that start with `$ ` are commands of the installed package, the lines below them
-  their output (standard output and standard error, as on a terminal 100 columns wide);
+- ```` ```console ```` blocks: lines that start with `$ ` are commands of the package, run in this process, the lines
+  below them their output (standard output and standard error, as on a terminal 100 columns wide);
 - ```` ```python ```` blocks are one program a page; a ```` ```output ```` block after one is what it prints.
 
 In expected output `...` stands for anything, and runs of blanks are all alike. ```` ```bash ```` blocks are not run.
@@ -14,11 +14,11 @@ from __future__ import annotations
 import contextlib
 import doctest
 import io
-import os
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,31 +80,33 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("page", _with("console"))
-def test_console_examples(page: Path, tmp_path: Path) -> None:
-    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
+def test_console_examples(page: Path, run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
+        monkeypatch.setenv(name, value)
     for block in _blocks(page):
         if block.kind != "console":
             continue
         for session in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
             command, _, expected = session.partition("\n")
-            done = subprocess.run(
-                _installed(command),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                text=True,
-                cwd=tmp_path,
-                env=environment,
-                check=False,
-            )
-            _compare(page, block.line, expected, done.stdout)
+            program, *arguments = shlex.split(command)
+            assert program in ("pm3dof", "python"), f"only commands of the package are run here, not {program}"
+            if program == "pm3dof":
+                printed = run(*arguments, cwd=tmp_path, merged=True).stdout
+            else:
+                printed = _python(arguments, tmp_path)
+            _compare(page, block.line, expected, printed)
 
 
-def _installed(command: str) -> list[str]:
-    words = shlex.split(command)
-    assert words[0] in ("pm3dof", "python"), f"only commands of the package are run here, not {words[0]}"
-    program = [sys.executable] if words[0] == "python" else [str(Path(sys.executable).with_name("pm3dof"))]
-    return program + words[1:]
+def _python(arguments: list[str], folder: Path) -> str:
+    return subprocess.run(
+        [sys.executable, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        cwd=folder,
+        check=False,
+    ).stdout
 
 
 def test_every_command_is_documented() -> None:

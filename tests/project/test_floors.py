@@ -13,13 +13,17 @@ ROOT = Path(__file__).parents[2]
 
 # From the ground up. The rooms of one floor may use each other, in one direction.
 FLOORS = (
-    ("exceptions", "files", "kernel_cache", "typing", "arrays"),
+    ("exceptions", "files", "typing", "arrays"),
     ("description",),
     ("mechanism",),
     ("programs",),
     ("kinematics",),
-    ("elastic", "dynamics", "errors"),
-    ("simulation", "calibration", "chapter", "workspace", "maps"),
+    ("elastic",),
+    ("dynamics",),
+    ("errors",),
+    ("simulation", "calibration"),
+    ("maps",),
+    ("chapter",),
     ("figures", "viewer", "export"),
     ("cli",),
 )
