@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
+from pm3dof_pin.description.schema import Name, Positive, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
 AXES = ("x", "y", "z")
-_WORDS = (*AXES, "along", "across")
-_CLASS_KEYS = {"length_tolerance_m", "angle_tolerance_rad", "errors"}
-_ENTRY_KEYS = {"at", "translation", "rotation"}
+_Word = Literal["x", "y", "z", "along", "across"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,23 @@ class ErrorFile:
     command_zeros: Mapping[str, str]
 
 
+class _Line(Schema):
+    at: Name | list[Name]
+    translation: _Word | list[_Word] | None = None
+    rotation: _Word | list[_Word] | None = None
+
+
+class _Class(Schema):
+    length_tolerance_m: Positive
+    angle_tolerance_rad: Positive
+    errors: list[_Line]
+
+
+class _File(Schema):
+    classes: dict[str, _Class]
+    command_zeros: dict[Name, Name] | None = None
+
+
 def read_error_file(path: Path | str) -> ErrorFile:
     """Read and check an error file.
 
@@ -64,62 +79,22 @@ def read_error_file(path: Path | str) -> ErrorFile:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
     """
     path = Path(path)
-    data = read_mapping(path)
-    _known(path, "file", data, {"command_zeros", "classes"})
-    classes = data.get("classes")
-    if not isinstance(classes, dict) or not classes:
+    file = checked(read_mapping(path), _File, path)
+    if not file.classes:
         raise DescriptionError(path, "classes", "expected classes of parts by name")
-    entries = [entry for group, body in classes.items() for entry in _entries(path, str(group), body)]
-    return ErrorFile(path, tuple(entries), _command_zeros(path, data.get("command_zeros") or {}))
+    entries = []
+    for group, body in file.classes.items():
+        if not body.errors:
+            raise DescriptionError(path, f"classes.{group}.errors", "expected a list of {at, translation, rotation}")
+        for index, line in enumerate(body.errors):
+            places, translations, rotations = (_listed(part) for part in (line.at, line.translation, line.rotation))
+            if not places or not (translations or rotations):
+                element = f"classes.{group}.errors[{index}]"
+                raise DescriptionError(path, element, "expected a place, and a translation or a rotation of it")
+            tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
+            entries.append(ErrorEntry(group, places, translations, rotations, *tolerances))
+    return ErrorFile(path, tuple(entries), file.command_zeros or {})
 
 
-def _entries(path: Path, group: str, body: Any) -> list[ErrorEntry]:
-    where = f"classes.{group}"
-    if not isinstance(body, dict):
-        raise DescriptionError(path, where, f"expected the keys {', '.join(sorted(_CLASS_KEYS))}")
-    _known(path, where, body, _CLASS_KEYS)
-    length, angle = (_positive(path, where, body, key) for key in ("length_tolerance_m", "angle_tolerance_rad"))
-    lines = body.get("errors")
-    if not isinstance(lines, list) or not lines:
-        raise DescriptionError(path, f"{where}.errors", "expected a list of {at, translation, rotation}")
-    return [_entry(path, f"{where}.errors[{k}]", group, line, length, angle) for k, line in enumerate(lines)]
-
-
-def _entry(path: Path, where: str, group: str, line: Any, length: float, angle: float) -> ErrorEntry:
-    if not isinstance(line, dict):
-        raise DescriptionError(path, where, "expected {at, translation, rotation}")
-    _known(path, where, line, _ENTRY_KEYS)
-    places = _names(path, f"{where}.at", line.get("at"))
-    translations, rotations = (_names(path, f"{where}.{key}", line.get(key, [])) for key in ("translation", "rotation"))
-    for word in (*translations, *rotations):
-        if word not in _WORDS:
-            raise DescriptionError(path, where, f"expected some of {', '.join(_WORDS)}, not '{word}'")
-    if not places or not (translations or rotations):
-        raise DescriptionError(path, where, "expected a place, and a translation or a rotation of it")
-    return ErrorEntry(group, places, translations, rotations, length, angle)
-
-
-def _command_zeros(path: Path, data: Any) -> dict[str, str]:
-    if not isinstance(data, dict) or not all(isinstance(name, str) for pair in data.items() for name in pair):
-        raise DescriptionError(path, "command_zeros", "expected a frame's name for each joint's")
-    return dict(data)
-
-
-def _names(path: Path, where: str, value: Any) -> tuple[str, ...]:
-    names = [value] if isinstance(value, str) else value
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise DescriptionError(path, where, "expected a name or a list of names")
-    return tuple(names)
-
-
-def _positive(path: Path, where: str, body: Mapping[str, Any], key: str) -> float:
-    value = body.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (math.isfinite(value) and value > 0.0):
-        raise DescriptionError(path, f"{where}.{key}", "expected a positive number")
-    return float(value)
-
-
-def _known(path: Path, where: str, data: Mapping[str, Any], keys: set[str]) -> None:
-    for key in data:
-        if key not in keys:
-            raise DescriptionError(path, f"{where}: {key}", f"unknown key, expected some of {', '.join(sorted(keys))}")
+def _listed(words: str | Sequence[str] | None) -> tuple[str, ...]:
+    return (words,) if isinstance(words, str) else tuple(words or ())

@@ -7,18 +7,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.schema import Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.typing import Vector
 
-_SI_UNITS = ("1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3")
+Unit: TypeAlias = Literal[
+    "1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3", "mm", "deg"
+]
+
 _TO_SI: dict[str, Callable[[float], float]] = {
-    **dict.fromkeys(_SI_UNITS, float),
     # in decimal digits, so that 240.272 mm is the double nearest to 0.240272 m and not its neighbour
     "mm": lambda number: float(Decimal(repr(number)).scaleb(-3)),
     "deg": math.radians,
@@ -46,7 +49,7 @@ class Quantity:
     @property
     def si(self) -> float | tuple[float, ...]:
         """The value in SI units and radians."""
-        convert = _TO_SI[self.unit]
+        convert = _TO_SI.get(self.unit, float)
         return tuple(map(convert, self.value)) if isinstance(self.value, tuple) else convert(self.value)
 
 
@@ -183,38 +186,31 @@ def read_quantities(path: Path | str) -> dict[str, Quantity]:
     return _quantities(path, read_mapping(path))
 
 
+class _Entry(Schema):
+    value: float | list[float]
+    unit: Unit
+    status: Literal["printed", "inferred", "chosen"]
+    source: str
+    symbol: str = "none"
+
+
 def _name(path: Path, sections: Mapping[str, Any]) -> str:
-    name = sections.get("name")
-    if not isinstance(name, str) or not name:
-        raise DescriptionError(path, "name", "expected the name of the machine")
-    return name
+    return checked(sections.get("name"), Name, path, "name")
 
 
 def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Quantity]:
     """Every quantity of a parameter file, keyed "section.name"."""
     return {
-        f"{section}.{name}": _quantity(path, f"{section}.{name}", entry)
+        f"{section}.{name}": _quantity(checked(entry, _Entry, path, f"{section}.{name}"))
         for section, entries in sections.items()
         if isinstance(entries, dict)
         for name, entry in entries.items()
     }
 
 
-def _quantity(path: Path, key: str, entry: Any) -> Quantity:
-    if not isinstance(entry, dict) or not {"value", "unit", "status", "source"} <= set(entry):
-        raise DescriptionError(path, key, "expected value, unit, status and source")
-    unit, status = str(entry["unit"]), str(entry["status"])
-    if unit not in _TO_SI:
-        raise DescriptionError(path, f"{key}.unit", f"'{unit}' is unknown, expected one of {', '.join(_TO_SI)}")
-    if status not in ("printed", "inferred", "chosen"):
-        raise DescriptionError(path, f"{key}.status", f"'{status}' is unknown, expected printed, inferred or chosen")
-    raw = entry["value"]
-    numbers = raw if isinstance(raw, list) else [raw]
-    for number in numbers:
-        if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
-            raise DescriptionError(path, f"{key}.value", f"'{number}' is not a finite number")
-    value = tuple(float(number) for number in numbers) if isinstance(raw, list) else float(raw)
-    return Quantity(value, unit, str(entry.get("symbol", "none")), status, str(entry["source"]))
+def _quantity(entry: _Entry) -> Quantity:
+    value = tuple(entry.value) if isinstance(entry.value, list) else entry.value
+    return Quantity(value, entry.unit, entry.symbol, entry.status, entry.source)
 
 
 class _Reader:

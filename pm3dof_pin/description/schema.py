@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -75,10 +76,10 @@ def _place_and_expected(message: str, data: Any, schema: Any) -> tuple[str, str]
     if missing := _MISSING.fullmatch(problem):
         return _joined(place, missing[1]), "is missing"
     if problem.startswith("Invalid enum value"):
-        return place, f"expected one of {', '.join(map(str, get_args(form)))}, not {value}"
+        return place, f"expected one of {', '.join(map(str, get_args(form)))}, not {reprlib.repr(value)}"
     expected = re.sub(r", got .*", "", problem).removeprefix("Expected ")
     expected = re.sub(r"`([\w |]+)`", lambda kinds: _in_words(kinds[1]), expected)
-    return place, f"expected {expected}, not {value}"
+    return place, f"expected {expected}, not {reprlib.repr(value)}"
 
 
 def _in_words(kinds: str) -> str:

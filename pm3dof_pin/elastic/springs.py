@@ -20,11 +20,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.schema import Name, Positive, Schema, checked
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Matrix
 
@@ -168,19 +170,77 @@ class ClosureSpring:
 
 Spring: TypeAlias = JointSpring | AxialSpring | CantileverSpring | BeamSpring | ClosureSpring
 
-_KEYS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
-    "joint": (frozenset({"joint", "stiffness", "unit"}), frozenset()),
-    "axial": (frozenset({"at", "axis", "stiffness", "unit"}), frozenset()),
-    "cantilever": (
-        frozenset({"at", "axis", "bending_stiffness", "torsional_stiffness", "length", "unit"}),
-        frozenset({"axial_stiffness"}),
-    ),
-    "beam": (frozenset({"at", "matrix"}), frozenset()),
-    "closure": (frozenset({"closure", "matrix"}), frozenset()),
-}
-"""Keys that a type must have beside `name` and `type`, and those that it may have."""
 
-_UNITS = {"joint": ("N/m", "N m/rad"), "axial": ("N/m",), "cantilever": ("N m^2",)}
+class _Entry(Schema):
+    name: Name
+    type: str
+
+
+class _Joint(_Entry):
+    joint: Name
+    stiffness: Positive
+    unit: JointSpringUnit
+
+    def spring(self) -> Spring:
+        return JointSpring(self.name, self.joint, self.stiffness, self.unit)
+
+
+class _Axial(_Entry):
+    at: Name
+    axis: tuple[float, float, float]
+    stiffness: Positive
+    unit: Literal["N/m"]
+
+    def spring(self) -> Spring:
+        return AxialSpring(self.name, self.at, self.axis, self.stiffness)
+
+
+class _Length(Schema):
+    joint: Name
+    at_zero: float
+
+
+class _Cantilever(_Entry):
+    at: Name
+    axis: tuple[float, float, float]
+    bending_stiffness: Positive
+    torsional_stiffness: Positive
+    length: Positive | _Length
+    unit: Literal["N m^2"]
+    axial_stiffness: Positive | None = None
+
+    def spring(self) -> Spring:
+        length = (
+            JointLength(self.length.joint, self.length.at_zero) if isinstance(self.length, _Length) else self.length
+        )
+        stiffness = (self.bending_stiffness, self.torsional_stiffness)
+        return CantileverSpring(self.name, self.at, self.axis, *stiffness, length, self.axial_stiffness)
+
+
+class _Beam(_Entry):
+    at: Name
+    matrix: list[list[float]]
+
+    def spring(self) -> Spring:
+        return BeamSpring(self.name, self.at, _square(self.matrix))
+
+
+class _Closure(_Entry):
+    closure: Annotated[int, msgspec.Meta(ge=0)]
+    matrix: list[list[float]]
+
+    def spring(self) -> Spring:
+        return ClosureSpring(self.name, self.closure, _square(self.matrix))
+
+
+_Form: TypeAlias = _Joint | _Axial | _Cantilever | _Beam | _Closure
+_FORMS: dict[str, type[_Form]] = {
+    "joint": _Joint,
+    "axial": _Axial,
+    "cantilever": _Cantilever,
+    "beam": _Beam,
+    "closure": _Closure,
+}
 
 
 def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tuple[Spring, ...]:
@@ -196,117 +256,25 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
     """
     springs: list[Spring] = []
     for index, entry in enumerate(entries):
-        spring = _Entry(entry, source, index).spring()
-        if spring.name in {other.name for other in springs}:
-            raise DescriptionError(source, f"springs[{index}]", f"the name '{spring.name}' is taken, expected another")
-        springs.append(spring)
+        element = f"springs[{index}]"
+        name, kind = checked(entry.get("name"), Name, source, f"{element}.name"), entry.get("type")
+        if name in {other.name for other in springs}:
+            raise DescriptionError(source, element, f"the name '{name}' is taken, expected another")
+        element += f" '{name}'"
+        if not isinstance(kind, str) or kind not in _FORMS:
+            raise DescriptionError(source, f"{element}.type", f"expected one of {', '.join(_FORMS)}, not {kind}")
+        try:
+            springs.append(checked(entry, _FORMS[kind], source, element).spring())
+        except InvalidValueError as error:
+            place = f"{element}.{error.name}"
+            raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error
     return tuple(springs)
 
 
-class _Entry:
-    """One entry of `springs`, with errors that say where it stands."""
-
-    def __init__(self, entry: Mapping[str, Any], source: Path | str, index: int) -> None:
-        self._entry = entry
-        self._source = source
-        self._element = f"springs[{index}]"
-        name = self._text("name")
-        self._element += f" '{name}'"
-        self._name = name
-
-    def spring(self) -> Spring:
-        kind = self._entry.get("type")
-        if not isinstance(kind, str) or kind not in _KEYS:
-            raise self._error("type", f"expected one of {', '.join(_KEYS)}, not {kind}")
-        self._check_keys(kind)
-        try:
-            return self._of_type(kind)
-        except InvalidValueError as error:
-            raise self._error(error.name, f"is {error.value}, expected {error.expected}") from error
-
-    def _of_type(self, kind: str) -> Spring:
-        if kind == "joint":
-            unit: JointSpringUnit = "N/m" if self._entry["unit"] == "N/m" else "N m/rad"
-            return JointSpring(self._name, self._text("joint"), self._number("stiffness"), unit)
-        if kind == "axial":
-            return AxialSpring(self._name, self._text("at"), self._axis(), self._number("stiffness"))
-        if kind == "cantilever":
-            return CantileverSpring(
-                name=self._name,
-                at=self._text("at"),
-                axis=self._axis(),
-                bending_stiffness=self._number("bending_stiffness"),
-                torsional_stiffness=self._number("torsional_stiffness"),
-                length=self._length(),
-                axial_stiffness=self._number("axial_stiffness") if "axial_stiffness" in self._entry else None,
-            )
-        if kind == "beam":
-            return BeamSpring(self._name, self._text("at"), self._matrix())
-        return ClosureSpring(self._name, self._position("closure"), self._matrix())
-
-    def _check_keys(self, kind: str) -> None:
-        needed, optional = _KEYS[kind]
-        for key in self._entry:
-            if key not in needed | optional | {"name", "type"}:
-                raise self._error(
-                    str(key), f"unknown key of type {kind}, expected some of {_listed(needed | optional)}"
-                )
-        for key in sorted(needed - set(self._entry)):
-            raise self._error(key, f"is missing, type {kind} needs {_listed(needed)}")
-        if kind in _UNITS and self._entry["unit"] not in _UNITS[kind]:
-            raise self._error("unit", f"expected {' or '.join(_UNITS[kind])}, not {self._entry['unit']}")
-
-    def _text(self, key: str) -> str:
-        value = self._entry.get(key)
-        if not isinstance(value, str) or not value:
-            raise self._error(key, f"expected a name, not {value}")
-        return value
-
-    def _number(self, key: str) -> float:
-        return self._as_number(key, self._entry[key])
-
-    def _as_number(self, key: str, value: Any) -> float:
-        # YAML 1.1 takes 9.5e7, without a sign in the exponent, for a string
-        if not isinstance(value, bool) and isinstance(value, (int, float, str)):
-            try:
-                return float(value)
-            except ValueError:
-                pass
-        raise self._error(key, f"expected a number, not {value}")
-
-    def _position(self, key: str) -> int:
-        value = self._entry[key]
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            raise self._error(key, f"expected a position in closed_loop, counted from 0, not {value}")
-        return value
-
-    def _axis(self) -> tuple[float, float, float]:
-        value = self._entry["axis"]
-        if not isinstance(value, list) or len(value) != 3:
-            raise self._error("axis", f"expected three numbers, not {value}")
-        x, y, z = (self._as_number("axis", number) for number in value)
-        return x, y, z
-
-    def _length(self) -> float | JointLength:
-        value = self._entry["length"]
-        if not isinstance(value, dict):
-            return self._as_number("length", value)
-        if set(value) != {"joint", "at_zero"} or not isinstance(value["joint"], str):
-            raise self._error("length", f"expected a number or {{joint: name, at_zero: number}}, not {value}")
-        return JointLength(value["joint"], self._as_number("length: at_zero", value["at_zero"]))
-
-    def _matrix(self) -> Matrix:
-        value = self._entry["matrix"]
-        if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == len(value) for row in value):
-            raise self._error("matrix", "expected a list of rows, as many as they are long")
-        return np.array([[self._as_number("matrix", number) for number in row] for row in value])
-
-    def _error(self, key: str, expected: str) -> DescriptionError:
-        return DescriptionError(self._source, f"{self._element}: {key}", expected)
-
-
-def _listed(keys: Iterable[str]) -> str:
-    return ", ".join(sorted(keys))
+def _square(rows: list[list[float]]) -> Matrix:
+    if any(len(row) != len(rows) for row in rows):
+        raise InvalidValueError("matrix", rows, "rows as long as there are rows")
+    return np.array(rows)
 
 
 def _require_positive(name: str, value: float) -> None:

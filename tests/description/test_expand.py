@@ -179,7 +179,7 @@ def test_a_missing_number_is_named(write: Callable[..., Path], section: str, nam
 
 def test_a_number_that_is_none_is_refused(write: Callable[..., Path]) -> None:
     config = write(lambda tree: tree["inertia"]["base_mass"].update(value=math.nan))
-    with pytest.raises(DescriptionError, match=r"mine\.yaml: inertia\.base_mass\.value: 'nan' is not a finite number"):
+    with pytest.raises(DescriptionError, match=r"mine\.yaml: inertia\.base_mass\.value: expected a finite number"):
         description_files(config=config)
     with pytest.raises(DescriptionError, match="<mass>: expected finite numbers, not 'nan'"):
         expand_xacro(XACRO, {"config": str(config)})
@@ -187,7 +187,7 @@ def test_a_number_that_is_none_is_refused(write: Callable[..., Path]) -> None:
 
 def test_an_unknown_unit_is_refused(write: Callable[..., Path]) -> None:
     config = write(lambda tree: tree["drawing"]["tool_radius"].update(unit="inch"))
-    with pytest.raises(DescriptionError, match=r"drawing\.tool_radius\.unit: 'inch' is unknown"):
+    with pytest.raises(DescriptionError, match=r"drawing\.tool_radius\.unit: expected one of .*not 'inch'"):
         description_files(config=config)
     with pytest.raises(DescriptionError, match=r"drawing\.tool_radius\.unit: unknown unit inch"):
         expand_xacro(XACRO, {"config": str(config)})

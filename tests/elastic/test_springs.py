@@ -65,8 +65,8 @@ def test_a_constant_length_and_an_axial_stiffness() -> None:
 
 SYMMETRIC = np.diag([4.0, 5, 6])
 WRONG: list[tuple[str, dict[str, Any], str]] = [
-    ("no name", {"type": "joint"}, "springs[0]: name"),
-    ("empty name", JOINT | {"name": ""}, "springs[0]: name"),
+    ("no name", {"type": "joint"}, "springs[0].name"),
+    ("empty name", JOINT | {"name": ""}, "springs[0].name"),
     ("no type", {"name": "a"}, "type"),
     ("unknown type", JOINT | {"type": "rubber"}, "type"),
     ("a list as type", JOINT | {"type": ["joint"]}, "type"),
