@@ -2,79 +2,230 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Any
 
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 
 if TYPE_CHECKING:
+    from pm3dof_pin.description.robots import RobotFiles
     from pm3dof_pin.kinematics.robot import Robot
 
-RobotName = Annotated[
-    str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
-]
+CLOSED_TOLERANCE = 1e-6
+"""Residual up to which a closure is called closed [m or rad]."""
+
+_KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite"), ("Planar", "planar"))
 
 
-def info(robot: RobotName = "pm3dof", as_json: Json = False) -> None:
-    """What a robot is: files, joints, loop closures, freedoms, home pose; and which robots there are."""
+def info(
+    robot: RobotName = "pm3dof",
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    as_json: Json = False,
+) -> None:
+    """What a robot is: files, joints, commands, coordinates, loop closures, degrees of freedom, home.
+
+    Works on anything that can be read, and says what is missing and what to try.
+    """
+    from pm3dof_pin.description.robots import find_robot, robot_names
+    from pm3dof_pin.kinematics.robot import Robot
+
+    files = find_robot(robot, package_path or ())
+    machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
+    result = _files(files) | _tree(machine) | _closures(machine) | _mobility(machine) | _readings(machine)
+    result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
+    result["missing"] = _missing(result, machine)
+    result["robots"] = robot_names()
+    print_result(result, _lines(result, machine), as_json=as_json)
+
+
+def _files(files: RobotFiles) -> dict[str, Any]:
+    return {
+        "description": str(files.path),
+        "format": files.format,
+        "urdf": str(files.path) if files.format == "urdf" else None,
+        "closures_file": str(files.closures) if files.closures is not None else None,
+        "srdf": str(files.srdf) if files.srdf is not None else None,
+        "errors_file": str(files.errors) if files.errors.is_file() else None,
+    }
+
+
+def _tree(robot: Robot) -> dict[str, Any]:
+    model = robot.model
+    joints = list(zip(model.names, model.joints, model.inertias, strict=True))[1:]
+    kinds = {name: _kind(robot, name, joint.shortname()) for name, joint, _ in joints}
+    massless = [name for name, _, inertia in joints if inertia.mass == 0.0]
+    return {
+        "name": robot.name,
+        "joints": len(joints),
+        "joint_types": dict(Counter(kinds.values())),
+        "actuated_joints": robot.actuated_joints,
+        "moving_mass_kg": float(sum(inertia.mass for _, _, inertia in joints)),
+        "links_without_mass": [frame.name for frame in model.frames if _is_carried(model, frame, massless)],
+    }
+
+
+def _kind(robot: Robot, name: str, shortname: str) -> str:
+    for part, kind in _KINDS:
+        if part in shortname:
+            return kind
+    return "prismatic" if robot.single_joint(name).translates else "revolute"
+
+
+def _is_carried(model: Any, frame: Any, joints: list[str]) -> bool:
+    """Tell whether a frame is the link that one of the joints carries."""
+    import pinocchio as pin
+
+    if frame.type != pin.FrameType.BODY or model.names[frame.parentJoint] not in joints:
+        return False
+    return bool(model.frames[frame.parentFrame].type == pin.FrameType.JOINT)
+
+
+def _closures(robot: Robot) -> dict[str, Any]:
     import numpy as np
 
-    from pm3dof_pin.description.robots import find_robot, robot_names
-    from pm3dof_pin.kinematics.mobility import instantaneous_mobility
-    from pm3dof_pin.kinematics.robot import Robot
-
-    files = find_robot(robot)
-    mechanism = Robot.load(robot)
-    home = mechanism.home
-    mobility = instantaneous_mobility(home)
-    result: dict[str, Any] = {
-        "name": mechanism.name,
-        "urdf": str(files.urdf),
-        "closures_file": str(files.closures),
-        "joints": len(mechanism.model.names) - 1,
-        "actuated_joints": mechanism.actuated_joints,
+    home, rows = robot.home, robot.loop_kinematics.rows
+    residuals = [float(np.abs(home.closure_error[part]).max()) for part in rows]
+    return {
         "closures": [
-            {"frame_a": closure.frame_a, "frame_b": closure.frame_b, "type": closure.type}
-            for closure in mechanism.closures
+            {"frame_a": c.frame_a, "frame_b": c.frame_b, "type": c.type, "residual": residual}
+            for c, residual in zip(robot.closures, residuals, strict=True)
         ],
-        "tool_frame": mechanism.tool_frame,
-        "mobility": mobility.count,
-        "tool_mobility": mobility.tool_mobility,
-        "redundant_constraints": mobility.redundant_constraints,
+        "closure_residual": home.closure_residual,
         "home_closure_residual": home.closure_residual,
-        "home_tool_position_m": home.tool_placement.translation,
-        "moving_mass_kg": float(np.sum([inertia.mass for inertia in list(mechanism.model.inertias)[1:]])),
-        "named_configurations": list(mechanism.named_configurations),
-        "robots": robot_names(),
+        "tool_frame": robot.tool_frame,
+        "home_tool_position_m": home.tool_placement.translation if robot.tool_frame is not None else None,
     }
-    print_result(result, _lines(result, mechanism), as_json=as_json)
 
 
-def _lines(result: dict[str, Any], mechanism: Robot) -> list[str]:
-    x, y, z = result["home_tool_position_m"]
+def _mobility(robot: Robot) -> dict[str, Any]:
+    """Count degrees of freedom at home; nothing of it is known where the loops are open."""
+    from pm3dof_pin.exceptions import InvalidValueError
+    from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+
+    keys = ("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom")
+    try:
+        dof = DegreesOfFreedom(robot.home, RANK_TOLERANCE)
+    except InvalidValueError:
+        return dict.fromkeys(keys)
+    has_tool = robot.tool_frame is not None
+    counts = (
+        dof.count,
+        dof.at_tool.rank.rank if has_tool else None,
+        len(robot.home.closure_error) - dof.constraint_rank.rank,
+        dof.count - dof.at_actuators.rank.rank,
+        dof.count - dof.idle.rank.rank if has_tool else None,
+    )
+    return dict(zip(keys, counts, strict=True))
+
+
+def _readings(robot: Robot) -> dict[str, Any]:
+    """What drives and people read: commands and coordinates, with their ranges and their values at home."""
+    poses = robot.at([robot.home.q])
+    entries = {
+        "commands": (robot.command_coordinates, poses.commands[0]),
+        "coordinates": (robot.coordinates, poses.coordinates[0]),
+    }
+    result: dict[str, Any] = {
+        key: [
+            {"name": c.name, "unit": c.unit, "joint": c.joint, "tool": c.tool, "offset": c.offset, "scale": c.scale}
+            | dict(zip(("lower", "upper", "home"), (*robot.range_of(c), float(value)), strict=True))
+            for c, value in zip(coordinates, values, strict=True)
+        ]
+        for key, (coordinates, values) in entries.items()
+    }
+    ends = [entry[key] for entry in result["commands"] for key in ("lower", "upper")]
+    return result | {"limits_given": any(map(math.isfinite, ends))}
+
+
+def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
+    """Say what the description lacks, and what to do about it."""
+    said = []
+    gaps = {f"{c['frame_a']}-{c['frame_b']}": c["residual"] for c in result["closures"]}
+    if still_open := {name: gap for name, gap in gaps.items() if not gap <= CLOSED_TOLERANCE}:
+        listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
+        said.append(
+            f"loops are open at home: {listed}. No way was found to close them from there: try a configuration 'home' "
+            "near an assembled one (an SRDF, a keyframe), or check these frames and the joints between them"
+        )
+    if robot.tool_frame is None:
+        said.append("no tool frame: what needs a tool takes --tool-frame NAME, or tool_frame in a closures file")
+    if not robot.actuated_joints:
+        said.append("no actuated joints: name them in a closures file (name_mot), or as actuators of the MJCF")
+    elif not result["limits_given"]:
+        said.append("no limits of the actuated joints are given: they count as unlimited")
+    if free := result["free_degrees_of_freedom"]:
+        idle = result["idle_degrees_of_freedom"]
+        of_these = f"; {idle} of these leave the tool at rest, as the spin of a rod does" if idle else ""
+        said.append(f"with the drives locked, {free} degrees of freedom are left{of_these}")
+    if not robot.springs:
+        said.append("no springs: stiffness needs some, in a closures file (springs)")
+    if result["errors_file"] is None:
+        said.append("no error file: error maps and calibration take every geometric error of every joint")
+    if result["links_without_mass"]:
+        said.append(
+            f"links without mass: {', '.join(result['links_without_mass'])}: kinematics do not need any; "
+            "simulators refuse such links if they move"
+        )
+    return said
+
+
+def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
+    names = {"coordinates": "coordinate", "commands": "command"}
+    if result["coordinates"] == result["commands"]:
+        names = {"commands": "coordinate and command"}
+    kinds = ", ".join(f"{count} {kind}" for kind, count in result["joint_types"].items())
+    lines = [
+        f"{result['name']}: {result['joints']} joints ({kinds}), {len(result['actuated_joints'])} of them actuated, "
+        f"{len(result['closures'])} loop closures"
+    ]
+    if result["mobility"] is None:
+        lines.append("mobility unknown, as loops are open at home")
+    else:
+        of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
+        lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+    if result["tool_frame"] is not None:
+        x, y, z = result["home_tool_position_m"]
+        lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
-    facts = [
-        f"{result['name']}: {result['joints']} joints, {len(result['actuated_joints'])} of them actuated, "
-        f"{len(result['closures'])} loop closures",
-        f"mobility {result['mobility']} ({result['tool_mobility']} of the tool), "
-        f"{result['redundant_constraints']} redundant constraints",
-        f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m",
-        f"closures: {closures or 'none'}, residual at home {result['home_closure_residual']:.1e}",
-        f"moving mass {result['moving_mass_kg']:.4f} kg",
-        f"description {result['urdf']}",
-        f"closures file {result['closures_file']}",
+    lines += [
+        f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
+        f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
+        f"description {result['description']}",
+        *(
+            f"{key.replace('_', ' ').replace('srdf', 'SRDF')} {result[key]}"
+            for key in ("closures_file", "srdf", "errors_file")
+            if result[key] is not None
+        ),
         f"named configurations: {', '.join(result['named_configurations']) or 'none'}",
+        *result["missing"],
         f"robots that come with the package: {', '.join(result['robots'])}",
+        "",
+        *table_lines(
+            ["", "", "lower", "upper", "home", "unit"],
+            [
+                [entry["name"], kind, *_in_degrees(entry["unit"], *(entry[key] for key in ("lower", "upper", "home")))]
+                for key, kind in names.items()
+                for entry in result[key]
+            ],
+        ),
         "",
     ]
     rows = [
         [
             name,
-            "actuated" if name.partition("[")[0] in mechanism.actuated_joints else "passive",
-            *(f"{limits[index]:.4g}" for limits in (mechanism.lower_limits, mechanism.upper_limits)),
+            "actuated" if name.partition("[")[0] in robot.actuated_joints else "passive",
+            *(f"{limits[index]:.4g}" for limits in (robot.lower_limits, robot.upper_limits)),
         ]
-        for index, name in enumerate(mechanism.q_names)
+        for index, name in enumerate(robot.q_names)
     ]
-    return facts + table_lines(["joint", "", "lower [m, rad]", "upper [m, rad]"], rows)
+    return lines + table_lines(["joint", "", "lower [m, rad]", "upper [m, rad]"], rows)
+
+
+def _in_degrees(unit: str, *values: float) -> list[str]:
+    """Write values for a person: angles in degrees, nothing where there is no value."""
+    factor, shown = (180.0 / math.pi, "deg") if unit == "rad" else (1.0, "m")
+    return [*(f"{factor * value:.6g}" if math.isfinite(value) else "-" for value in values), shown]

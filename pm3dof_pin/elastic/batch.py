@@ -129,7 +129,7 @@ def evaluate(
         values[index] = np.nan
         try:
             if on_failure == "raise" or np.isfinite(rows[index]).all():
-                report = cartesian_compliance(elastic, rows[index], frame=name)
+                report = cartesian_compliance(elastic, rows[index], frame=name, engine="pinocchio")
                 values[index] = quantity.computed(report).ravel()
             else:
                 failed[index] = True

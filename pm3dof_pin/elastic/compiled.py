@@ -9,21 +9,16 @@ import numpy as np
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import ElasticQuantity
-from pm3dof_pin.elastic.traced import (
-    compliance_root,
-    elastic_tree,
-    spring_parameters,
-    stiffness_root,
-)
-from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.elastic.traced import Roots, elastic_tree, spring_parameters
+from pm3dof_pin.exceptions import ConvergenceError, ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.continuation import samples_near
 from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
-from pm3dof_pin.kinematics.sample_poses import sample_poses
-from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.closing import TracedProgram
+from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import total
 from pm3dof_pin.programs.graph import Graph, Truth, less, select
-from pm3dof_pin.programs.llvm import Compiled, compile
+from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, length_unit
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix
@@ -72,7 +67,9 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
         key = _key(model, frame, quantity, closed)
         if key not in _compiled:
             try:
-                _compiled[key] = compile(traced_quantity(model, frame, quantity, closed=closed).program)
+                _compiled[key] = cache.compiled(
+                    cache.stored(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
+                )
             except ProgramError as error:
                 _logger.warning("%s, %s: computed by Pinocchio pose by pose: %s", model, quantity.name, error)
                 _compiled[key] = error
@@ -89,9 +86,7 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     return found
 
 
-def traced_quantity(
-    model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool = False
-) -> TracedProgram:
+def traced_quantity(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool = False) -> Program:
     """Record a quantity as a program.
 
     Inputs are q of the rigid mechanism; outputs the quantity and `sound`, 1 where nothing is in doubt, else 0.
@@ -100,25 +95,28 @@ def traced_quantity(
         ProgramError: the mechanism has a joint for which there is no program, the frame is free or rigid at all sample
             poses, or the traced Jacobians are not Pinocchio's.
     """
-    poses = sample_poses(model.rigid)
+    try:
+        poses = samples_near(model.rigid, model.rigid.home.q)
+    except ConvergenceError as error:
+        raise ProgramError(str(error)) from error
     verify(model.mechanism, model.embed(poses))
     graph = Graph()
     q = np.array([graph.input(f"q[{k}]", poses[:, k]) for k in range(poses.shape[1])], dtype=object)
     tree = elastic_tree(graph, model, q, poses, frame)
-    sound: Truth = np.True_
+    roots = Roots(graph, model, tree, frame)
     try:
-        root = (compliance_root if quantity.root == "compliance" else stiffness_root)(graph, model, tree, frame)
-        values = quantity.traced(root.columns)
-        trace = total([total([entry * entry for entry in row]) for row in root.columns])  # NaN if an entry is
-        sound = less(PIVOT, root.pivot) & less(root.dropped, DROPPED) & less(-1.0, trace)
+        values = quantity.traced(roots)
     except RigidDirectionError:
         values = np.full(quantity.shape, np.nan)
+    sound: Truth = np.True_
+    for root in roots.used:
+        trace = total([total([entry * entry for entry in row]) for row in root.columns])  # NaN if an entry is
+        sound = sound & less(PIVOT, root.pivot) & less(root.dropped, DROPPED) & less(-1.0, trace)
     if not closed:
-        tolerance = ASSEMBLED_TOLERANCE * length_unit(model.mechanism.characteristic_length)
+        tolerance = 0.5 * ASSEMBLED_TOLERANCE * length_unit(model.mechanism.characteristic_length)
         for index in range(len(model.mechanism.closures)):
             sound = sound & less(closure_equations(tree, index).residual, tolerance)
-    program = graph.program(quantity.name, {quantity.name: values, "sound": select(sound, 1.0, 0.0)})
-    return TracedProgram(program, tree.geometry.constants)
+    return graph.program(quantity.name, {quantity.name: values, "sound": select(sound, 1.0, 0.0)})
 
 
 def _key(model: ElasticModel, frame: str, quantity: ElasticQuantity, closed: bool) -> str:

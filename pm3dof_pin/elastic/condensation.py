@@ -27,57 +27,116 @@ from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
-from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
+from pm3dof_pin.exceptions import FreeDirectionError, ProgramError, RigidDirectionError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Matrix
+from pm3dof_pin.typing import Engine, Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)
-class CartesianCompliance:
-    """The elastic behaviour of one frame at one configuration.
+class _Decomposition:
+    """What singular values say of one frame; the first attributes as those of the report."""
 
-    Twists are [v; omega], wrenches [f; m], at the frame's origin, world axes. "Orthonormal in scaled numbers": with
-    lengths divided by the characteristic length.
-
-    Attributes:
-        frame: the frame.
-        motions: how the mechanism can move, with the rank decisions on its closures.
-        spring_names: names of the springs, in the order of `contributions`.
-        spring_coordinates: names of the joints that springs are at, in the order of `spring_forces`.
-        spring_forces: generalised forces in the springs for unit wrenches on the frame, the map a from wrenches to
-            spring forces, shape=(s, 6). A wrench that would work on a free direction counts without that part.
-        contributions: compliance that each spring adds, a_j K_j^-1 a_j^T, shape=(number of springs, 6, 6). Their sum is
-            the compliance.
-        free_directions: twists that the frame can have with all springs at rest, orthonormal in scaled numbers,
-            shape=(6, f).
-        rigid_directions: twists that the frame cannot have at all, orthonormal in scaled numbers, shape=(6, r).
-        free_rank: the decision on the frame's twists with all springs at rest.
-        elastic_rank: the decision on its twists when springs are strained, free directions left out.
-    """
-
-    frame: str
     motions: ElasticMotions
-    spring_names: tuple[str, ...]
-    spring_coordinates: tuple[str, ...]
     spring_forces: Matrix
     contributions: Matrix
     free_directions: Matrix
     rigid_directions: Matrix
     free_rank: RankDecision
     elastic_rank: RankDecision
-    _twists: Matrix
-    _held: Matrix
+    twists: Matrix
+    moved: Matrix
 
-    @property
+
+class CartesianCompliance:
+    """The elastic behaviour of one frame at one configuration. Read-only.
+
+    Made by :func:`cartesian_compliance`. Twists are [v; omega], wrenches [f; m], at the frame's origin, world axes.
+    "Orthonormal in scaled numbers": with lengths divided by the characteristic length. What is not asked for is not
+    computed.
+
+    Attributes:
+        frame: the frame.
+    """
+
+    def __init__(
+        self,
+        model: ElasticModel,
+        configuration: Configuration | Vector,
+        frame: str,
+        tolerance: float,
+        matrices: Matrix | None,
+    ) -> None:
+        self.frame = frame
+        self._model = model
+        self._given = configuration
+        self._tolerance = tolerance
+        self._matrices = matrices  # C and K by the program, where nothing is in doubt
+
+    @cached_property
     def configuration(self) -> Configuration:
         """Where, of the mechanism with virtual joints."""
-        return self.motions.configuration
+        return self._model.configuration(self._given)
+
+    @property
+    def motions(self) -> ElasticMotions:
+        """How the mechanism can move, with the rank decisions on its closures."""
+        return self.decomposition.motions
+
+    @property
+    def spring_names(self) -> tuple[str, ...]:
+        """Names of the springs, in the order of :attr:`contributions`."""
+        return self._model.spring_names
+
+    @property
+    def spring_coordinates(self) -> tuple[str, ...]:
+        """Names of the joints that springs are at, in the order of :attr:`spring_forces`."""
+        return self._model.spring_coordinates
+
+    @property
+    def spring_forces(self) -> Matrix:
+        """Generalised forces in the springs for unit wrenches on the frame, shape=(s, 6).
+
+        The map a from wrenches to spring forces. A wrench that would work on a free direction counts without that part.
+        """
+        return self.decomposition.spring_forces
+
+    @property
+    def contributions(self) -> Matrix:
+        """Compliance that each spring adds, a_j K_j^-1 a_j^T, shape=(number of springs, 6, 6); their sum is C."""
+        return self.decomposition.contributions
+
+    @property
+    def free_directions(self) -> Matrix:
+        """Twists that the frame can have with all springs at rest, orthonormal in scaled numbers, shape=(6, f)."""
+        return self.decomposition.free_directions
+
+    @property
+    def rigid_directions(self) -> Matrix:
+        """Twists that the frame cannot have at all, orthonormal in scaled numbers, shape=(6, r)."""
+        return self.decomposition.rigid_directions
+
+    @property
+    def free_rank(self) -> RankDecision:
+        """The decision on the frame's twists with all springs at rest."""
+        return self.decomposition.free_rank
+
+    @property
+    def elastic_rank(self) -> RankDecision:
+        """The decision on the frame's twists when springs are strained, free directions left out."""
+        return self.decomposition.elastic_rank
 
     @property
     def exists(self) -> bool:
         """Whether both compliance and stiffness exist, each the inverse of the other."""
+        if self._matrices is not None and not np.isnan(self._matrices[1, 0, 0]):
+            return True
         return not (self.free_directions.size or self.rigid_directions.size)
+
+    @cached_property
+    def decomposition(self) -> _Decomposition:
+        """The decisions on ranks, and what is computed with them."""
+        return _decomposed(self._model, self.configuration, self.frame, self._tolerance)
 
     @cached_property
     def compliance(self) -> Matrix:
@@ -86,9 +145,12 @@ class CartesianCompliance:
         Raises:
             FreeDirectionError: the frame has free directions; the message names them.
         """
+        if self._matrices is not None:
+            return frozen(self._matrices[0])
         if self.free_directions.size:
             raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
-        return frozen(self._twists @ self._twists.T)
+        twists = self.decomposition.twists
+        return frozen(twists @ twists.T)
 
     @cached_property
     def stiffness(self) -> Matrix:
@@ -97,13 +159,16 @@ class CartesianCompliance:
         Raises:
             RigidDirectionError: the frame has rigid directions; the message names them.
         """
+        if self._matrices is not None and not np.isnan(self._matrices[1, 0, 0]):
+            return frozen(self._matrices[1])
         if self.rigid_directions.size:
             raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
         # (P Z') (P Z')^T inverted by the triangle of an orthogonal decomposition: half the digits of a product are safe
-        rows = self._held.T @ self._twists
+        moved = self.decomposition.moved
+        rows = moved.T @ self.decomposition.twists
         size = np.linalg.norm(rows, axis=1)
         triangle = np.linalg.qr((rows / size[:, None]).T)[1]
-        root = np.linalg.solve(triangle.T, self._held.T / size[:, None])
+        root = np.linalg.solve(triangle.T, moved.T / size[:, None])
         return frozen(root.T @ root)
 
     def stiffness_over(self, twists: ArrayLike) -> Matrix:
@@ -122,8 +187,8 @@ class CartesianCompliance:
             raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
         scale = np.repeat([self.configuration.mechanism.characteristic_length, 1.0], 3)[:, None]
         wanted = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
-        strains = np.linalg.lstsq(self._twists / scale, wanted, rcond=RANK_TOLERANCE**2)[0]
-        missed = np.abs(self._twists @ strains / scale - wanted).max(initial=0.0)
+        strains = np.linalg.lstsq(self.decomposition.twists / scale, wanted, rcond=RANK_TOLERANCE**2)[0]
+        missed = np.abs(self.decomposition.twists @ strains / scale - wanted).max(initial=0.0)
         if missed > RANK_TOLERANCE * np.abs(wanted).max(initial=0.0):
             raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
         return frozen(strains.T @ strains)
@@ -138,25 +203,58 @@ def cartesian_compliance(
     *,
     frame: str | None = None,
     tolerance: float = RANK_TOLERANCE,
+    engine: Engine = "program",
 ) -> CartesianCompliance:
     """Compute the elastic behaviour of a frame, unloaded but for the wrenches that probe it.
 
+    Compliance and stiffness of the tool come from its compiled program, where that leaves nothing in doubt; all else,
+    and other frames, from Pinocchio's Jacobians and singular values.
+
     Args:
         model: the elastic mechanism.
-        configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad].
+        configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a
+            configuration of the mechanism with virtual joints.
         frame: the frame; the tool by default.
         tolerance: singular values below this times their reference count as zero.
+        engine: "program", or "pinocchio" for singular values in any case.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
         DescriptionError: no frame is given, and the mechanism has no tool frame.
         InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
     """
-    where = model.configuration(configuration)
-    motions = elastic_motions(model, where, tolerance=tolerance)
-    jacobian = where.tool_jacobian if frame is None else where.frame_jacobian(frame)
+    tool = model.mechanism.tool_frame
     name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
+    given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
+    matrices = None
+    if engine == "program" and name == tool and tolerance == RANK_TOLERANCE:
+        if not isinstance(given, Configuration):
+            matrices = _from_program(model, given)
+        elif given.mechanism is model.rigid:
+            matrices = _from_program(model, given.q)
+    report = CartesianCompliance(model, given, name, tolerance, matrices)
+    if matrices is None:
+        _ = report.decomposition
+    return report
 
+
+def _from_program(model: ElasticModel, q: Vector) -> Matrix | None:
+    """Return C and K of the tool, shape=(2, 6, 6); None where there is no program or a rank is in doubt."""
+    from pm3dof_pin.elastic.compiled import elastic_program
+    from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
+
+    tool = model.mechanism.tool_frame
+    assert tool is not None
+    try:
+        values, sound = elastic_program(model, tool, COMPLIANCE_AND_STIFFNESS, closed=False)(q[None], threads=1)
+    except ProgramError:
+        return None
+    return values.reshape(2, 6, 6) if sound[0] else None
+
+
+def _decomposed(model: ElasticModel, where: Configuration, frame: str, tolerance: float) -> _Decomposition:
+    motions = elastic_motions(model, where, tolerance=tolerance)
+    jacobian = where.frame_jacobian(frame)
     twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
     scaled = jacobian / twist_scale[:, None]
     reference = tolerance * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
@@ -166,19 +264,16 @@ def cartesian_compliance(
     twists = twist_scale[:, None] * (held @ (held.T @ (scaled @ motions.elastic)))
     strains = motions.whitened @ twists.T
     root = model.scaled_compliance_root(where)
-    return CartesianCompliance(
-        frame=name,
+    return _Decomposition(
         motions=motions,
-        spring_names=model.spring_names,
-        spring_coordinates=model.spring_coordinates,
         spring_forces=frozen(np.linalg.solve(root.T, strains)),
         contributions=frozen(_contributions(model, strains)),
         free_directions=frozen(twist_scale[:, None] * free),
         rigid_directions=frozen(twist_scale[:, None] * (held @ rigid)),
         free_rank=free_rank,
         elastic_rank=elastic_rank,
-        _twists=frozen(twists),
-        _held=frozen(held @ moved / twist_scale[:, None]),
+        twists=frozen(twists),
+        moved=frozen(held @ moved / twist_scale[:, None]),
     )
 
 

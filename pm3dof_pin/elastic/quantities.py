@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from itertools import pairwise
 
 import numpy as np
 
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.condensation import CartesianCompliance
-from pm3dof_pin.elastic.traced import compressed
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.traced import Roots, compressed
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import Objects, is_zero, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, less, maximum, minimum, select, sqrt
@@ -23,8 +24,6 @@ from pm3dof_pin.typing import Array
 
 _SWEEPS = 6
 _TINY = 1e-300
-
-RootKind = Literal["compliance", "stiffness"]
 
 
 @dataclass(frozen=True)
@@ -34,15 +33,13 @@ class ElasticQuantity:
     Attributes:
         name: its name.
         shape: shape of its value.
-        root: the root it is traced from.
-        traced: from the columns of that root, X of X X^T, shape=(6, n), to numbers of that shape.
+        traced: from roots to numbers of that shape.
         computed: from the careful report of one pose to its value.
     """
 
     name: str
     shape: tuple[int, ...]
-    root: RootKind
-    traced: Callable[[Objects], Objects]
+    traced: Callable[[Roots], Objects]
     computed: Callable[[CartesianCompliance], Array]
 
 
@@ -55,22 +52,32 @@ def _matrix(columns: Objects) -> Objects:
     return result
 
 
-def _felt(columns: Objects) -> Objects:
-    squares = [total([entry * entry for entry in row]) for row in columns]
+def _both(roots: Roots) -> Objects:
+    stiffness = zeros(6, 6)
+    try:
+        stiffness = _matrix(roots.stiffness)
+    except RigidDirectionError:
+        stiffness[:] = math.nan
+    return np.stack([_matrix(roots.compliance), stiffness])
+
+
+def _felt(roots: Roots) -> Objects:
+    squares = [total([entry * entry for entry in row]) for row in roots.compliance]
     return np.array([math.inf if is_zero(square) else 1.0 / square for square in squares], dtype=object)
 
 
-def _principal(columns: Objects) -> Objects:
+def _principal(roots: Roots) -> Objects:
     """Return the principal stiffnesses of both blocks of the compliance, ascending, shape=(2, 3)."""
     result = zeros(2, 3)
     for block in range(2):
-        squares = squared_singular_values(columns[3 * block : 3 * block + 3])
+        squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
         result[block] = [1.0 / square for square in reversed(squares)]
     return result
 
 
-def _conditioning(columns: Objects) -> Objects:
+def _conditioning(roots: Roots) -> Objects:
     """Return the eigenvalues of K at its characteristic length, ascending, and this length."""
+    columns = roots.stiffness
     translation, rotation = (
         total([entry * entry for entry in columns[rows].ravel()]) for rows in (slice(0, 3), slice(3, 6))
     )
@@ -138,17 +145,47 @@ def _computed_felt(report: CartesianCompliance) -> Array:
         return np.asarray(1.0 / report.compliance.diagonal())
 
 
-COMPLIANCE = ElasticQuantity("compliance", (6, 6), "compliance", _matrix, lambda report: report.compliance)
+def _computed_both(report: CartesianCompliance) -> Array:
+    return np.stack([report.compliance, _computed_stiffness(report)])
+
+
+COMPLIANCE = ElasticQuantity(
+    "compliance", (6, 6), lambda roots: _matrix(roots.compliance), lambda report: report.compliance
+)
 """C, twist = C wrench [m/N, 1/N, rad/(N m)]."""
 
-STIFFNESS = ElasticQuantity("stiffness", (6, 6), "stiffness", _matrix, _computed_stiffness)
+STIFFNESS = ElasticQuantity("stiffness", (6, 6), lambda roots: _matrix(roots.stiffness), _computed_stiffness)
 """K, wrench = K twist [N/m, N, N m/rad]; NaN where a direction is rigid."""
 
-FELT_STIFFNESS = ElasticQuantity("felt_stiffness", (6,), "compliance", _felt, _computed_felt)
+COMPLIANCE_AND_STIFFNESS = ElasticQuantity("compliance_and_stiffness", (2, 6, 6), _both, _computed_both)
+"""C and K; K is NaN where a direction is rigid."""
+
+FELT_STIFFNESS = ElasticQuantity("felt_stiffness", (6,), _felt, _computed_felt)
 """Stiffness felt along and about each axis, all else free [N/m, N m/rad]."""
 
-PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), "compliance", _principal, _computed_principal)
+PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), _principal, _computed_principal)
 """Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""
 
-CONDITIONING = ElasticQuantity("conditioning", (7,), "stiffness", _conditioning, _computed_conditioning)
+CONDITIONING = ElasticQuantity("conditioning", (7,), _conditioning, _computed_conditioning)
 """Eigenvalues of K at its characteristic length, ascending [N/m], and this length [m]."""
+
+
+def spring_shares(model: ElasticModel) -> ElasticQuantity:
+    """Return the share of each spring in the deflection under a unit wrench along each axis, shape=(6, springs)."""
+    starts = np.cumsum([0, *(len(block.indices) for block in model.blocks)])
+
+    def traced(roots: Roots) -> Objects:
+        squares = roots.compliance_by_spring * roots.compliance_by_spring
+        shares = zeros(6, len(model.blocks))
+        for i, row in enumerate(squares):
+            parts = [total(list(row[a:b])) for a, b in pairwise(starts)]
+            inverse = math.nan if is_zero(whole := total(parts)) else 1.0 / whole
+            shares[i] = [part * inverse for part in parts]
+        return shares
+
+    def computed(report: CartesianCompliance) -> Array:
+        parts = np.einsum("sii->is", report.contributions)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(parts / parts.sum(axis=1, keepdims=True))
+
+    return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -72,43 +73,65 @@ def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: n
     return Tree(graph, model.mechanism, model.embed(poses), (frame,), positions=embedded)
 
 
-def compliance_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str, *, by_spring: bool = False) -> Root:
-    """Record the root X of the compliance of a frame, C = X X^T.
+class Roots:
+    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for.
 
     Args:
         graph: the graph to record in.
         model: the elastic mechanism.
         tree: its tree, of :func:`elastic_tree`.
         frame: the frame.
-        by_spring: whether the columns are to be those of the springs, in the order of the model's spring_indices.
 
-    Raises:
-        ProgramError: the frame can move with all springs at rest, at all sample poses.
+    Attributes:
+        used: the roots that were asked for.
     """
-    doubt = Doubt()
-    root = spring_root(graph, model, tree)
-    held = _held(model, tree, frame, root, doubt)
-    triangle, strains, order = (_condensed_as_one if by_spring else _condensed)(held, root, doubt)
-    unit = length_unit(model.mechanism.characteristic_length)
-    inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
-    twists = product(inverse, strains)[np.argsort(order)]
-    twists[:3] = twists[:3] * unit
-    size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
-    return Root(twists, minimum(doubt.pivot, 6.0 / size), doubt.dropped)
 
+    def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
+        self.used: list[Root] = []
+        self._model, self._tree, self._frame = model, tree, frame
+        self._spring_root = spring_root(graph, model, tree)
+        self._unit = length_unit(model.mechanism.characteristic_length)
 
-def stiffness_root(graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> Root:
-    """Record the root W of the stiffness of a frame, K = W^T W, as columns of W^T; arguments as above.
+    @cached_property
+    def compliance(self) -> Objects:
+        """X with C = X X^T, shape=(6, n).
 
-    Raises:
-        RigidDirectionError: the springs of a branch do not give in some direction, at all poses.
-    """
-    doubt = Doubt()
-    root = spring_root(graph, model, tree)
-    held = _held(model, tree, frame, root, doubt)
-    rows = np.vstack([_whitened(_branch_rows(branch, doubt), doubt) for branch in held])
-    rows[:, :3] = rows[:, :3] * (1.0 / length_unit(model.mechanism.characteristic_length))
-    return Root(rows.T, doubt.pivot, doubt.dropped)
+        Raises:
+            ProgramError: the frame can move with all springs at rest, at every sample pose.
+        """
+        return self._compliance(by_spring=False)
+
+    @cached_property
+    def compliance_by_spring(self) -> Objects:
+        """X with a column for each entry of the model's spring_indices, shape=(6, s); raises as above."""
+        return self._compliance(by_spring=True)
+
+    @cached_property
+    def stiffness(self) -> Objects:
+        """X with K = X X^T, shape=(6, n).
+
+        Raises:
+            RigidDirectionError: the springs of a branch do not give in some direction, at all poses.
+        """
+        doubt = Doubt()
+        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        rows = np.vstack([_whitened(_branch_rows(branch, doubt), doubt) for branch in held])
+        rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
+        return self._noted(Root(rows.T, doubt.pivot, doubt.dropped))
+
+    def _compliance(self, *, by_spring: bool) -> Objects:
+        doubt = Doubt()
+        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        triangle, strains, order = (_condensed_as_one if by_spring else _condensed)(held, self._spring_root, doubt)
+        inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
+        columns = product(inverse, strains)[np.argsort(order)]
+        columns[:3] = columns[:3] * self._unit
+        size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
+        return self._noted(Root(columns, minimum(doubt.pivot, 6.0 / size), doubt.dropped))
+
+    def _noted(self, root: Root) -> Objects:
+        self.used.append(root)
+        return root.columns
 
 
 def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Doubt) -> list[Branch]:

@@ -48,15 +48,15 @@ class Solution(NamedTuple):
 
     Attributes:
         q: joint configurations, shape=(n, nq) [m, rad].
-        residual: greatest closure error, shape=(n,) [m, rad].
+        residual: greatest closure error, shape=(n,) [m, rad]; None if it is not known.
         broken_limits: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k.
-        transforms: placements of the tool, shape=(n, 4, 4); None for a mechanism without a tool frame.
+        transforms: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame.
     """
 
     q: Matrix
-    residual: Vector
-    broken_limits: NDArray[np.uint32]
-    transforms: Array | None
+    residual: Vector | None = None
+    broken_limits: NDArray[np.uint32] | None = None
+    transforms: Array | None = None
 
 
 class Continuation:
@@ -206,7 +206,7 @@ class Continuation:
                 self._march_lines(q[part], numbers[part], axis, first[dimension], direction)
         flat_values = values.reshape(-1, values.shape[-1])
         solution = self._check(q.reshape(-1, self._nq), flat_values)
-        if not np.isnan(solution.residual).any():
+        if not np.isnan(solution.q[:, 0]).any():
             return solution
         q = solution.q.reshape(q.shape)
         self._fill(q, values)
@@ -309,8 +309,9 @@ class Continuation:
         if unsolved.any():
             q = q.copy()
             q[unsolved], residual[unsolved], broken[unsolved] = np.nan, np.nan, 1
-            outputs["transform"][unsolved] = np.nan
-        return Solution(q, residual, broken, outputs["transform"])
+            if "transform" in outputs:
+                outputs["transform"][unsolved] = np.nan
+        return Solution(q, residual, broken, outputs.get("transform"))
 
 
 def _solved_neighbours(q: Array) -> Array:

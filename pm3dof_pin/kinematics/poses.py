@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ REACH = 1
 """Bit of :attr:`Poses.broken_limits` for a pose that was not solved; the k-th limit group has bit k + 1."""
 
 _LIMIT_TOLERANCE = 1e-9
+_KNOWN = ("residual", "broken_limits", "transforms")  # what the solver may have found besides q
 
 
 class Poses:
@@ -35,6 +36,7 @@ class Poses:
         q: joint configurations with closed loops, NaN where there is none, shape=(..., nq) [m, rad].
         residual: greatest closure error, shape=(...) [m, rad]; computed by Pinocchio if not given.
         broken_limits: sums of bits, shape=(...); computed by Pinocchio if not given.
+        transforms: placements of the tool, shape=(..., 4, 4); computed by Pinocchio if not given.
 
     Attributes:
         robot: the robot.
@@ -42,14 +44,18 @@ class Poses:
     """
 
     def __init__(
-        self, robot: Robot, q: Array, *, residual: Array | None = None, broken_limits: NDArray[np.uint32] | None = None
+        self,
+        robot: Robot,
+        q: Array,
+        residual: Array | None = None,
+        broken_limits: NDArray[np.uint32] | None = None,
+        transforms: Array | None = None,
     ) -> None:
         self.robot = robot
         self.q: Array = frozen(np.array(q, dtype=float))
-        if residual is not None:
-            self.__dict__["residual"] = frozen(np.array(residual))
-        if broken_limits is not None:
-            self.__dict__["broken_limits"] = frozen(np.array(broken_limits, dtype=np.uint32))
+        for name, values in zip(_KNOWN, (residual, broken_limits, transforms), strict=True):
+            if values is not None:
+                self.__dict__[name] = frozen(np.array(values))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, np.array(self.q))
@@ -71,15 +77,12 @@ class Poses:
 
     def __getitem__(self, index: Any) -> Poses:
         """Return part of the batch; indices are those of its own dimensions."""
-        known = {name: self.__dict__[name][index] for name in ("residual", "broken_limits") if name in self.__dict__}
-        return Poses(self.robot, self.q[index], **known)
+        return self._mapped(lambda values: values[index])
 
     def reshape(self, *shape: int) -> Poses:
         """Return the same poses in another shape."""
-        known = {
-            name: self.__dict__[name].reshape(shape) for name in ("residual", "broken_limits") if name in self.__dict__
-        }
-        return Poses(self.robot, self.q.reshape(*shape, self.q.shape[-1]), **known)
+        dimensions = len(self.shape)
+        return self._mapped(lambda values: values.reshape((*shape, *values.shape[dimensions:])))
 
     def configuration(self, index: int | tuple[int, ...] = ()) -> Configuration:
         """Return the configuration at an index, with all its Jacobians.
@@ -164,6 +167,11 @@ class Poses:
         for index in map(tuple, np.argwhere(self.solved)):
             beyond[index] = self.configuration(index).swing(closure) > limit + _LIMIT_TOLERANCE
         return beyond
+
+    def _mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Poses:
+        return Poses(
+            self.robot, change(self.q), *(change(self.__dict__[n]) if n in self.__dict__ else None for n in _KNOWN)
+        )
 
     @property
     def _transforms_if_needed(self) -> Array | None:

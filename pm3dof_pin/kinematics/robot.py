@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +14,11 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
 from pm3dof_pin.kinematics.closing_programs import ProgramSource
+from pm3dof_pin.kinematics.continuation import Continuation, Solution
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
@@ -25,6 +27,8 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
 from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
+
+_logger = logging.getLogger(__name__)
 
 _HOME = "home"
 
@@ -192,8 +196,7 @@ class Robot(Mechanism):
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
             InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise".
         """
-        numbers = values.values if isinstance(values, Grid) else values
-        return self._meet(self.coordinates, "coordinates", numbers, guess, on_failure, engine)
+        return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine)
 
     def forward(
         self,
@@ -305,13 +308,13 @@ class Robot(Mechanism):
         self,
         coordinates: tuple[Coordinate, ...],
         what: str,
-        values: ArrayLike,
+        values: Grid | ArrayLike,
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
         engine: Engine,
     ) -> Poses:
         names = ", ".join(coordinate.name for coordinate in coordinates)
-        targets = _numbers(what, values)
+        targets = _numbers(what, values.values if isinstance(values, Grid) else values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
             expected = f"shape (..., {len(coordinates)}): {names}"
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
@@ -327,18 +330,39 @@ class Robot(Mechanism):
                 raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
             starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
         rows = targets.reshape(-1, len(coordinates))
-        q, residuals = close_all(self, self.home.q, coordinates, rows, starts)
-        failed = np.flatnonzero(~np.isfinite(q).all(axis=-1))
+        continuation = self._continuation(coordinates) if engine == "program" else None
+        if continuation is None:
+            found = Solution(close_all(self, self.home.q, coordinates, rows, starts)[0])
+        elif isinstance(values, Grid) and starts is None:
+            found = continuation.march(values)
+        else:
+            found = continuation.walk(rows, starts)
+        failed = np.flatnonzero(np.isnan(found.q).any(axis=-1))
         if failed.size and on_failure == "raise":
-            row = failed[0]
-            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[row], strict=True))
+            first = failed[:1]
+            residual = float(close_all(self, self.home.q, coordinates, rows[first], None)[1][0])
+            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[first[0]], strict=True))
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             raise UnreachablePoseError(
-                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residuals[row]:.3e} m or "
-                "rad; the pose may be out of reach",
-                float(residuals[row]),
+                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residual:.3e} m or rad; "
+                "the pose may be out of reach",
+                residual,
             )
-        return Poses(self, q.reshape(*shape, nq))
+        return Poses(self, *found).reshape(*shape)
+
+    def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
+        """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
+        if coordinates not in self._continuations:
+            try:
+                self._continuations[coordinates] = Continuation(self, coordinates)
+            except (ProgramError, ConvergenceError) as error:
+                _logger.info("%s: solved without programs: %s", self.name, error)
+                self._continuations[coordinates] = None
+        return self._continuations[coordinates]
+
+    @cached_property
+    def _continuations(self) -> dict[tuple[Coordinate, ...], Continuation | None]:
+        return {}
 
     def _tool_mobility(self) -> int:
         try:

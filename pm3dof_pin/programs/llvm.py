@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -16,7 +17,7 @@ from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.programs import ir
 from pm3dof_pin.programs.program import Program
 
-_POSES_A_THREAD = 2048  # fewer are not worth a thread
+_OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
 
 
 class Target(NamedTuple):
@@ -155,7 +156,7 @@ class Compiled:
             inputs: shape=(n, number of inputs); rows may stand apart, as in a slice of columns.
             parameters: shape=(number of parameters,).
             out: where results are written, shape=(n, number of outputs); rows may stand apart.
-            threads: number of threads; None takes one.
+            threads: number of threads at most; the number of processors by default.
 
         Returns:
             Outputs, shape=(n, number of outputs); `program.split` names them.
@@ -187,7 +188,7 @@ class Compiled:
             parameters: shape=(number of parameters,).
             tolerance: residual from which one more step is enough.
             max_steps: steps taken at most, at least 1.
-            threads: number of threads; None takes one.
+            threads: number of threads at most; the number of processors by default.
 
         Raises:
             InvalidValueError: an array has another shape, or the program's outputs are no state and residual.
@@ -231,8 +232,11 @@ class Compiled:
                 *more,
             )
 
-        parts = min(4 * threads, n // _POSES_A_THREAD) if threads and threads > 1 else 1
-        if parts <= 1:
+        parts = n * len(self.program) // _OPERATIONS_A_PART
+        if parts > 1:
+            threads = threads or _processors()
+            parts = min(4 * threads, parts)
+        if parts <= 1 or threads == 1:
             part(0, n)
             return
         ends = [n * k // parts for k in range(parts + 1)]
@@ -240,9 +244,14 @@ class Compiled:
             list(pool.map(part, ends[:-1], ends[1:]))
 
 
+def _processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _address(array: NDArray[np.float64]) -> int:
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # three times as fast
+        return ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # three times as fast
     except (TypeError, ValueError):  # read-only, not contiguous, or empty
         address: int = array.__array_interface__["data"][0]
         return address

@@ -85,10 +85,12 @@ def test_rows_and_lanes(lanes, n_outputs):
         assert np.array_equal(evaluate(np.asfortranarray(inputs)), out[:n, 1:-1])
 
 
-def test_bits_do_not_depend_on_lanes_calls_and_threads():
+def test_bits_do_not_depend_on_lanes_calls_and_threads(monkeypatch):
+    monkeypatch.setattr(llvm, "_OPERATIONS_A_PART", 10_000)
     evaluate = compiled(lambda x, y: [sin(x) / y, atan2(x, y) * sqrt(absolute(x)), cos(x * y)], 2)
     inputs = np.random.default_rng(4).normal(size=(20_011, 2))
-    whole = evaluate(inputs)
+    whole = evaluate(inputs, threads=1)
+    assert np.array_equal(whole, evaluate(inputs))
     assert np.array_equal(whole, evaluate(inputs, threads=2))
     assert np.array_equal(whole, evaluate(inputs, threads=7))
     assert np.array_equal(whole[5:], evaluate(inputs[5:]))
@@ -130,11 +132,12 @@ def test_iteration_stops_lane_by_lane(lanes):
     assert result.states[0, 0] == 2.0
 
 
-def test_iteration_does_not_depend_on_neighbours_and_threads():
+def test_iteration_does_not_depend_on_neighbours_and_threads(monkeypatch):
+    monkeypatch.setattr(llvm, "_OPERATIONS_A_PART", 10_000)
     rng = np.random.default_rng(5)
     inputs = rng.uniform(0.1, 100.0, size=(9_001, 2))
     find = root_finder()
-    whole = find.iterate(inputs, tolerance=1e-6, max_steps=30)
+    whole = find.iterate(inputs, tolerance=1e-6, max_steps=30, threads=1)
     assert np.allclose(whole.states[:, 0], np.sqrt(inputs[:, 1]), rtol=1e-15)
     again = find.iterate(inputs, tolerance=1e-6, max_steps=30, threads=3)
     part = find.iterate(inputs[3:10], tolerance=1e-6, max_steps=30)
