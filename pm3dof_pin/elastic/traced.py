@@ -39,7 +39,7 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
-from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit
+from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit, widened
 from pm3dof_pin.programs.tree import Tree
 
 
@@ -267,11 +267,14 @@ def _condensed(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Obj
 
 def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
     """Do the same with all springs at once: where relations depend on each other, or springs are asked for singly."""
-    twists, motions = np.vstack([b.twist for b in held]), _scattered([b.motion for b in held], held, len(root))
+    twists, motions = (
+        np.vstack([b.twist for b in held]),
+        np.vstack([widened(b.motion, b.sources, len(root)) for b in held]),
+    )
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
     if len(result.columns) < 6:
         raise ProgramError("the frame can move with all springs at rest, at every sample pose")
-    rates = np.vstack([_scattered([b.relations for b in held], held, len(root)), result.rest[:, 6:]])
+    rates = np.vstack([*(widened(b.relations, b.sources, len(root)) for b in held), result.rest[:, 6:]])
     relations = product(rates, root)
     if rank(rates) < len(rates):
         relations = _independent(relations, rates, doubt)
@@ -298,16 +301,6 @@ def _whitened(rows: _Rows, doubt: Doubt) -> Objects:
         for c in range(6):
             solution[i, c] = (rows.twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
     return solution
-
-
-def _scattered(blocks: Sequence[Objects], held: Sequence[Branch], count: int) -> Objects:
-    """Return the rows of branches in the columns of their sources."""
-    rows = []
-    for block, branch in zip(blocks, held, strict=True):
-        wide = zeros(len(block), count)
-        wide[:, list(branch.sources)] = block
-        rows.append(wide)
-    return np.vstack(rows)
 
 
 def _diagonal(blocks: Sequence[Objects]) -> Objects:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.elimination import (
     Doubt,
     Objects,
@@ -25,8 +26,12 @@ from pm3dof_pin.programs.elimination import (
     is_zero,
     matrix_of,
     product,
+    samples,
+    solve_upper,
+    total,
     zeros,
 )
+from pm3dof_pin.programs.graph import sqrt
 from pm3dof_pin.programs.joints import Screw, cross
 from pm3dof_pin.programs.tree import Tree
 
@@ -122,6 +127,57 @@ def branches(
         if len(branch.twist) or len(branch.relations):
             result.append(branch)
     return result
+
+
+def response(tree: Tree, frame: str, passive: Sequence[Column], sources: Sequence[Column], doubt: Doubt) -> Objects:
+    """Record how a frame moves with its sources, the passive joints following; nothing is strained.
+
+    Args:
+        tree: the mechanism.
+        frame: the frame.
+        passive: the passive joints' columns; all other joints that are not among the sources stand still.
+        sources: rates that are given: of joints, or of displacements anywhere.
+        doubt: where to record pivots and what is dropped.
+
+    Returns:
+        The frame's twist [v; omega] at its origin, world axes, for one unit of each source, shape=(6, s).
+
+    Raises:
+        ProgramError: the frame can move with all sources at rest, or loops cannot close with a source, at the sample
+            poses.
+    """
+    held = branches(tree, frame, passive, sources, doubt)
+    count = len(sources)
+    twists = np.vstack([branch.twist for branch in held])
+    motions = np.vstack([widened(branch.motion, branch.sources, count) for branch in held])
+    result = eliminate(np.hstack([twists, motions]), range(6), doubt)
+    if len(result.columns) < 6:
+        raise ProgramError(f"'{frame}' can move with all sources at rest, at every sample pose")
+    strains = [result.rest[:, 6:], *(widened(branch.relations, branch.sources, count) for branch in held)]
+    for entry in np.vstack(strains).ravel():
+        if np.max(np.abs(samples(entry))) > DROPPED:
+            raise ProgramError("the loops cannot close with a source")
+        doubt.drop([entry])
+    order = list(result.columns)
+    triangle = result.pivot_rows[:, order]
+    solution = solve_upper(triangle, result.pivot_rows[:, 6:])[np.argsort(order)]
+    inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
+    size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
+    doubt.note_pivot(6.0 / size)
+    unit = length_unit(tree.mechanism.characteristic_length)
+    solution[:3] = solution[:3] * -unit
+    solution[3:] = -solution[3:]
+    for k, source in enumerate(sources):
+        if source.slides:
+            solution[:, k] = solution[:, k] * (1.0 / unit)
+    return solution
+
+
+def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
+    """Return rows over some columns as rows over all, shape=(m, count)."""
+    wide = zeros(len(rows), count)
+    wide[:, list(columns)] = rows
+    return wide
 
 
 def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects]:

@@ -1,0 +1,138 @@
+"""How the tool moves with errors and commands, as a compiled program."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
+from pm3dof_pin.exceptions import ConvergenceError, ProgramError
+from pm3dof_pin.kinematics.continuation import samples_near
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs import cache, geometry
+from pm3dof_pin.programs.elimination import Doubt, Objects, total
+from pm3dof_pin.programs.graph import Graph, Scalar, less, select
+from pm3dof_pin.programs.joints import Placement, Screw
+from pm3dof_pin.programs.llvm import Compiled
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Mask, Matrix
+
+_compiled: dict[str, Compiled | ProgramError] = {}
+"""Programs by what they depend on; the error where there is none."""
+
+
+def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Mask]:
+    """Evaluate the tool's motion with errors and drives at many poses.
+
+    Args:
+        robot: the robot as described or displaced.
+        q: its configurations with closed loops, shape=(n, nq).
+        errors: the parameters.
+        local_twists: twist of each place against its parameters, in its axes, shape=(6, number of parameters).
+
+    Returns:
+        Twists of the tool for one unit of each error, then of the coordinate of each drive, shape=(n, 6, k + u); and
+        the poses at which nothing is in doubt, shape=(n,).
+
+    Raises:
+        ProgramError: there is no program for this robot, the tool is free, or loops cannot close with an error.
+    """
+    at_zero = bool(np.isin(local_twists, (0.0, 1.0, -1.0)).all())
+    key = _key(robot, errors, at_zero)
+    if key not in _compiled:
+        try:
+            _compiled[key] = cache.compiled(
+                cache.stored(key, lambda: _traced(robot, errors, local_twists, at_zero=at_zero))
+            )
+        except ProgramError as error:
+            _compiled[key] = error
+    compiled = _compiled[key]
+    if isinstance(compiled, ProgramError):
+        raise compiled
+    results = compiled(q, _parameters(robot, compiled.program, local_twists))
+    return results[:, :-1].reshape(len(q), 6, -1), results[:, -1] == 1.0
+
+
+def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool) -> Program:
+    try:
+        poses = samples_near(robot, robot.home.q)
+    except ConvergenceError as error:
+        raise ProgramError(str(error)) from error
+    verify(robot, poses)
+    places = [parameter.place for parameter in errors.parameters]
+    graph, tool = Graph(), robot.model.frames[robot.tool_frame_id].name
+    tree = Tree(graph, robot, poses, [place for place in places if not robot.model.existJointName(place)])
+    driven = robot.actuated_indices
+    passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)
+    sources = [
+        _error_column(graph, tree, place, k, local_twists[:, k], at_zero=at_zero) for k, place in enumerate(places)
+    ]
+    doubt = Doubt()
+    motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
+    finite = total([entry * entry for entry in motions.ravel()])
+    sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
+    return graph.program("sensitivities", {"motions": motions, "sound": select(sound, 1.0, 0.0)})
+
+
+def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Array, *, at_zero: bool) -> Column:
+    """Return the column of an error: a twist of everything beyond its place, in the place's axes."""
+    entries: Objects = np.zeros(6, dtype=object)
+    rows = range(3) if local[:3].any() else range(3, 6)
+    for k in rows:
+        entries[k] = float(local[k]) if at_zero else graph.parameter(_name(number, k), float(local[k]))
+    frame = _place(tree, place)
+    linear, angular = frame.rotation @ entries[:3], frame.rotation @ entries[3:]
+    return Column(Screw(angular, linear, frame.translation), _moved(tree, place))
+
+
+def _place(tree: Tree, place: str) -> Placement:
+    """Return where a place is, before its joint moves."""
+    model = tree.mechanism.model
+    if not model.existJointName(place):
+        return tree.frame(place)
+    fixed = Placement(tree.geometry.rotation(place), tree.geometry.vector(place, "p"))
+    return tree.body(model.parents[model.getJointId(place)]) * fixed
+
+
+def _moved(tree: Tree, place: str) -> frozenset[str]:
+    """Return which frames of the closures and the tool move with a place."""
+    mechanism, model = tree.mechanism, tree.mechanism.model
+    frames: list[int] = []
+    if model.existJointName(place):
+        roots = [model.getJointId(place)]
+    else:
+        frames = frame_and_descendants(model, mechanism.frame_id(place))
+        roots = [model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT]
+    names = geometry.frame_names(mechanism)
+    ids = {name: mechanism.frame_id(name) for name in names}
+    return frozenset(
+        name
+        for name, index in ids.items()
+        if index in frames or any(root in list(model.supports[model.frames[index].parentJoint]) for root in roots)
+    )
+
+
+def _name(number: int, entry: int) -> str:
+    return f"error/{number}/{entry}"
+
+
+def _parameters(robot: Robot, program: Program, local_twists: Matrix) -> Array:
+    named = {_name(k, i): twist for (i, k), twist in np.ndenumerate(local_twists)}
+    others = [name for name in program.parameters if name not in named]
+    found: dict[str, Scalar] = named | dict(zip(others, geometry.values(robot, others), strict=True))
+    return np.array([found[name] for name in program.parameters])
+
+
+def _key(robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:
+    parameters = [(p.place, p.motion, p.axis if at_zero else None) for p in errors.parameters]
+    places = sorted({p.place for p in errors.parameters if not robot.model.existJointName(p.place)})
+    return repr(
+        (
+            *("sensitivities", at_zero, parameters, robot.actuated_indices.tolist()),
+            length_unit(robot.characteristic_length),
+            *(geometry.structure(robot), geometry.pattern(robot, places)),
+        )
+    )
