@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -120,6 +121,9 @@ class ElasticModel:
 
     def __repr__(self) -> str:
         return f"ElasticModel({self.rigid.name}: {len(self.springs)} springs, {self.mechanism.model.nv} velocities)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.rigid, self.springs)  # compiled programs stay; the copy finds them in the cache
 
     @property
     def spring_names(self) -> tuple[str, ...]:

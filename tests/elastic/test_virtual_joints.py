@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -17,6 +18,7 @@ from pm3dof_pin.elastic import (
     ElasticModel,
     JointSpring,
     Spring,
+    compliance,
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError
@@ -262,3 +264,13 @@ def test_a_loop_of_two_arms_keeps_its_closures(rigid_tree: Callable[..., Robot])
     assert model.mechanism.closures == (LoopClosure("weld.anchor", "right_tip", "6d"),)
     assert model.configuration([0.2, 0.2]).closure_residual < 1e-15
     assert model.mechanism.model.check(model.mechanism.model.createData())
+
+
+def test_a_pickled_model_computes_the_same():
+    """Also one whose programs are compiled; they are not part of the copy."""
+    model = ElasticModel.load("hexapod")
+    home = np.array(model.rigid.home.q)
+    before = compliance(model, home)
+    copy = pickle.loads(pickle.dumps(model))
+    assert not copy.programs
+    assert np.array_equal(compliance(copy, home), before)
