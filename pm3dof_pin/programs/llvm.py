@@ -123,9 +123,8 @@ class Compiled:
         """
         self.program = program
         try:
-            self._engine = binding.create_mcjit_compiler(
-                binding.parse_assembly("", binding.create_context()), _machine()
-            )
+            # in LLVM's own context: another one may be collected before the engine that needs it
+            self._engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _machine())
             self._engine.add_object_file(binding.ObjectFileRef.from_data(code))
             self._engine.finalize_object()
             pointer, size = ctypes.c_void_p, ctypes.c_int64

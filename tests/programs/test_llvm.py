@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 
 import numpy as np
@@ -165,3 +166,12 @@ def test_what_llvm_does_not_compile_is_said(monkeypatch):
     monkeypatch.setattr(ir, "module", lambda *_: "this is no module")
     with pytest.raises(ProgramError, match="program 'root': LLVM does not compile it: "):
         llvm.compile(program)
+
+
+def test_machine_code_in_a_circle_of_references_is_collected():
+    """Whatever the collector finalises first: the process lives."""
+    for _ in range(5):
+        program = compiled(lambda x: [x], 1)
+        program.itself = program
+        del program
+        gc.collect()
