@@ -76,7 +76,13 @@ def robots_directory() -> Path:
 
 
 def robot_names() -> list[str]:
-    """Return the names of the robots that come with the package, sorted."""
+    """Return the names of the robots that come with the package, sorted.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> pm.robot_names()
+        ['hexapod', 'pm3dof', 'three_rps']
+    """
     return sorted(
         folder.name.removesuffix(DESCRIPTION_SUFFIX) for folder in robots_directory().glob(f"*{DESCRIPTION_SUFFIX}")
     )

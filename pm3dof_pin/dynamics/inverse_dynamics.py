@@ -71,6 +71,14 @@ def inverse_dynamics(
     forces of the open tree, and virtual work on the freedoms gives those of the actuators. Rigid bodies, no friction.
     Idle freedoms are not driven: they accelerate as the forces make them.
 
+    Example:
+        All drives at 0.1 m/s, without acceleration:
+
+        >>> import pm3dof_pin as pm
+        >>> motion = pm.inverse_dynamics(pm.load("pm3dof").home, [0.1, 0.1, 0.1], [0.0, 0.0, 0.0])
+        >>> motion.forces.actuator_forces.round(3)
+        array([6.022, 6.022, 6.022])
+
     Args:
         configuration: an assembled configuration.
         rates: of the given joints, shape=(number of them,) [m/s, rad/s].

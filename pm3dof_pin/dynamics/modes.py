@@ -65,6 +65,12 @@ def natural_modes(
 ) -> Modes:
     """Compute the natural modes at a configuration.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> model = pm.ElasticModel.load("pm3dof")
+        >>> pm.natural_modes(model, model.rigid.home, count=2).frequencies.round(2)
+        array([162.59, 270.66])
+
     Args:
         model: the mechanism with its springs.
         configuration: an assembled one, see :meth:`ElasticModel.configuration`.

@@ -25,6 +25,13 @@ def holding_forces(
     Virtual work on rigid bodies without friction: A^T f + G^T lambda = tau_g - sum J^T w, tau_g being the generalised
     forces that hold the tree of bodies, payloads included, against `model.gravity`.
 
+    Example:
+        A payload of 2 kg on the tool:
+
+        >>> import pm3dof_pin as pm
+        >>> pm.holding_forces(pm.load("pm3dof").home, payloads={"O_e": 2.0}).actuator_forces.round(3)
+        array([12.928, 12.928, 12.928])
+
     Args:
         configuration: an assembled configuration.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.

@@ -48,6 +48,15 @@ def compliance(
 ) -> Array:
     """Compute the Cartesian compliance of a frame at many poses.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("pm3dof")
+        >>> C = pm.compliance(robot, robot.solve(robot.grid(theta_x=(-0.2, 0.2, 5), z_e=0.5)))
+        >>> C.shape
+        (5, 6, 6)
+        >>> print(f"{1 / C[2, 2, 2]:.4e} N/m felt by a vertical force on the level platform")
+        2.6181e+08 N/m felt by a vertical force on the level platform
+
     Args:
         model: the robot, with the springs of its description; or an elastic model.
         poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
@@ -80,6 +89,14 @@ def stiffness(
     threads: int | None = None,
 ) -> Array:
     """Compute the Cartesian stiffness of a frame at many poses; arguments and errors as for :func:`compliance`.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("hexapod")
+        >>> poses = robot.solve(robot.grid(x=(-0.005, 0.005, 3)))
+        >>> np.allclose(pm.stiffness(robot, poses) @ pm.compliance(robot, poses), np.eye(6), atol=1e-9)
+        True
 
     Returns:
         K, wrench = K twist at the frame's origin, world axes, shape=(..., 6, 6) [N/m, N, N m/rad]; NaN where no spring

@@ -210,6 +210,13 @@ def cartesian_compliance(
     Compliance and stiffness of the tool come from its compiled program, where that leaves nothing in doubt; all else,
     and other frames, from Pinocchio's Jacobians and singular values.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> model = pm.ElasticModel.load("pm3dof")
+        >>> tool = pm.cartesian_compliance(model, model.rigid.home)
+        >>> tool.exists, tool.stiffness.shape
+        (True, (6, 6))
+
     Args:
         model: the elastic mechanism.
         configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a

@@ -65,8 +65,9 @@ class ElasticModel:
     at. Actuated joints without a spring are locked. All others are passive and move freely.
 
     Example:
-        >>> elastic = ElasticModel.load("pm3dof")
-        >>> cartesian_compliance(elastic, elastic.rigid.home).stiffness
+        >>> import pm3dof_pin as pm
+        >>> pm.ElasticModel.load("pm3dof").spring_names
+        ('actuator1', 'link1', 'actuator2', 'link2', 'actuator3', 'link3', 'passive_leg')
 
     Args:
         mechanism: the rigid mechanism.

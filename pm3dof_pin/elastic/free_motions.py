@@ -47,6 +47,13 @@ def free_motion_stiffness(
     The motions are those of the coordinates that the description declares, if there is one for each of the tool's
     degrees of freedom; else unit twists of the tool along and about the axes of the base, as far as they span them.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> model = pm.ElasticModel.load("three_rps")
+        >>> free = pm.free_motion_stiffness(model, model.rigid.home)
+        >>> free.names, free.stiffness.shape
+        (('z', 'rx', 'ry'), (3, 3))
+
     Args:
         model: the mechanism with its springs.
         configuration: an assembled configuration of the rigid mechanism.

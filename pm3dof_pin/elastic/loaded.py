@@ -199,6 +199,15 @@ def loaded_equilibrium(
     Newton's method with the exact tangent stiffness and a line search; the loops are closed after each step. Actuated
     joints hold their place, through their springs if they have such.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> model = pm.ElasticModel.load("pm3dof")
+        >>> loads = pm.Loads(wrenches={"O_e": [300.0, 0.0, 0.0, 0.0, 0.0, 0.0]})
+        >>> equilibrium = pm.loaded_equilibrium(model, model.rigid.home, loads)
+        >>> sideways = equilibrium.configuration.tool_placement.translation[0]
+        >>> print(f"{1e6 * sideways:.1f} micrometres")
+        163.9 micrometres
+
     Args:
         model: the elastic mechanism.
         configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.

@@ -23,6 +23,10 @@ _WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointM
 class Loads:
     """What acts on a mechanism from outside.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> loads = pm.Loads(wrenches={"O_e": [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]}, payloads={"O_e": 2.0})
+
     Attributes:
         wrenches: dead wrenches [f; m] on frames, at their origins, by frame: they move with the point and keep their
             direction in the world, shape=(6,) [N, N m].

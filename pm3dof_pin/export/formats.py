@@ -56,6 +56,11 @@ def exported_files(robot: RobotDocument, format_name: str) -> dict[str, str]:
 def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> list[Path]:
     """Write a robot's description for another tool, with its mesh files.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> [file.name for file in pm.export_robot("hexapod", "mjcf", "mujoco")]
+        ['hexapod.xml']
+
     Args:
         robot: a robot that comes with the package, or the path of a URDF with its closures file beside it.
         format_name: one of :data:`FORMATS`.

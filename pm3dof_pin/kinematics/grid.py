@@ -19,6 +19,12 @@ from pm3dof_pin.typing import Array
 class Grid:
     """All combinations of the values of some coordinates, the others standing at one value.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> grid = pm.load("pm3dof").grid(theta_x=(-0.2, 0.2, 5), z_e=0.5)
+        >>> grid.dims, grid.shape, grid.fixed
+        (('theta_x',), (5,), {'theta_y': 0.0, 'z_e': 0.5})
+
     Attributes:
         coordinates: all coordinates of the robot, in their order.
         axes: values by coordinate, in the order of the grid's dimensions, shape=(n,) each [m, rad].

@@ -48,6 +48,12 @@ class Mobility:
 def instantaneous_mobility(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Mobility:
     """Count the degrees of freedom of a configuration.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> mobility = pm.instantaneous_mobility(pm.load("three_rps").home)
+        >>> mobility.count, mobility.redundant_constraints
+        (3, 15)
+
     Args:
         configuration: an assembled configuration.
         tolerance: singular values below this times their reference count as zero.

@@ -31,6 +31,15 @@ class Poses:
     Made by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and its siblings. A pose that was not solved
     is NaN throughout.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("pm3dof")
+        >>> poses = robot.solve(robot.grid(theta_x=(-0.2, 1.0, 5), z_e=0.5))
+        >>> poses.commands.shape
+        (5, 3)
+        >>> poses.within_limits
+        array([ True,  True,  True,  True, False])
+
     Args:
         robot: the robot.
         q: joint configurations with closed loops, NaN where there is none, shape=(..., nq) [m, rad].

@@ -22,6 +22,13 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     A robot whose coordinates have no ranges, or whose limits exclude nearly all of these (six degrees of freedom with
     short struts), gets poses evenly over its commands instead.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> poses = pm.reachable_poses(pm.load("pm3dof"), 20, np.random.default_rng(0))
+        >>> len(poses), bool(poses.within_limits.all())
+        (20, True)
+
     Args:
         robot: the robot.
         count: number of poses.

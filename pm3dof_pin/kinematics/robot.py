@@ -43,7 +43,7 @@ class Robot(Mechanism):
         >>> robot = pm.load("pm3dof")
         >>> poses = robot.solve([0.1, -0.2, 0.5])
         >>> poses.commands.round(6)
-        array([0.259193, 0.259443, 0.21842 ])
+        array([0.256293, 0.254515, 0.230511])
     """
 
     @classmethod
@@ -390,7 +390,7 @@ def load(
     Example:
         >>> import pm3dof_pin as pm
         >>> pm.load("hexapod")
-        Robot(hexapod: 18 joints, 6 actuated, 6 closures, tool platform_center)
+        Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
     """
     return Robot.load(
         name_or_path,

@@ -49,6 +49,16 @@ def singularities(
     Where c degrees of freedom are gained at a constraint singularity, actuated joints at rest leave motions free for
     lack of number. This consequence is not reported once more as "parallel".
 
+    Example:
+        A hexapod is singular where its platform is turned by 90 degrees about its axis:
+
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> hexapod = pm.load("hexapod")
+        >>> turned = hexapod.solve([0.0, 0.0, 0.135, 0.0, 0.0, np.pi / 2]).configuration()
+        >>> [singularity.type for singularity in pm.singularities(turned)]
+        ['parallel']
+
     Args:
         configuration: an assembled configuration.
         generic: mobility at a generic configuration of the same assembly mode, worth giving when many configurations

@@ -46,6 +46,14 @@ class Configuration:
     Velocities v, shape=(nv,), are Pinocchio's (tangent) velocities. Twists are [v; omega], linear part first. All
     arrays are read-only.
 
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> home = pm.load("pm3dof").home
+        >>> home.tool_placement.translation.round(6)
+        array([0.      , 0.      , 0.492991])
+        >>> home.constraint_jacobian.shape
+        (9, 12)
+
     Args:
         mechanism: the mechanism.
         q: joint configuration, shape=(nq,) [m, rad; cosine and sine for a continuous joint].
