@@ -5,7 +5,7 @@ Not every tool reads every kind of file. What it does not read is rewritten as O
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 
 from pm3dof_pin.description.mesh_files import read_meshes
@@ -38,17 +38,18 @@ class Meshes:
             self._add(name, path)
 
     @classmethod
-    def of_urdf(cls, urdf: Path, names: Iterable[str]) -> Meshes:
+    def of_urdf(cls, urdf: Path, names: Iterable[str], package_paths: Sequence[Path] = ()) -> Meshes:
         """Find the meshes of a URDF.
 
         Args:
             urdf: the URDF; relative names count from its folder, `package://x/` from the folder `x` that it is in.
             names: file names as written in it.
+            package_paths: folders that may have the folder `x`, or what relative names name, before those.
 
         Raises:
             DescriptionError: a file is not there.
         """
-        return cls({name: _found(urdf, name) for name in dict.fromkeys(names)})
+        return cls({name: _found(urdf, name, package_paths) for name in dict.fromkeys(names)})
 
     def __len__(self) -> int:
         return len(self.copies)
@@ -106,14 +107,13 @@ def _as_obj(path: Path) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _found(urdf: Path, name: str) -> Path:
-    folders = [urdf.absolute().parent]
+def _found(urdf: Path, name: str, package_paths: Sequence[Path]) -> Path:
+    folders = [*package_paths, urdf.absolute().parent]
     relative = name.removeprefix("file://")
     if name.startswith("package://"):
         package, _, relative = name.removeprefix("package://").partition("/")
-        folders = [folder / package for folder in folders[0].parents] + [
-            folder for folder in [folders[0], *folders[0].parents] if folder.name == package
-        ]
+        folders += urdf.absolute().parent.parents
+        folders = [folder / package for folder in folders] + [folder for folder in folders if folder.name == package]
     for folder in folders:
         if (path := folder / relative).is_file():
             return path.resolve()

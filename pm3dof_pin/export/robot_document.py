@@ -149,7 +149,7 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
     mechanism = Robot.load(name_or_path)
     urdf = read_urdf(files.urdf)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
-    meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"])
+    meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"], files.package_paths)
     return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), meshes)
 
 

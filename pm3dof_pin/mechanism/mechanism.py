@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, Unit
+from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
@@ -82,7 +83,8 @@ class Mechanism:
         characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
             are decided [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
-        source: file the names come from, for messages.
+        source: file the names come from, for messages; by default that of `files`.
+        files: the files that it was read from, if any.
 
     Attributes:
         name: name of the robot.
@@ -106,6 +108,7 @@ class Mechanism:
         velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
             shape=(nv,).
         closure_scale: the same for the entries of the closure error, shape=(m,).
+        files: the files that it was read from, or None.
         loop_kinematics: the mechanism's work space, one for each thread.
 
     Raises:
@@ -129,6 +132,7 @@ class Mechanism:
         limit_groups: Iterable[LimitGroup] = (),
         characteristic_length: float | None = None,
         source: Path | str | None = None,
+        files: RobotFiles | None = None,
     ) -> None:
         self._prototype: Self | None = None
         self.model = model.copy()
@@ -136,7 +140,8 @@ class Mechanism:
         self.closures = tuple(closures)
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
-        self._source = str(source if source is not None else model.name)
+        self.files = files
+        self._source = str(source or (files.source if files is not None else model.name))
         self._frame_ids = _frame_ids(self.model)
         self._single_joints = _single_joints(self.model)
 
@@ -178,6 +183,7 @@ class Mechanism:
             "limit_groups": self.limit_groups,
             "characteristic_length": self.characteristic_length,
             "source": self._source,
+            "files": files,
         }
 
     @property

@@ -32,7 +32,7 @@ class Description:
     commands: tuple[Command, ...]
     coordinates: tuple[Coordinate, ...]
     limit_groups: tuple[LimitGroup, ...]
-    source: Path
+    files: RobotFiles
 
 
 def read_description(files: RobotFiles, tool_frame: str | None = None) -> Description:
@@ -64,7 +64,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
         commands=said.commands,
         coordinates=said.coordinates,
         limit_groups=said.limit_groups,
-        source=files.source,
+        files=files,
     )
 
 

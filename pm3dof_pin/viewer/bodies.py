@@ -12,9 +12,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.mesh_files import read_meshes
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.visuals import read_visuals
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.objects import Colour, Json
@@ -81,8 +82,8 @@ def bodies_of(mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | No
 
     Args:
         mechanism: the mechanism.
-        visuals: Pinocchio's visual geometry, or the path of the URDF that holds it; by default the URDF beside the
-            mechanism's closures file. Where there is none, or it has no visuals, a stick figure is drawn.
+        visuals: Pinocchio's visual geometry, or the path of the file that holds it; by default the file that the
+            mechanism was read from. Where there is none, or it has no visuals, a stick figure is drawn.
 
     Raises:
         DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
@@ -135,23 +136,8 @@ def _corner_points(bodies: tuple[Body, ...], configuration: Configuration) -> Ar
 
 
 def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:
-    path = _urdf_beside(mechanism) if urdf is None else Path(urdf)
-    if path is None:
-        return None
-    # package://x/y stands for a file below one of the folders above the URDF, as it does in a ROS workspace
-    packages = [str(folder) for folder in path.resolve().parents]
-    try:
-        return pin.buildGeomFromUrdf(mechanism.model, str(path), pin.GeometryType.VISUAL, package_dirs=packages)
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise DescriptionError(path, "visual", f"expected shapes and meshes that can be read ({reason})") from error
-
-
-def _urdf_beside(mechanism: Mechanism) -> Path | None:
-    closures = Path(mechanism.source)
-    stems = (closures.name.removesuffix(".closures.yaml"), mechanism.name)
-    candidates = [closures.parent / f"{stem}.urdf" for stem in stems]
-    return next((path for path in candidates if path.is_file()), None)
+    files = mechanism.files if urdf is None else find_robot(urdf)
+    return read_visuals(mechanism.model, files) if files is not None else None
 
 
 def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Body, ...]:
@@ -168,22 +154,36 @@ def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Bo
 
 
 def _part(shape: pin.GeometryObject, placement: Array) -> list[Part]:
-    """Return a box, cylinder or sphere; nothing for a shape that URDF does not have."""
+    """Return a box, cylinder, sphere, ellipsoid or capsule; nothing for other shapes."""
     kind, geometry, turn = type(shape.geometry).__name__, shape.geometry, np.eye(4)
     if kind == "Box":
-        lowered = objects.box(2.0 * np.array(geometry.halfSide))
+        drawn = [(objects.box(2.0 * np.array(geometry.halfSide)), turn)]
     elif kind == "Cylinder":
-        lowered, turn = objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z
+        drawn = [(objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z)]
     elif kind == "Sphere":
-        lowered = objects.sphere(geometry.radius)
+        drawn = [(objects.sphere(geometry.radius), turn)]
+    elif kind == "Ellipsoid":
+        drawn = [(objects.sphere(1.0), np.diag([*geometry.radii, 1.0]))]
+    elif kind == "Capsule":
+        ends = [objects.transform(translation=[0.0, 0.0, side * geometry.halfLength]) for side in (-1.0, 1.0)]
+        drawn = [(objects.cylinder(geometry.radius, 2.0 * geometry.halfLength), objects.Y_TO_Z)]
+        drawn += [(objects.sphere(geometry.radius), end) for end in ends]
     else:
         _logger.warning("%s is not drawn: shapes of type %s are not known", shape.name, kind)
         return []
     geometry.computeLocalAABB()
     box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
     colour = _colour(shape.meshColor)
-    body = objects.mesh(lowered, colour[:3], opacity=colour[3])
-    return [Part(_name(shape), body, placement @ turn, colour, _corners(box, placement))]
+    return [
+        Part(
+            f"{_name(shape)}_{number}" if number else _name(shape),
+            objects.mesh(lowered, colour[:3], opacity=colour[3]),
+            placement @ turn,
+            colour,
+            _corners(box, placement),
+        )
+        for number, (lowered, turn) in enumerate(drawn)
+    ]
 
 
 def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[Part]:

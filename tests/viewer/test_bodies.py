@@ -88,6 +88,29 @@ def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
     assert len(bodies_of(mechanism)[1].parts) == 2
 
 
+def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("workspace")
+    (folder / "parts").mkdir()
+    trimesh.creation.icosphere(radius=0.1).export(folder / "parts" / "ball.stl")
+    urdf = write_robot(URDF.format(mesh=MESH.format(file="package://parts/ball.stl")))
+    assert len(bodies_of(Robot.load(urdf, package_paths=[folder]))[1].parts) == 2
+    with pytest.raises(DescriptionError, match="ball.stl"):
+        bodies_of(Robot.load(urdf))
+
+
+def test_shapes_of_mjcf(tmp_path: Path) -> None:
+    """A capsule is a cylinder with two balls at its ends, an ellipsoid a ball that is stretched."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint/><geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/>'
+        '<geom type="ellipsoid" size="0.1 0.2 0.3" pos="0 0 1"/></body></worldbody></mujoco>'
+    )
+    (arm,) = bodies_of(Robot.load(tmp_path / "arm.xml"))
+    kinds = [part.lowered["geometries"][0]["type"] for part in arm.parts]
+    assert kinds == ["CylinderGeometry", "SphereGeometry", "SphereGeometry", "SphereGeometry"]
+    np.testing.assert_allclose([part.placement[2, 3] for part in arm.parts], [0.5, 0.0, 1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(arm.parts[-1].placement[:3, :3], np.diag([0.1, 0.2, 0.3]), atol=1e-12)
+
+
 def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path) -> None:
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
     with pytest.raises(DescriptionError, match=r"robot\.urdf: visual: .*gone\.stl"):

@@ -1,0 +1,38 @@
+"""What a robot's files draw: shapes and meshes on the frames of its model."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import pinocchio as pin
+
+from pm3dof_pin.description.mjcf import read_mjcf
+from pm3dof_pin.description.robots import RobotFiles
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism.model_files import captured_output
+
+
+def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
+    """Read the visual geometry of a robot.
+
+    Args:
+        model: its model, read from the same files.
+        files: the files. `package://x/y` stands for the file `x/y` below one of their package paths.
+
+    Raises:
+        DescriptionError: a shape or mesh cannot be read.
+    """
+    try:
+        with captured_output(), tempfile.TemporaryDirectory() as folder:
+            if files.format == "urdf":
+                packages = [str(path) for path in files.package_paths]
+                return pin.buildGeomFromUrdf(model, str(files.path), pin.GeometryType.VISUAL, package_dirs=packages)
+            copy = Path(folder) / "model.xml"
+            copy.write_text(read_mjcf(files.path).text, encoding="utf-8")
+            return pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise DescriptionError(
+            files.path, "visual", f"expected shapes and meshes that can be read ({reason})"
+        ) from error
