@@ -94,7 +94,7 @@ def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.Te
     trimesh.creation.icosphere(radius=0.1).export(folder / "parts" / "ball.stl")
     urdf = write_robot(URDF.format(mesh=MESH.format(file="package://parts/ball.stl")))
     assert len(bodies_of(Robot.load(urdf, package_paths=[folder]))[1].parts) == 2
-    with pytest.raises(DescriptionError, match="ball.stl"):
+    with pytest.raises(DescriptionError, match=r"ball\.stl"):
         bodies_of(Robot.load(urdf))
 
 
