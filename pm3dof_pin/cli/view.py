@@ -12,29 +12,30 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import (
-    THE_TRIPOD,
-    NamedConfiguration,
-    OptionalHeight,
-    OptionalThetaX,
-    OptionalThetaY,
-    RobotName,
-    Target,
-    pose_of,
-)
+from pm3dof_pin.cli.options import THE_TRIPOD
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
+from pm3dof_pin.cli.pose_arguments import (
+    Config,
+    NamedConfiguration,
+    PackagePath,
+    Pose,
+    PoseChoice,
+    RobotName,
+    ToolFrame,
+    check_units,
+    load_robot,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.indices import OtherMotions
+    from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.mechanism.configuration import Configuration
+    from pm3dof_pin.typing import Matrix
     from pm3dof_pin.viewer import Viewer
 
 _FRAMES_PER_SECOND = 20
@@ -67,11 +68,12 @@ class Load(StrEnum):
 
 
 def view(
-    theta_x: OptionalThetaX = None,
-    theta_y: OptionalThetaY = None,
-    z_e: OptionalHeight = None,
-    robot: RobotName = None,
+    pose: Pose = None,
+    robot: RobotName = THE_TRIPOD,
     configuration: NamedConfiguration = None,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    config: Config = None,
     of: Annotated[Quantity, typer.Option(help="What the ellipsoids show.")] = Quantity.STIFFNESS,
     others: Annotated[
         Others | None,
@@ -89,19 +91,19 @@ def view(
         str | None,
         typer.Option(
             metavar="QUANTITY",
-            help="Boundary of the workspace in the colours of a quantity, as condition_number or felt_stiffness:z.",
+            help="Boundary of the workspace (pm3dof) in the colours of a quantity, as felt_stiffness:z.",
         ),
     ] = None,
     path: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Play a path: a text file with TX TY Z [deg, deg, m] in each line."),
+        typer.Option(metavar="FILE", help="Play a path: a text file with a POSE in each line."),
     ] = None,
     duration: Annotated[float, typer.Option(min=0.1, help="Time of the whole path [s].")] = 6.0,
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write one page that needs no network, and leave.")
+        Path | None, typer.Option(metavar="FILE", help="Write one page that needs no network, and exit.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG), and leave; needs Chromium or Chrome.")
+        Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG), and exit; needs Chromium or Chrome.")
     ] = None,
     size: Annotated[tuple[int, int], typer.Option(min=64, metavar="W H", help="Size of the picture [pixels].")] = (
         1200,
@@ -115,48 +117,40 @@ def view(
     ] = None,
     browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
-    """The machine in a browser, with its stiffness ellipsoids at the tool: angles in degrees, height in metres.
+    """The robot in a browser, with its stiffness ellipsoids at the tool: angles in degrees, lengths in metres.
 
-    With sliders for theta_x, theta_y and z_e where the robot is the tripod. Serves the page until Ctrl-C, to this
-    machine only. A pose that breaks a joint limit is still shown, with a message (and exit status 1 for --html and
-    --picture).
+    Sliders move it, over its coordinates and over its commands. Serves the page until Ctrl-C, to this machine only. A
+    pose that breaks a joint limit is still shown, with a message (and exit status 1 for --html and --picture).
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.viewer import Viewer
 
-    if path is not None and (theta_x is not None or configuration is not None):
-        raise typer.BadParameter("--path: the file has the poses; expected no TX TY Z or --configuration beside it")
+    if path is not None and (pose or configuration is not None):
+        raise typer.BadParameter("--path: the file has the poses; expected no POSE or --configuration beside it")
     if path is not None and shares is not None:
         raise typer.BadParameter("--shares: legs are not coloured along a --path")
-    nothing = theta_x is None and robot is None and configuration is None
-    target = Target.of(theta_x, theta_y, z_e, THE_TRIPOD if nothing else robot, configuration)
-    mechanism = Robot.load(target.robot)
-    tripod = _tripod_of(target.robot, mechanism)
-    for option, wanted in (("--workspace", workspace), ("--path", path)):
-        if wanted is not None and tripod is None:
-            raise typer.BadParameter(f"{option}: only the tripod has one, not {mechanism.name}")
-    where = target.configuration(mechanism)
-    broken = target.broken_limits(where)
-    with Viewer(mechanism, tripod=tripod, host=host, port=port) as viewer:
-        viewer.display(where)
-        model = _elastic_model(mechanism)
+    chosen = PoseChoice.of(pose, configuration)
+    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    tripod = None if workspace is None else _tripod_of(robot, config, machine)
+    along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
+    shown = chosen.solve(machine).configuration() if along is None else along.configuration(0)
+    broken = list(map(str, broken_limits(machine, shown))) if along is None else _limits_on_path(along)
+    with Viewer(machine, host=host, port=port) as viewer:
+        viewer.display(shown)
+        model = _elastic_model(machine)
         other: OtherMotions | None = None if others is None else others.value
-        if path is not None and tripod is not None:
-            poses = _path_poses(path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
-            broken = _limits_on_path(tripod, poses)
-            places = _configurations(mechanism, tripod, poses)
-            stiffness = [matrix for place in places if (matrix := _stiffness(model, place)) is not None]
+        if along is not None:
+            compliance = None if model is None else _compliance_on_path(model, along)
             viewer.play(
-                places, stiffness=stiffness or None, of=of.value, others=other, duration=duration, repetitions=_FOR_EVER
+                list(along), compliance=compliance, of=of.value, others=other, duration=duration, repetitions=_FOR_EVER
             )
-        elif (matrix := _stiffness(model, where)) is not None:
-            viewer.stiffness_ellipsoid(matrix, kind="translation", of=of.value, others=other)
-            viewer.stiffness_ellipsoid(matrix, kind="rotation", of=of.value, others=other)
-        if forces and path is None:
-            _draw_forces(viewer, where)
-        if shares is not None and path is None and model is not None:
+        elif model is not None:
+            _draw_ellipsoids(viewer, model, of, other)
+        if forces and along is None:
+            _draw_forces(viewer, shown)
+        if shares is not None and along is None and model is not None:
             viewer.colour_legs(model, np.eye(6)[list(Load).index(shares)])
         if frames:
             viewer.frames()
@@ -200,36 +194,49 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
     message("closed")
 
 
-def _tripod_of(robot: str, mechanism: Robot) -> Tripod | None:
-    """Return the closed form of a robot of the tripod's family: its parameter file is ../config/<name>.yaml."""
+def _tripod_of(robot: str, config: Path | None, machine: Robot) -> Tripod:
+    """Return the closed form of a robot of the tripod's kind: its parameter file is ../config/<name>.yaml."""
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.exceptions import PM3DofError
 
-    urdf = find_robot(robot).urdf
-    config = urdf.resolve().parent.parent / "config" / f"{urdf.stem}.yaml"
-    own = {"platform_x_joint", "platform_y_joint", "passive_slider_joint", "slider1_joint"}
-    if not own <= set(mechanism.q_names) or not config.is_file():
-        return None
-    return Tripod.load(config)
+    try:
+        if config is None:
+            urdf = find_robot(robot).urdf.resolve()
+            config = urdf.parent.parent / "config" / f"{urdf.stem}.yaml"
+        return Tripod.load(config)
+    except PM3DofError:
+        raise typer.BadParameter(f"--workspace: only the kind of {THE_TRIPOD} has one, not {machine.name}") from None
 
 
-def _elastic_model(mechanism: Robot) -> ElasticModel | None:
+def _elastic_model(machine: Robot) -> ElasticModel | None:
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
-    if not mechanism.springs:
-        message(f"pm3dof: {mechanism.name} has no springs in its description: no ellipsoids are drawn")
+    if not machine.springs or machine.tool_frame is None:
+        lacks = "tool frame" if machine.springs else "springs"
+        message(f"pm3dof: {machine.name} has no {lacks} in its description: no ellipsoids are drawn")
         return None
-    return ElasticModel(mechanism)
+    return ElasticModel(machine)
 
 
-def _stiffness(model: ElasticModel | None, where: Configuration) -> NDArray[np.float64] | None:
+def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity, others: OtherMotions | None) -> None:
     from pm3dof_pin.elastic.condensation import cartesian_compliance
     from pm3dof_pin.exceptions import SingularConfigurationError
 
-    if model is None:
-        return None
     try:
-        return cartesian_compliance(model, where).stiffness
+        compliance = cartesian_compliance(model, viewer.configuration).compliance
+        viewer.stiffness_ellipsoid(compliance=compliance, kind="translation", of=of.value, others=others)
+        viewer.stiffness_ellipsoid(compliance=compliance, kind="rotation", of=of.value, others=others)
+    except SingularConfigurationError as error:
+        message(f"pm3dof: no ellipsoids are drawn: {error}")
+
+
+def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | None:
+    from pm3dof_pin.elastic.condensation import cartesian_compliance
+    from pm3dof_pin.exceptions import SingularConfigurationError
+
+    try:
+        return [cartesian_compliance(model, configuration).compliance for configuration in poses]
     except SingularConfigurationError as error:
         message(f"pm3dof: no ellipsoids are drawn: {error}")
         return None
@@ -257,32 +264,29 @@ def _draw_workspace(viewer: Viewer, tripod: Tripod, quantity: str) -> None:
         raise InvalidValueError("--workspace", quantity, error.expected) from error
 
 
-def _configurations(mechanism: Robot, tripod: Tripod, poses: NDArray[np.float64]) -> list[Configuration]:
-
-    return list(mechanism.solve(poses))
-
-
-def _limits_on_path(tripod: Tripod, poses: NDArray[np.float64]) -> list[str]:
-    from pm3dof_pin.chapter.limits import broken_limits
-
-    frames = int((broken_limits(tripod, poses) != 0).sum())
+def _limits_on_path(poses: Poses) -> list[str]:
+    frames = int((~poses.within_limits).sum())
     return [f"in {frames} of {len(poses)} frames of the path"] if frames else []
 
 
-def _path_poses(path: Path, frames: int) -> NDArray[np.float64]:
+def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
     """Read the poses of a path and fill in frames between them, equally spaced along its lines."""
     import numpy as np
 
-    corners = np.array(_read_path(path))
+    corners = _read_path(machine, path)
     places = np.linspace(0.0, len(corners) - 1.0, frames)
-    return np.column_stack([np.interp(places, np.arange(len(corners)), column) for column in corners.T])
+    return machine.solve(np.column_stack([np.interp(places, np.arange(len(corners)), line) for line in corners.T]))
 
 
-def _read_path(path: Path) -> list[NDArray[np.float64]]:
+def _read_path(machine: Robot, path: Path) -> Matrix:
     import math
+
+    import numpy as np
 
     from pm3dof_pin.exceptions import DescriptionError
 
+    units = ", ".join(f"{c.name} [{'m' if c.unit == 'm' else 'deg'}]" for c in machine.coordinates)
+    count = len(machine.coordinates)
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -293,12 +297,15 @@ def _read_path(path: Path) -> list[NDArray[np.float64]]:
         if not words:
             continue
         try:
-            theta_x, theta_y, z_e = (float(word) for word in words)
-        except ValueError as error:
-            raise DescriptionError(path, f"line {number}", "expected three numbers: TX TY Z [deg, deg, m]") from error
-        if not all(map(math.isfinite, (theta_x, theta_y, z_e))):
+            pose = [float(word) for word in words]
+        except ValueError:
+            pose = []
+        if len(pose) != count:
+            raise DescriptionError(path, f"line {number}", f"expected {count} numbers: {units}")
+        if not all(map(math.isfinite, pose)):
             raise DescriptionError(path, f"line {number}", "expected finite numbers")
-        poses.append(pose_of(theta_x, theta_y, z_e))
+        poses.append(pose)
     if len(poses) < 2:
-        raise DescriptionError(path, "file", "expected two poses at least, a line each: TX TY Z [deg, deg, m]")
-    return poses
+        raise DescriptionError(path, "file", f"expected two poses at least, a line each: {units}")
+    check_units(machine, machine.coordinates, poses)
+    return np.array(poses) * [1.0 if c.unit == "m" else math.pi / 180.0 for c in machine.coordinates]

@@ -1,4 +1,4 @@
-"""The page as one file of HTML: meshcat's program, the panel, the closed form, and all of the scene."""
+"""The page as one file of HTML: meshcat's program, the panel, the robot's programs, and all of the scene."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from string import Template
 from pm3dof_pin.viewer.scene import Json
 
 
-def page_html(scene: Json, *, title: str, served: bool) -> str:
+def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
     """Return the page, with nothing to be fetched from anywhere.
 
     Args:
         scene: what it shows, of :meth:`Scene.snapshot <pm3dof_pin.viewer.scene.Scene.snapshot>`.
         title: title of the page.
         served: whether it shall ask the server it comes from for what changes.
+        programs: JavaScript that computes what sliders move; without it there are none.
     """
     # "</script>" inside a string would end the element that holds the data
     data = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
@@ -29,7 +30,8 @@ def page_html(scene: Json, *, title: str, served: bool) -> str:
         socket="yes" if served else "no",
         licences=_meshcat_file("LICENSE") + "\n" + _meshcat_file("dist/main.min.js.LICENSE.txt"),
         meshcat=_meshcat_file("dist/main.min.js"),
-        closed_form=_asset("closed_form.js"),
+        programs=programs or "const programs = null;",
+        robot=_asset("robot.js"),
         page=_asset("page.js"),
         scene=data,
     )

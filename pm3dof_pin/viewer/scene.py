@@ -34,7 +34,7 @@ class _Node:
 
 
 class Scene:
-    """A tree of objects with transforms and properties, controls, an animation, and the data of the panel.
+    """A tree of objects with transforms and properties, an animation, and the data of the panel.
 
     Safe to use from several threads. Paths are slash-separated names, as in "/robot/platform".
 
@@ -44,7 +44,6 @@ class Scene:
 
     def __init__(self) -> None:
         self._nodes: dict[str, _Node] = {}
-        self._controls: dict[str, Json] = {}
         self._animation: Json | None = None
         self._listeners: list[Listener] = []
         self._lock = threading.RLock()
@@ -90,24 +89,6 @@ class Scene:
     def delete(self, path: str) -> None:
         """Remove everything at and below a path."""
         self._apply({"type": "delete", "path": path})
-
-    def set_slider(self, name: str, callback: str, value: float, least: float, greatest: float, step: float) -> None:
-        """Put a number slider into the page's controls.
-
-        Args:
-            name: its label.
-            callback: a function of JavaScript that takes the number.
-            value: the number it starts with.
-            least: left end.
-            greatest: right end.
-            step: by how much it moves.
-        """
-        numbers = {"value": value, "min": least, "max": greatest, "step": step}
-        self._apply({"type": "set_control", "name": name, "callback": callback, **numbers})
-
-    def set_button(self, name: str, callback: str) -> None:
-        """Put a button into the page's controls, with a function of JavaScript without arguments."""
-        self._apply({"type": "set_control", "name": name, "callback": callback})
 
     def set_animation(self, animations: list[Json], *, repetitions: int) -> None:
         """Play an animation, of :mod:`pm3dof_pin.viewer.animation`."""
@@ -155,7 +136,6 @@ class Scene:
             for node in self._nodes.values():
                 commands += [node.transform] if node.transform else []
                 commands += node.properties.values()
-            commands += self._controls.values()
             commands += [self._animation] if self._animation else []
             return {"commands": commands, "panel": self.panel}
 
@@ -172,9 +152,7 @@ class Scene:
 
     def _keep(self, command: Json) -> None:
         kind = command["type"]
-        if kind == "set_control":
-            self._controls[command["name"]] = command
-        elif kind == "set_animation":
+        if kind == "set_animation":
             self._animation = command
         elif kind == "delete":
             path = _tidy(command["path"])

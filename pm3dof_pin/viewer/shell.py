@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, labels, select_quantities
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
@@ -26,6 +28,7 @@ from pm3dof_pin.workspace import Workspace
 _WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
 _RINGS = 12  # lines drawn along sections
+_CLOSED = 1e-9  # [m]
 _END = 1e-4  # how far inside the range of heights the first and the last section lie, as a part of it
 
 
@@ -182,6 +185,24 @@ def boundary_poses(space: Workspace) -> Array:
     lines = [np.column_stack([section.tilts, np.full(len(section.tilts), section.z_e)]) for section in space.sections]
     ends = [[0.0, 0.0, space.heights[0]], [0.0, 0.0, space.heights[-1]]]
     return np.concatenate([*lines, ends])
+
+
+def require_same_machine(tripod: Tripod, mechanism: Robot) -> None:
+    """Check that a closed form and a mechanism are one machine.
+
+    Raises:
+        InvalidValueError: their joints differ, or the closed form leaves loops of the mechanism open.
+    """
+    tilt = 0.3 * tripod.parameters.universal_limit
+    for pose in (tripod.home, np.array([tilt, -tilt, tripod.height_home])):
+        positions = joint_positions(tripod, pose)
+        if set(positions) != set(mechanism.q_names):
+            raise InvalidValueError("tripod", tripod.parameters.name, f"the tripod that {mechanism} is: joints differ")
+        q = np.array([positions[name] for name in mechanism.q_names])
+        residual = mechanism.configuration(q).closure_residual
+        if residual > _CLOSED:
+            expected = f"the tripod that {mechanism} is: its loops stay open by {residual:.1e} m"
+            raise InvalidValueError("tripod", tripod.parameters.name, expected)
 
 
 def draw_shell(scene: Scene, path: str, shell: Shell) -> None:

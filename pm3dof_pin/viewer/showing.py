@@ -144,7 +144,12 @@ class ShownScene:
 
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))
-        return page_html({} if served else self.scene.snapshot(), title=title, served=served)
+        scene = {} if served else self.scene.snapshot()
+        return page_html(scene, title=title, served=served, programs=self._program_source())
+
+    def _program_source(self) -> str:
+        """Return the JavaScript by which the page moves what it shows, see :mod:`pm3dof_pin.viewer.page_programs`."""
+        return ""
 
 
 def _in_existing_folder(path: Path | str) -> Path:

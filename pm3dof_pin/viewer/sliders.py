@@ -1,116 +1,77 @@
-"""What the sliders of the page need: the numbers of a tripod, and the tree of the URDF that they move.
+"""What the sliders of the page need: the robot's coordinates and commands, its limits, and the tree that they move.
 
-The page computes what a slider's pose needs by itself, in closed form. It may do so for what was drawn with the
-tripod's own springs and weight, and for nothing else; here it is decided what that is.
+The page computes a slider's pose by itself, with the programs of :mod:`pm3dof_pin.viewer.page_programs`. It may go on
+with what was drawn with the robot's own springs and weight, and with nothing else; here it is decided what that is, by
+the same programs.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions
-from pm3dof_pin.chapter.kinematics import joint_positions
-from pm3dof_pin.chapter.limits import limit_violations
-from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Unit
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.kinematics.broken_limits import closure_names, limit_reading
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Array
+from pm3dof_pin.programs.tool_motion import PIVOT
+from pm3dof_pin.typing import Array, Matrix, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.arrows import joint_axis
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import Quantity
-from pm3dof_pin.viewer.panel import outside_limits
-from pm3dof_pin.viewer.scene import Json, Scene, column_major
+from pm3dof_pin.viewer.page_programs import PagePrograms
+from pm3dof_pin.viewer.scene import Json, column_major
 
-SLIDERS = ("theta_x [deg]", "theta_y [deg]", "z_e [m]")
-
-_CLOSED = 1e-9  # [m]
 _SAME = 1e-6  # relative difference of what the page may go on with
-_TILT_STEP = 0.1  # of the sliders [deg]
-_HEIGHT_STEP = 0.0005  # [m]
-_TILT_MARGIN = 10.0  # by how much the sliders go beyond the limits of the platform's joint [deg]
+_MARGIN = 0.15  # by how much a slider goes beyond a range, so that limits can be seen, as a part of it
+_STEPS = 1000  # of a slider, at least
+_DEGREES = 180.0 / math.pi
 
 
 class Sliders:
-    """Sliders for the motions of a tripod: tilts about x and y, and the height.
+    """Sliders for the coordinates and the commands of a robot.
 
     Args:
-        tripod: the machine in closed form.
-        mechanism: the same machine as a tree with loop closures.
-
-    Raises:
-        InvalidValueError: they are not one machine.
+        robot: the robot.
+        programs: what the page computes.
     """
 
-    def __init__(self, tripod: Tripod, mechanism: Robot) -> None:
-        require_same_machine(tripod, mechanism)
-        self._tripod = tripod
-        self._mechanism = mechanism
-
-    def pose(self, configuration: Configuration) -> Array:
-        """Return (theta_x, theta_y, z_e) of a configuration, shape=(3,) [rad, rad, m]."""
-        names = ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
-        zero = np.array([0.0, 0.0, self._tripod.height_home])
-        return zero + [configuration.joint_position(name) for name in names]
-
-    def put(self, scene: Scene, configuration: Configuration) -> None:
-        """Put the sliders and a button for home into a scene, or set them to a configuration."""
-        theta_x, theta_y, z_e = self.pose(configuration)
-        values = [round(float(np.degrees(theta_x)), 9), round(float(np.degrees(theta_y)), 9), float(z_e)]
-        factors = ("Math.PI / 180", "Math.PI / 180", "1")
-        for index, (least, greatest, step) in enumerate(self._ranges()):
-            callback = f"(value) => pm3dof.slide({index}, value * {factors[index]})"
-            scene.set_slider(SLIDERS[index], callback, values[index], least, greatest, step)
-        scene.set_button("home", "() => pm3dof.home()")
-
-    def note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
-        """Return what is said of a configuration: where it is, and which limits it breaks."""
-        pose = self.pose(configuration)
-        theta_x, theta_y, z_e = pose
-        travels = configuration.actuated_positions + self._tripod.parameters.slider_home
-        degrees = [round(float(np.degrees(angle)), 1) + 0.0 for angle in (theta_x, theta_y)]  # zero has no sign
-        where = f"θx {degrees[0]:.1f}°, θy {degrees[1]:.1f}°, z {z_e:.4f} m"
-        listed = ", ".join(f"{1000.0 * travel:.2f}" for travel in travels)
-        lines = [where.replace("-", "\u2212"), f"sliders at {listed} mm"]
-        try:
-            broken = limit_violations(self._tripod, pose)
-        except UnreachablePoseError as error:  # of joints put together by hand
-            return lines, [str(error)]
-        return lines, outside_limits(map(str, broken))
+    def __init__(self, robot: Robot, programs: PagePrograms) -> None:
+        self._robot = robot
+        self._programs = programs
+        self._sets = sets_of(robot)
 
     def machine_data(self, bodies: tuple[Body, ...]) -> Json:
-        """Return the numbers of the machine as the page's closed form takes them.
+        """Return what the page has to know of the robot besides its programs.
 
         Args:
             bodies: what is drawn of it.
         """
-        tripod, mechanism, p = self._tripod, self._mechanism, self._tripod.parameters
+        robot = self._robot
+        model = robot.model
+        actuators = []
+        for name in robot.actuated_joints:
+            joint = int(model.getJointId(name))
+            actuators.append({"joint": joint, "axis": joint_axis(robot, joint)[0].tolist()})
         return {
-            "legs": _leg_table(tripod),
-            "bounds": tripod.bounds.tolist(),
-            "springs": [
-                p.actuator_stiffness,
-                p.link_stiffness,
-                p.bending_stiffness,
-                p.torsional_stiffness,
-                tripod.clamp_height,
-            ],
-            "masses": {"slider": p.slider_mass, "link": p.link_mass, "platform": p.platform_mass + p.passive_leg_mass},
-            "home": tripod.home.tolist(),
-            "home_height": tripod.height_home,
-            "home_travel": p.slider_home,
-            "joints": _joints(mechanism),
-            "closures": [
-                [_point(mechanism, loop.frame_a), _point(mechanism, loop.frame_b)] for loop in mechanism.closures
-            ],
+            "home": robot.home.q.tolist(),
+            "length": robot.characteristic_length,
+            "sets": self._sets,
+            "placements": model.njoints + (robot.tool_frame is not None),
+            "tool": model.njoints if robot.tool_frame is not None else None,
             "bodies": [
                 {"path": body.path, "joint": body.joint, "placement": column_major(body.placement)} for body in bodies
             ],
-            "sliders": list(SLIDERS),
+            "actuators": actuators,
+            "limits": {"joints": _joint_limits(robot), "swings": _swing_limits(robot)},
+            "sound_pivot": PIVOT,
+            "lengths": self._programs.spring_lengths,
+            "has_closures": bool(robot.closures),
         }
 
     def live_ellipsoid(
@@ -123,7 +84,7 @@ class Sliders:
         others: OtherMotions,
         scale: float,
     ) -> Json | None:
-        """Return how the page goes on with an ellipsoid at the tool, if it is that of the tripod's own springs.
+        """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own springs.
 
         Args:
             block: what is drawn, shape=(3, 3).
@@ -133,115 +94,168 @@ class Sliders:
             others: see there.
             scale: length of a semi-axis for a value of 1 [m per unit].
         """
-        stiffness = elastic_stiffness(self._tripod, self.pose(configuration), on_failure="nan")
-        if not np.all(np.isfinite(stiffness)):
+        compliance = self._compliance(configuration)
+        if compliance is None:
             return None
-        own = ellipsoids.block(stiffness, None, kind, of, others)
-        if np.abs(block - own).max() > _SAME * np.abs(own).max():
+        try:
+            own = ellipsoids.block(None, compliance, kind, of, others)
+        except SingularConfigurationError:
+            return None
+        if not np.abs(block - own).max() <= _SAME * np.abs(own).max():
             return None
         unit = ellipsoids.UNITS[of, kind]
         return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, "scale": scale, "unit": unit}
 
-    def live_forces(self, forces: Array, configuration: Configuration, *, scale: float, width: float) -> Json | None:
-        """Return how the page goes on with actuator forces, if they hold the tripod's own weight.
+    def live_forces(
+        self, forces: Array, configuration: Configuration, *, scale: float, width: float, unit: str
+    ) -> Json | None:
+        """Return how the page goes on with actuator forces, if they hold the robot's own weight.
 
         Args:
-            forces: what is drawn, shape=(number of legs,) [N].
+            forces: what is drawn, shape=(number of actuated joints,) [N, N m].
             configuration: where.
-            scale: length of an arrow for 1 N [m].
+            scale: length of an arrow for 1 N or 1 N m [m].
             width: half width of an arrow [m].
+            unit: what is written behind the forces.
         """
-        from pm3dof_pin.dynamics.statics import holding_forces
+        from pm3dof_pin.dynamics.statics import weight_scale
 
-        if self._tripod.leg_count != 3 or not self._has_its_masses():
+        if self._programs.holding is None:
             return None
-        own = holding_forces(configuration).actuator_forces
-        if np.abs(forces - own).max() > _SAME * np.abs(own).max():
+        own = self._programs.holding(configuration.q)[:-1]
+        reference = np.abs(own).max(initial=weight_scale(self._robot.model, 1e-6))
+        if not np.abs(forces - own).max(initial=0.0) <= _SAME * reference:
             return None
-        return {"kind": "forces", "scale": scale, "width": width}
+        return {"kind": "forces", "scale": scale, "width": width, "unit": unit}
 
     def live_shares(
-        self, names: Sequence[str], shares: Sequence[float], configuration: Configuration, load: Array
+        self,
+        legs: Sequence[Sequence[str]],
+        configuration: Configuration,
+        compliance: Matrix,
+        load: Array,
     ) -> Json | None:
-        """Return how the page goes on with the legs' shares, if they are those of the tripod's own springs.
+        """Return how the page goes on with the legs' shares, if they are those of the robot's own springs.
 
         Args:
-            names: names of the legs.
-            shares: what is drawn, leg after leg and the passive one last.
+            legs: names of the springs of each leg.
             configuration: where.
+            compliance: C at the tool with these springs, shape=(6, 6).
             load: the load at the tool, shape=(6,) [N, N m].
         """
-        from pm3dof_pin.elastic.shares import shares as shares_of_springs
-
-        legs = self._tripod.leg_count
-        if len(shares) != legs + 1:
+        own = self._compliance(configuration)
+        if own is None or not np.abs(own - compliance).max() <= _SAME * np.abs(own).max():
             return None
-        parts = shares_of_springs(spring_contributions(self._tripod, self.pose(configuration)), load)
-        own = np.append(parts[:legs] + parts[legs : 2 * legs], parts[-1])
-        if not np.abs(own - np.asarray(shares)).max() <= _SAME:
+        return {
+            "kind": "shares",
+            "wrench": load.tolist(),
+            "stops": colours.stops(colours.SHARE_STOPS).tolist(),
+            "names": [", ".join(springs) for springs in legs],
+            "springs": [self._programs.spring_places(names) for names in legs],
+        }
+
+    def _compliance(self, configuration: Configuration) -> Matrix | None:
+        """Return C at the tool as the page computes it; None where it does not."""
+        if self._programs.compliance is None:
             return None
-        stops = colours.stops(colours.SHARE_STOPS).tolist()
-        return {"kind": "shares", "wrench": load.tolist(), "stops": stops, "names": list(names)}
-
-    def _ranges(self) -> list[tuple[float, float, float]]:
-        """Least, greatest and step of each slider [deg, deg, m]: beyond the limits, so that these can be seen."""
-        tilt = round(float(np.degrees(self._tripod.parameters.universal_limit)) + _TILT_MARGIN)
-        low, high = self._tripod.bounds[4:]
-        least = round(0.01 * float(np.floor(100.0 * low)), 2)
-        greatest = round(0.01 * float(np.ceil(100.0 * (high + 0.25 * (high - low)))), 2)
-        return [(-tilt, tilt, _TILT_STEP), (-tilt, tilt, _TILT_STEP), (least, greatest, _HEIGHT_STEP)]
-
-    def _has_its_masses(self) -> bool:
-        p = self._tripod.parameters
-        described = p.platform_mass + p.passive_leg_mass + p.leg_count * (p.slider_mass + p.link_mass)
-        moving = sum(inertia.mass for inertia in list(self._mechanism.model.inertias)[1:])
-        return bool(abs(described - moving) <= _SAME * described)
+        if any(configuration.q[length["index"]] + length["at_zero"] <= 0.0 for length in self._programs.spring_lengths):
+            return None
+        outputs = self._programs.compliance(configuration.q)
+        return outputs[:-1].reshape(6, 6) if outputs[-1] == 1.0 else None
 
 
-def require_same_machine(tripod: Tripod, mechanism: Robot) -> None:
-    """Check that a closed form and a mechanism are one machine.
+def sets_of(robot: Robot) -> list[Json]:
+    """Return the sets of numbers that place a robot, as the page reads them: coordinates, and commands if they differ.
 
-    Raises:
-        InvalidValueError: their joints differ, or the closed form leaves loops of the mechanism open.
+    Each number has its `slider`: ends, step, digits and factor of what it shows, and the unit written behind.
     """
-    tilt = 0.3 * tripod.parameters.universal_limit
-    for pose in (tripod.home, np.array([tilt, -tilt, tripod.height_home])):
-        positions = joint_positions(tripod, pose)
-        if set(positions) != set(mechanism.q_names):
-            raise InvalidValueError("tripod", tripod.parameters.name, f"the tripod that {mechanism} is: joints differ")
-        q = np.array([positions[name] for name in mechanism.q_names])
-        residual = mechanism.configuration(q).closure_residual
-        if residual > _CLOSED:
-            expected = f"the tripod that {mechanism} is: its loops stay open by {residual:.1e} m"
-            raise InvalidValueError("tripod", tripod.parameters.name, expected)
+    sets = [
+        {
+            "title": "Coordinates",
+            "program": "close_coordinates",
+            **_numbers(robot, robot.coordinates, robot.home_coordinates),
+        }
+    ]
+    if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
+        numbers = _numbers(robot, robot.command_coordinates, robot.home.commands)
+        sets.append({"title": "Commands", "program": "close_commands", **numbers})
+    return [entry for entry in sets if entry["numbers"]]
 
 
-def _joints(mechanism: Robot) -> list[Json]:
-    model = mechanism.model
-    joints: list[Json] = [{"name": "universe", "parent": -1, "placement": column_major(np.eye(4))}]
-    for joint in range(1, model.njoints):
-        axis, turns = joint_axis(mechanism, joint)
-        joints.append(
+def reading(number: Json, value: float) -> str:
+    """Write a number of a set as the page does: "theta_x 10.0°", not torn apart, with a true minus, none on a zero."""
+    slider = number["slider"]
+    text = f"{round(value * slider['factor'], slider['digits']) + 0.0:.{slider['digits']}f}".replace("-", "\u2212")
+    return f"{number['name']}\u00a0{text}{slider['unit']}"
+
+
+def _numbers(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> Json:
+    numbers, order = [], [k for k, c in enumerate(coordinates) if c.joint is not None]
+    order += [k for k, c in enumerate(coordinates) if c.joint is None]
+    for coordinate, value in zip(coordinates, values, strict=True):
+        joint = None
+        if coordinate.joint is not None:
+            single = robot.single_joint(coordinate.joint)
+            joint = {"index": single.q_index, "continuous": single.is_continuous}
+        numbers.append(
             {
-                "name": model.names[joint],
-                "parent": int(model.parents[joint]),
-                "placement": column_major(model.jointPlacements[joint].homogeneous),
-                "type": "revolute" if turns else "prismatic",
-                "axis": axis.tolist(),
+                "name": coordinate.name,
+                "unit": coordinate.unit,
+                "joint": joint,
+                "tool": None if coordinate.tool is None else TOOL_COMPONENTS.index(coordinate.tool),
+                "scale": coordinate.scale,
+                "offset": coordinate.offset,
+                "slider": _slider(robot, coordinate, float(value)),
             }
         )
-    return joints
+    return {"numbers": numbers, "order": order}
 
 
-def _point(mechanism: Robot, name: str) -> Json:
-    frame = mechanism.model.frames[mechanism.frame_id(name)]
-    return {"joint": int(frame.parentJoint), "placement": column_major(frame.placement.homogeneous)}
+def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
+    """Return ends and step of a slider: somewhat beyond the range; without one all angles, or lengths around home."""
+    length = robot.characteristic_length
+    is_angle = coordinate.unit == "rad"
+    factor = _DEGREES if is_angle else 1.0
+    lower, upper = robot.range_of(coordinate)
+    least, greatest = (-math.pi, math.pi) if is_angle else (home - length, home + length)
+    if math.isfinite(lower) and math.isfinite(upper):
+        margin = _MARGIN * (upper - lower)
+        least, greatest = lower - margin, upper + margin
+    step = ellipsoids.round_length(max(factor * (greatest - least), 1e-9) / _STEPS)
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    return {
+        "factor": factor,
+        "unit": _shown_unit(coordinate.unit),
+        "least": round(math.floor(factor * least / step) * step, digits),
+        "greatest": round(math.ceil(factor * greatest / step) * step, digits),
+        "step": round(step, digits),
+        "digits": digits,
+    }
 
 
-def _leg_table(tripod: Tripod) -> list[list[float]]:
-    """Return the legs in the columns that the page's closed form has."""
-    length = np.full((tripod.leg_count, 1), tripod.parameters.link_length)
-    frames = np.swapaxes(tripod.link_frames, 1, 2).reshape(tripod.leg_count, 9)
-    columns = [tripod.base_joints, tripod.guide_directions, tripod.platform_joints, length, tripod.socket_axes, frames]
-    table: list[list[float]] = np.concatenate(columns, axis=1).tolist()
-    return table
+def _shown_unit(unit: Unit) -> str:
+    return "°" if unit == "rad" else "\u00a0m"
+
+
+def _joint_limits(robot: Robot) -> list[Json]:
+    limits = []
+    for index, name in enumerate(robot.q_names):
+        lower, upper = float(robot.lower_limits[index]), float(robot.upper_limits[index])
+        if math.isfinite(lower) and math.isfinite(upper):
+            unit, scale, offset = limit_reading(robot, name)
+            limits.append({"index": index, "lower": lower, "upper": upper, **_limit_text(name, unit, scale, offset)})
+    return limits
+
+
+def _swing_limits(robot: Robot) -> list[Json]:
+    names = closure_names(robot)
+    return [
+        {"lower": 0.0, "upper": loop.swing_limit, **_limit_text(names[f"{loop.frame_a}-{loop.frame_b}"], "rad")}
+        for loop in robot.closures
+        if loop.swing_limit is not None
+    ]
+
+
+def _limit_text(name: str, unit: Unit, scale: float = 1.0, offset: float = 0.0) -> Json:
+    factor, written, digits = (1.0, "m", 4) if unit == "m" else (_DEGREES, "deg", 2)
+    return {"name": name, "unit": written, "factor": factor * scale, "offset": factor * offset, "digits": digits}

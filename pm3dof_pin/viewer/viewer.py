@@ -12,18 +12,20 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.configuration import Configuration, LimitViolation
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
 from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
 from pm3dof_pin.viewer.frames import draw_frame
+from pm3dof_pin.viewer.page_programs import programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
-from pm3dof_pin.viewer.sliders import Sliders, require_same_machine
+from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
 from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
 
 _CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
 _NEAR = 1.2  # closeness of the camera: the corners of a box around a machine are mostly empty
+_BULK = (
+    3.0  # ratio of the longest semi-axis to the shortest below which an ellipsoid is drawn smaller, not to hide much
+)
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
@@ -54,8 +59,9 @@ class Viewer(ShownScene):
 
     Args:
         mechanism: what is shown.
-        tripod: the same machine in closed form: puts sliders into the page that move it, with its loops closed and with
-            what was drawn for its own springs and weight.
+        sliders: whether the page has sliders, over the robot's coordinates and commands, that move it with its loops
+            closed and with what was drawn for its own springs and weight. A robot for which there are no programs has
+            none, which is logged.
         visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF beside the
             mechanism's closures file. Without any, a stick figure is drawn.
         host: interface to listen on: this machine only, unless told otherwise.
@@ -67,14 +73,13 @@ class Viewer(ShownScene):
 
     Raises:
         DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
-        InvalidValueError: the tripod is not this mechanism.
     """
 
     def __init__(
         self,
         mechanism: Robot,
         *,
-        tripod: Tripod | None = None,
+        sliders: bool = True,
         visuals: pin.GeometryModel | Path | str | None = None,
         host: str = "127.0.0.1",
         port: int | None = None,
@@ -85,15 +90,17 @@ class Viewer(ShownScene):
         self._box = bounding_box(self._bodies, mechanism.home)
         self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
         self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, for round numbers
-        self._sliders = Sliders(tripod, mechanism) if tripod is not None else None
+        self._programs = programs_of(mechanism) if sliders else None
+        self._sliders = Sliders(mechanism, self._programs) if self._programs is not None else None
+        self._sets = sets_of(mechanism)
         self._entries: dict[str, Entry] = {}
         self._scales: dict[tuple[str, ...], float] = {}
+        self._is_recording = False  # frames of a path, which no slider goes on from
         self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
         self._draw_bodies()
         self._direction: tuple[float, float, float | None] = (-62.0, 17.0, None)
         if self._sliders is not None:
             self._panel["machine"] = self._sliders.machine_data(self._bodies)
-            self._panel["subtitle"] = "sliders in closed form, double precision"
         self._configuration = mechanism.home
         self.display(mechanism.home)
 
@@ -125,9 +132,7 @@ class Viewer(ShownScene):
             self._panel["path"] = None
             self.scene.stop_animation()
         self._panel["note"], self._panel["warnings"] = self._note(configuration)
-        if self._sliders is not None:
-            self._panel["pose"] = self._sliders.pose(configuration).tolist()
-            self._sliders.put(self.scene, configuration)
+        self._panel["q"] = configuration.q.tolist()
         self._update()
 
     def stiffness_ellipsoid(
@@ -167,7 +172,8 @@ class Viewer(ShownScene):
         block = ellipsoids.block(stiffness, compliance, kind, of, others)
         unit = UNITS[of, kind]
         if scale is None:
-            greatest = float(np.abs(np.linalg.eigvalsh(block)).max())
+            sizes = np.abs(np.linalg.eigvalsh(block))
+            greatest = float(max(sizes.max(), _BULK * sizes.min()))
             scale = self._scales.setdefault((kind, of, others), ellipsoids.round_scale(greatest, self._unit_length))
         drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
         key = kind if at is None else f"{kind}_at_{at if isinstance(at, str) else 'point'}"
@@ -177,7 +183,7 @@ class Viewer(ShownScene):
         self.scene.set_transform(path, drawn.transform)
         other = "rotations" if kind == "translation" else "translations"
         live = None
-        if self._sliders is not None and at is None:
+        if self._goes_on and at is None and self._sliders is not None:
             live = self._sliders.live_ellipsoid(
                 block, self._configuration, kind=kind, of=of, others=others, scale=scale
             )
@@ -227,9 +233,9 @@ class Viewer(ShownScene):
             drawn[path] = arrows.arrow_transform(axis, value, scale=scale, width=width)
         self.scene.set_transforms(drawn)
         live = None
-        if self._sliders is not None and self._is_closed():
-            live = self._sliders.live_forces(values, self._configuration, scale=scale, width=width)
         unit = ", ".join(sorted({axis.unit for axis in axes}))
+        if self._goes_on and self._sliders is not None:
+            live = self._sliders.live_forces(values, self._configuration, scale=scale, width=width, unit=unit)
         self._show(
             Entry(
                 key="forces",
@@ -255,6 +261,7 @@ class Viewer(ShownScene):
 
         Raises:
             InvalidValueError: the elastic model is not one of the mechanism, or the wrench is zero or not finite.
+            SingularConfigurationError: no spring gives under the load.
             PM3DofError: there is no compliance here: see
                 :func:`~pm3dof_pin.elastic.condensation.cartesian_compliance`.
         """
@@ -267,6 +274,8 @@ class Viewer(ShownScene):
         load = finite_array("wrench", wrench, (6,))
         behaviour = cartesian_compliance(model, self._configuration)
         by_spring = dict(zip(model.spring_names, shares(behaviour.contributions, load).tolist(), strict=True))
+        if not np.isfinite(list(by_spring.values())).all():
+            raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
         by_joint = leg_shares(model, by_spring)
         legs = leg_numbers(model)
         paint = [
@@ -283,8 +292,9 @@ class Viewer(ShownScene):
         of_legs = {legs[joint]: share for joint, share in by_joint.items()}
         names = [", ".join(springs) for springs in leg_springs(model)]
         live = None
-        if self._sliders is not None:
-            live = self._sliders.live_shares(names, list(of_legs.values()), self._configuration, load)
+        if self._goes_on and self._sliders is not None:
+            springs, compliance = leg_springs(model), behaviour.compliance
+            live = self._sliders.live_shares(springs, self._configuration, compliance, load)
         self._show(
             Entry(
                 key="legs",
@@ -345,7 +355,7 @@ class Viewer(ShownScene):
         """
         if self.mechanism.tool_frame is None:
             raise InvalidValueError("mechanism", self.mechanism, "one with a tool frame")
-        require_same_machine(tripod, self.mechanism)
+        shell.require_same_machine(tripod, self.mechanism)
         length = ellipsoids.round_length(0.42 * self._radius) if tool_length is None else tool_length
         surface = shell.workspace_shell(tripod, quantity, tool_length=length, heights=heights, directions=directions)
         shell.draw_shell(self.scene, "/workspace", surface)
@@ -371,6 +381,7 @@ class Viewer(ShownScene):
         configurations: Sequence[Configuration],
         *,
         stiffness: Sequence[ArrayLike] | None = None,
+        compliance: Sequence[ArrayLike] | None = None,
         forces: Sequence[ArrayLike] | None = None,
         of: Quantity = "stiffness",
         others: OtherMotions | None = None,
@@ -381,7 +392,8 @@ class Viewer(ShownScene):
 
         Args:
             configurations: frames of the path, equally spaced in time, two at least.
-            stiffness: K at the tool in each frame, shape=(6, 6) each; without it no ellipsoids are drawn.
+            stiffness: K at the tool in each frame, shape=(6, 6) each; without K or C no ellipsoids are drawn.
+            compliance: C instead of K, shape=(6, 6) each.
             forces: actuator forces in each frame, see :meth:`actuator_forces`.
             of: see :meth:`stiffness_ellipsoid`.
             others: see :meth:`stiffness_ellipsoid`.
@@ -395,16 +407,19 @@ class Viewer(ShownScene):
         frames = len(configurations)
         if frames < 2:
             raise InvalidValueError("configurations", f"{frames} of them", "two at least")
-        for name, given in (("stiffness", stiffness), ("forces", forces)):
+        for name, given in (("stiffness", stiffness), ("compliance", compliance), ("forces", forces)):
             if given is not None and len(given) != frames:
                 raise InvalidValueError(name, f"{len(given)} of them", f"one for each of {frames} frames")
         if not (np.isfinite(duration) and duration > 0.0):
             raise InvalidValueError("duration", duration, "a positive time [s]")
+        matrices = [(_at(stiffness, k), _at(compliance, k), _at(forces, k)) for k in range(frames)]
+        self._is_recording = True
         recorded = [
-            self._frame_of_path(configuration, _at(stiffness, index), _at(forces, index), of, others)
-            for index, configuration in enumerate(configurations)
+            self._frame_of_path(configuration, *given, of, others)
+            for configuration, given in zip(configurations, matrices, strict=True)
         ]
-        self._frame_of_path(configurations[0], _at(stiffness, 0), _at(forces, 0), of, others)
+        self._is_recording = False
+        self._frame_of_path(configurations[0], *matrices[0], of, others)
         tracks = {path: [transforms[path] for transforms, _ in recorded] for path in recorded[0][0]}
         for path in tracks:
             if path.startswith("/ellipsoids/"):
@@ -439,6 +454,9 @@ class Viewer(ShownScene):
         self._panel |= {"title": title, "subtitle": subtitle}
         self._update()
 
+    def _program_source(self) -> str:
+        return self._programs.source if self._programs is not None else ""
+
     def _draw_bodies(self) -> None:
         for body in self._bodies:
             for part in body.parts:
@@ -464,6 +482,7 @@ class Viewer(ShownScene):
         self,
         configuration: Configuration,
         stiffness: ArrayLike | None,
+        compliance: ArrayLike | None,
         forces: ArrayLike | None,
         of: Quantity,
         others: OtherMotions | None,
@@ -471,18 +490,20 @@ class Viewer(ShownScene):
         """Display one frame of a path; return the transforms of all that moves in it, and what is said of it."""
         self.display(configuration)
         transforms = body_placements(self._bodies, configuration)
-        if stiffness is not None:
+        if stiffness is not None or compliance is not None:
             for kind in _KINDS:
-                drawn = self.stiffness_ellipsoid(stiffness, kind=kind, of=of, others=others)
+                drawn = self.stiffness_ellipsoid(stiffness, compliance=compliance, kind=kind, of=of, others=others)
                 transforms[f"/ellipsoids/{kind}"] = drawn.transform
         if forces is not None:
             transforms |= self.actuator_forces(forces)
         values = {entry.key: entry.values for entry in self._entries.values() if entry.of_pose}
-        said = {name: self._panel.get(name) for name in ("note", "warnings", "pose")}
+        said = {name: self._panel.get(name) for name in ("note", "warnings", "q")}
         return transforms, {**said, "values": values}
 
-    def _is_closed(self) -> bool:
-        return self._configuration.closure_residual < _CLOSED
+    @property
+    def _goes_on(self) -> bool:
+        """Whether sliders may go on with what is drawn now: with closed loops, and not within a path."""
+        return not self._is_recording and self._configuration.closure_residual < _CLOSED
 
     def _point(self, at: str | ArrayLike | None) -> Array:
         if at is None:
@@ -493,13 +514,12 @@ class Viewer(ShownScene):
 
     def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
         """Return what is said of a configuration, and which limits it breaks."""
-        lines: list[str] = []
-        warnings = outside_limits(map(_limit_text, configuration.violated_limits()))
-        if self._sliders is not None:
-            lines, warnings = self._sliders.note(configuration)
-        elif self.mechanism.tool_frame is not None:
-            x, y, z = (round(float(number), 4) + 0.0 for number in configuration.tool_placement.translation)
-            lines = [f"tool at ({x:.4f}, {y:.4f}, {z:.4f}) m".replace("-", "\u2212")]
+        warnings = outside_limits(map(str, broken_limits(self.mechanism, configuration)))
+        lines = []
+        at = self.mechanism.at([configuration.q])[0]
+        for entry, values in zip(self._sets, (at.coordinates, at.commands), strict=False):
+            shown = [reading(number, float(value)) for number, value in zip(entry["numbers"], values, strict=True)]
+            lines.append(", ".join(shown))
         if self.mechanism.closures:
             state = "closed to" if configuration.closure_residual < _CLOSED else "open by"
             lines.append(f"loops {state} {configuration.closure_residual:.0e} m")
@@ -522,11 +542,6 @@ class Viewer(ShownScene):
 
     def _update(self) -> None:
         self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
-
-
-def _limit_text(violation: LimitViolation) -> str:
-    lower, upper = violation.lower, violation.upper
-    return f"{violation.name} at {violation.value:.4g}, outside {lower:.4g} .. {upper:.4g} (m, rad)"
 
 
 def _load_text(wrench: Array) -> str:

@@ -80,14 +80,19 @@ class Page:
         """Pull a slider to a place between 0 and 1 with the mouse, and return the number it then shows."""
         left, top, width, height = self.call(
             """name => {
-                const box = pm3dof.viewer.gui_controllers[name].__li.querySelector(".slider").getBoundingClientRect();
+                const slider = document.querySelector(`#sliders input[type=range][name="${name}"]`);
+                const box = slider.getBoundingClientRect();
                 return [box.left, box.top, box.width, box.height];
             }""",
             name,
         )
         middle = top + 0.5 * height
         self.browser.drag((left + 0.5 * width, middle), (left + place * width, middle))
-        return float(self.call("name => pm3dof.viewer.gui_controllers[name].getValue()", name))
+        return self.slider(name)
+
+    def slider(self, name: str) -> float:
+        """The number where a slider is [deg, m]."""
+        return float(self.call("name => document.querySelector(`#sliders input[name='${name}']`).value", name))
 
     def picture(self) -> Array:
         """What is seen, shape=(height, width, 3), in 0 .. 1."""

@@ -27,18 +27,15 @@ def test_a_snapshot_says_everything_once() -> None:
     for step in range(3):
         scene.set_transform("/a/b", objects.transform(translation=[step, 0.0, 0.0]))
         scene.set_visible("/a", step == 1)
-        scene.set_slider("tilt", "(value) => value", float(step), -1.0, 1.0, 0.1)
     snapshot = scene.snapshot()
     assert kinds(snapshot) == [
         ("set_object", "/a/b"),
         ("set_transform", "/a/b"),
         ("set_property", "/a"),
-        ("set_control", "tilt"),
     ]
     by_kind = {command["type"]: command for command in snapshot["commands"]}
     assert by_kind["set_transform"]["matrix"][12] == 2.0  # column after column: the translation comes last
     assert by_kind["set_property"]["value"] is False
-    assert by_kind["set_control"]["value"] == 2.0
 
 
 def test_objects_come_before_their_properties() -> None:

@@ -38,11 +38,11 @@ def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: R
     assert {"/ellipsoids/translation", "/forces/slider1_joint"} <= hidden
 
 
-def test_only_the_machines_own_goes_on(mechanism: Robot, tripod: Tripod) -> None:
-    """The page continues the elastic stiffness, holding forces and shares of the tripod itself, and nothing else."""
+def test_only_the_machines_own_goes_on(mechanism: Robot) -> None:
+    """The page continues the elastic stiffness, holding forces and shares of the machine itself, and nothing else."""
     from pm3dof_pin.dynamics import holding_forces
 
-    viewer = Viewer(mechanism, tripod=tripod)
+    viewer = Viewer(mechanism)
     model = ElasticModel(mechanism)
     stiffness = cartesian_compliance(model, mechanism.home).stiffness
     own = holding_forces(mechanism.home).actuator_forces
@@ -59,7 +59,7 @@ def test_only_the_machines_own_goes_on(mechanism: Robot, tripod: Tripod) -> None
 
 
 def test_nothing_goes_on_without_sliders(mechanism: Robot) -> None:
-    viewer = Viewer(mechanism)
+    viewer = Viewer(mechanism, sliders=False)
     viewer.stiffness_ellipsoid(cartesian_compliance(ElasticModel(mechanism), mechanism.home).stiffness)
     assert legend(viewer)["translation"]["live"] is None
     assert "machine" not in viewer.scene.panel
@@ -76,12 +76,12 @@ def test_shares(mechanism: Robot) -> None:
 
 def test_the_tripod_has_to_be_this_mechanism(mechanism: Robot, tripod: Tripod) -> None:
     with pytest.raises(InvalidValueError, match="joints differ"):
-        Viewer(Robot.load("hexapod"), tripod=tripod)
+        Viewer(Robot.load("hexapod")).workspace(tripod)
     from dataclasses import replace
 
     longer = Tripod(replace(TripodParameters.load(), link_length=0.36))
     with pytest.raises(InvalidValueError, match="loops stay open"):
-        Viewer(mechanism, tripod=longer)
+        Viewer(mechanism).workspace(longer)
 
 
 def test_bad_input(mechanism: Robot) -> None:
@@ -152,18 +152,15 @@ def test_errors_of_a_page_are_seen(browser: Any, tmp_path: Path) -> None:
         browser.open((tmp_path / "missing.html").as_uri())
 
 
-def test_loops_that_are_open_are_shown_as_they_are(mechanism: Robot, tripod: Tripod) -> None:
+def test_loops_that_are_open_are_shown_as_they_are(mechanism: Robot) -> None:
     """Joints put together by hand: nothing is continued, and the page says how far the loops are open."""
     q = np.array(mechanism.home.q)
     q[mechanism.q_names.index("slider1_joint")] += 0.03
-    viewer = Viewer(mechanism, tripod=tripod)
+    viewer = Viewer(mechanism)
     viewer.display(q)
     assert viewer.scene.panel["note"][-1] == "loops open by 3e-02 m"
     viewer.actuator_forces([1.0, 2.0, 3.0])
     assert legend(viewer)["forces"]["live"] is None
-    q[mechanism.q_names.index("passive_slider_joint")] = 0.5
-    viewer.display(q)
-    assert "out of reach" in viewer.scene.panel["warnings"][0]
     viewer.stiffness_ellipsoid(np.eye(6))
     assert legend(viewer)["translation"]["live"] is None
 

@@ -6,10 +6,28 @@ const pm3dof = (() => {
   const FIELD_OF_VIEW = 30; // degrees: little perspective, as in a technical drawing
   const shown = new Map(); // what the reader ticked, by entry
   let panel = {};
-  let machine = null; // ClosedForm.Tripod, where the mechanism is one
-  let pose = null;
+  let robot = null; // what sliders move
+  let pose = null; // of it, as it is shown
+  let activeSet = 0; // of sliders
+  let slidersShown = ""; // which there are
+  let tidied = false;
   let cameraSerial = null;
   let pathTime = null;
+
+  // ----------------------------------------------------------------------------------------------- pane
+
+  // Width and height of the picture, and how much of its left is behind the panel [pixels]; on a phone nothing is.
+  function pane() {
+    const { clientWidth: width, clientHeight: height } = document.getElementById("meshcat-pane");
+    return { width, height, behind: height < window.innerHeight ? 0 : Math.min(0.5 * width, 314) };
+  }
+
+  const setSize = viewer.set_3d_pane_size.bind(viewer);
+  viewer.set_3d_pane_size = () => {
+    const { width, height, behind } = pane();
+    viewer.camera.setViewOffset(width, height, -0.5 * behind, 0, width, height); // the middle is that of what is free
+    setSize(width, height);
+  };
 
   // ---------------------------------------------------------------------------------------------- scene
 
@@ -30,19 +48,15 @@ const pm3dof = (() => {
 
   function receive(message) {
     for (const command of message.commands || []) viewer.handle_command(unpacked(command));
-    if ((message.commands || []).some((command) => command.type === "set_control")) tidyControls();
     if (message.panel) showPanel(message.panel);
     viewer.set_dirty();
   }
 
-  // Sliders and buttons first, meshcat's own folders closed below them.
+  // meshcat's own controls wait below, closed but for a path's.
   function tidyControls() {
-    const list = viewer.gui.__ul;
-    const own = Object.values(viewer.gui_controllers).map((controller) => controller.__li);
-    own.reverse().forEach((item) => list.insertBefore(item, list.firstChild));
-    viewer.gui.width = 300;
+    viewer.gui.width = 260;
     viewer.gui.__folders.Scene.close();
-    viewer.gui.open();
+    if (panel.path) viewer.gui.open(); else viewer.gui.close();
   }
 
   // Look at a box from a direction so that it just fills the picture, with some room for panel and controls; nearer by
@@ -56,17 +70,17 @@ const pm3dof = (() => {
     const up = [-Math.sin(e) * Math.cos(a), -Math.sin(e) * Math.sin(a), Math.cos(e)];
     const along = (p, direction) => p[0] * direction[0] + p[1] * direction[1] + p[2] * direction[2];
     const target = low.map((entry, index) => 0.5 * (entry + high[index]));
-    const room = Math.max(0.55, 1 - 330 / window.innerWidth);
-    const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360), aspect = window.innerWidth / window.innerHeight;
+    const { width, height, behind } = pane();
+    const half = Math.tan(FIELD_OF_VIEW * Math.PI / 360), aspect = (width - behind) / height;
     // from where a point is still in a part of the picture
-    const distanceOf = (point, width, height) => {
+    const distanceOf = (point, across, upwards) => {
       const p = point.map((entry, index) => entry - target[index]);
-      const reach = Math.max(Math.abs(along(p, right)) / (width * aspect), Math.abs(along(p, up)) / height);
+      const reach = Math.max(Math.abs(along(p, right)) / (across * aspect), Math.abs(along(p, up)) / upwards);
       return reach / half + along(p, back);
     };
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((c) => target.map((_, index) => ((c >> index) & 1 ? high : low)[index]));
     const distance = Math.max(
-      ...corners.map((corner) => distanceOf(corner, 0.88 * room, 0.88) / closeness),
+      ...corners.map((corner) => distanceOf(corner, 0.88, 0.88) / closeness),
       ...points.map((point) => distanceOf(point, 0.97, 0.97)),
     );
     const radius = 0.5 * Math.hypot(...high.map((entry, index) => entry - low[index]));
@@ -110,10 +124,13 @@ const pm3dof = (() => {
     legend.textContent = "";
     data.legend.forEach((entry) => legend.append(entryElement(entry)));
     if (data.camera) frame(data.camera);
-    machine = data.machine ? new ClosedForm.Tripod(data.machine) : null;
-    pose = data.pose ? data.pose.slice() : null;
+    robot = data.machine && programs ? new Robot(data.machine, programs) : null;
+    pose = robot ? robot.pose(data.q) : null;
+    showSliders();
     data.legend.forEach(applyEntry);
     showNote(data.note || [], data.warnings || []);
+    if (!tidied) tidyControls();
+    tidied = true;
   }
 
   function entryElement(entry) {
@@ -165,46 +182,95 @@ const pm3dof = (() => {
 
   // -------------------------------------------------------------------------------------------- sliders
 
-  function slide(index, value) {
-    const wanted = pose.slice();
+  // As `reading` in pm3dof_pin/viewer/sliders.py.
+  const written = ({ slider }, value) => fixed(value * slider.factor, slider.digits);
+  const reading = (number, value) => `${number.name}\u00a0${written(number, value).replace("-", "\u2212")}${number.slider.unit}`;
+
+  // One row for each number of the active set, and a tab for each set.
+  function showSliders() {
+    const form = document.getElementById("controls");
+    form.hidden = !(robot && robot.data.sets.length);
+    if (form.hidden) return;
+    activeSet = Math.min(activeSet, robot.data.sets.length - 1);
+    const wanted = JSON.stringify([activeSet, robot.data.sets]);
+    if (wanted !== slidersShown) buildSliders();
+    slidersShown = wanted;
+    setSliders();
+  }
+
+  function buildSliders() {
+    const sets = document.getElementById("sets"), sliders = document.getElementById("sliders");
+    sets.textContent = sliders.textContent = "";
+    robot.data.sets.forEach(({ title }, index) => {
+      const button = element(sets, "button", index === activeSet ? "active" : "", title);
+      button.type = "button";
+      button.setAttribute("aria-pressed", index === activeSet);
+      button.addEventListener("click", () => { activeSet = index; showSliders(); });
+    });
+    const back = element(sets, "button", "home", "Home");
+    back.type = "button";
+    back.addEventListener("click", home);
+    robot.data.sets[activeSet].numbers.forEach((number, index) => {
+      const { least, greatest, step, factor, unit } = number.slider;
+      const row = element(sliders, "label");
+      element(row, "span", "name", number.name);
+      ["range", "number"].forEach((type) => {
+        const input = element(row, "input");
+        Object.assign(input, { type, min: least, max: greatest, step: type === "range" ? step : "any", name: number.name });
+        input.addEventListener(type === "range" ? "input" : "change", () => {
+          if (Number.isFinite(input.valueAsNumber)) slide(index, input.valueAsNumber / factor);
+        });
+      });
+      element(row, "span", "unit", unit);
+    });
+  }
+
+  // Put the sliders where the pose is; but not one that is being moved.
+  function setSliders(moving = null) {
+    const set = robot.data.sets[activeSet], values = pose.values(set);
+    document.querySelectorAll("#sliders label").forEach((row, index) => {
+      const [range, number] = row.querySelectorAll("input");
+      if (index !== moving) range.value = values[index] * set.numbers[index].slider.factor;
+      number.value = written(set.numbers[index], values[index]);
+    });
+  }
+
+  // Bring one number of a set, the active one if none is given, to a value [m, rad].
+  function slide(index, value, set = robot.data.sets[activeSet]) {
+    const start = pose.residual < 1e-6 ? pose : robot.home(); // loops that are open say nothing
+    const wanted = start.values(set);
     wanted[index] = value;
-    move(wanted);
+    const found = robot.moved(start, set, wanted);
+    if (found) {
+      show(found, index);
+    } else {
+      showNote(
+        [set.numbers.map((number, k) => reading(number, wanted[k])).join(", "), "The picture stays at the last pose found."],
+        ["Out of reach: the loops do not close there, or a singular pose is in between."],
+      );
+    }
   }
 
   function home() {
-    pose = panel.machine.home.slice();
-    setSliders();
-    move(pose);
+    show(robot.home());
   }
 
-  function setSliders() {
-    const values = [ClosedForm.degrees(pose[0]), ClosedForm.degrees(pose[1]), pose[2]];
-    panel.machine.sliders.forEach((name, index) => viewer.set_control_value(name, values[index], false));
-  }
-
-  function move(wanted) {
+  function show(found, moving = null) {
     if (viewer.animator.playing) viewer.animator.pause();
-    pose = wanted;
-    const [x, y, z] = [fixed(ClosedForm.degrees(pose[0]), 1), fixed(ClosedForm.degrees(pose[1]), 1), fixed(pose[2], 4)];
-    const where = `θx ${x}°, θy ${y}°, z ${z} m`.replaceAll("-", "\u2212");
-    const leg = machine.legOutOfReach(pose);
-    if (leg) {
-      const reason = `Out of reach: the link of leg ${leg} does not meet its guideway.`;
-      showNote([where, "The picture stays at the last pose that was in reach."], [reason]);
-      return;
-    }
-    const placements = machine.jointPlacements(pose);
-    panel.machine.bodies.forEach(({ path, joint, placement }) => {
-      placeNode(path, ClosedForm.product(placements[joint], placement));
+    pose = found;
+    setSliders(moving);
+    robot.data.bodies.forEach(({ path, joint, placement }) => {
+      placeNode(path, Robot.product(pose.placement(joint), placement));
     });
-    panel.legend.forEach((entry) => (entry.live ? follow(entry) : leaveBehind(entry)));
+    const elastic = panel.legend.some(({ live }) => live && live.kind !== "forces") ? robot.compliance(pose) : null;
+    panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : leaveBehind(entry)));
     viewer.set_dirty();
-    const travels = machine.legs(pose).map(({ travel }) => (1000 * travel).toFixed(2)).join(", ");
-    const error = machine.closureError(placements).toExponential(0);
-    showNote(
-      [where, `sliders at ${travels} mm`, `closed form in this page, loops closed to ${error} m`],
-      outsideLimits(machine.brokenLimits(pose)),
-    );
+    const lines = robot.data.sets.map((set) => {
+      const values = pose.values(set);
+      return set.numbers.map((number, index) => reading(number, values[index])).join(", ");
+    });
+    if (robot.data.has_closures) lines.push(`loops closed to ${pose.residual.toExponential(0)} m, in this page`);
+    showNote(lines, outsideLimits(pose.brokenLimits()));
   }
 
   // As outside_limits does in pm3dof_pin/viewer/panel.py.
@@ -220,42 +286,49 @@ const pm3dof = (() => {
     applyEntry(entry);
   }
 
-  function follow(entry) {
-    const stiffness = machine.stiffness(pose);
-    const tool = [0, 0, pose[2]];
-    const forces = entry.live.kind === "forces" ? machine.holdingForces(pose) : null;
-    entry.stale = forces ? !forces.every(Number.isFinite) : stiffness === null;
-    if (entry.stale) {
-      setValues(entry, forces ? "no forces hold this singular pose" : "no stiffness at or below the clamp");
-    } else if (entry.live.kind === "ellipsoid") {
-      const { values, axes } = ClosedForm.principal(machine.block(stiffness, entry.live));
-      placeNode(entry.nodes[0], ClosedForm.stretched(axes, values.map((value) => value * entry.live.scale), tool));
-      setValues(entry, values.map(scientific).join(" · ") + ` ${entry.live.unit}`);
-    } else if (entry.live.kind === "forces") {
-      followForces(entry, forces);
-    } else if (entry.live.kind === "shares") {
-      followShares(entry, stiffness);
+  // Go on with what was computed for the pose before; with C at the tool, or null where there is none.
+  function follow(entry, compliance) {
+    entry.stale = false;
+    try {
+      ({ ellipsoid: followEllipsoid, forces: followForces, shares: followShares })[entry.live.kind](entry, compliance);
+    } catch (reason) {
+      if (typeof reason !== "string") throw reason;
+      entry.stale = true;
+      setValues(entry, reason);
     }
     applyEntry(entry);
   }
 
-  function followForces(entry, forces) {
-    const { scale, width } = entry.live;
-    machine.legs(pose).forEach(({ leg, guide, travel }, index) => {
-      const force = forces[index];
-      const direction = guide.map((part) => part * (force < 0 ? -1 : 1));
-      const slider = [0, 1, 2].map((part) => leg[part] + travel * guide[part]);
-      const length = Math.max(Math.abs(force) * scale, 1e-6 * width), slim = Math.min(width, 0.5 * length);
-      placeNode(entry.nodes[index], ClosedForm.stretched(ClosedForm.turnZTo(direction), [slim, slim, length], slider));
-    });
-    setValues(entry, `${forces.map((force) => fixed(force, 2)).join(", ")} N`);
+  function followEllipsoid(entry, compliance) {
+    if (!compliance) throw "no stiffness in this pose";
+    const block = robot.block(compliance, entry.live);
+    if (!block.flat().every(Number.isFinite)) throw "not in this pose: some motion is rigid";
+    const { values, axes } = Robot.principal(block);
+    const longest = Math.max(...values.map(Math.abs)) * entry.live.scale;
+    const lengths = values.map((value) => Math.max(Math.abs(value) * entry.live.scale, 1e-6 * longest));
+    placeNode(entry.nodes[0], Robot.stretched(axes, lengths, pose.tool));
+    setValues(entry, values.map(scientific).join(" · ") + ` ${entry.live.unit}`);
   }
 
-  function followShares(entry, stiffness) {
-    const shares = machine.legShares(pose, stiffness, entry.live.wrench);
-    entry.paint.forEach((item) => { item.colour = blend(entry.live.stops, shares[item.leg]); });
-    const { names } = entry.live;
-    setValues(entry, shares.map((share, leg) => `${names[leg]}: ${(100 * share).toFixed(1)} %`).join("\n"));
+  function followForces(entry) {
+    const { scale, width, unit } = entry.live;
+    const forces = robot.holdingForces(pose);
+    if (!forces) throw "no forces hold this singular pose";
+    robot.actuatorAxes(pose).forEach(({ origin, direction }, index) => {
+      const along = direction.map((part) => part * (forces[index] < 0 ? -1 : 1));
+      const length = Math.max(Math.abs(forces[index]) * scale, 1e-6 * width), slim = Math.min(width, 0.5 * length);
+      placeNode(entry.nodes[index], Robot.stretched(Robot.turnZTo(along), [slim, slim, length], origin));
+    });
+    setValues(entry, `${forces.map((force) => fixed(force, 2)).join(", ")} ${unit}`);
+  }
+
+  function followShares(entry, compliance) {
+    if (!compliance) throw "no stiffness in this pose";
+    const { names, springs, stops, wrench } = entry.live;
+    const shares = robot.shares(pose, springs, wrench);
+    if (!shares.every(Number.isFinite)) throw "no spring gives under this load";
+    entry.paint.forEach((item) => { item.colour = blend(stops, shares[item.leg]); });
+    setValues(entry, shares.map((share, leg) => `${names[leg]}: ${fixed(100 * share, 1)} %`).join("\n"));
   }
 
   // The colour at a place between 0 and 1 of a list of colours.
@@ -277,8 +350,8 @@ const pm3dof = (() => {
     const at = frames[Math.min(frames.length - 1, Math.max(0, place))];
     showNote(at.note, at.warnings);
     panel.legend.forEach((entry) => { if (entry.key in at.values) setValues(entry, at.values[entry.key]); });
-    if (at.pose) {
-      pose = at.pose.slice();
+    if (robot) {
+      pose = robot.pose(at.q);
       setSliders();
     }
   }
@@ -290,12 +363,13 @@ const pm3dof = (() => {
   }
 
   const start = () => {
+    viewer.set_3d_pane_size();
     receive(JSON.parse(document.getElementById("scene").textContent));
     watchPath();
     if (document.body.dataset.socket === "yes") connect();
   };
 
-  return { viewer, node, slide, home, receive, start, pose: () => pose, panel: () => panel };
+  return { viewer, node, slide, home, receive, start, pose: () => pose, robot: () => robot, panel: () => panel };
 })();
 
 pm3dof.start();

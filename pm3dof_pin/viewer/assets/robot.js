@@ -1,0 +1,277 @@
+// A robot that moves with its loops closed: what the sliders of the page need. The arithmetic of the robot is done by the
+// functions in `programs`, which Python has traced from its model and printed before this; here is what holds for every
+// robot: going from pose to pose, and the linear algebra of ellipsoids.
+//
+// Numbers are in SI units and radians, matrices lists of rows, transforms 16 numbers in the order of three.js (column
+// after column).
+"use strict";
+
+const Robot = (() => {
+  const LEG = 0.1; // longest way of the coordinates in one go [rad, characteristic lengths]
+  const SHORTEST_LEG = LEG / 256;
+  const JUMP = 0.5; // longest way of a joint in one go [rad, characteristic lengths]
+  const NEARLY_CLOSED = 1e-8; // from here one quadratic step ends in rounding [m, rad]
+  const STEPS = 8;
+  const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that is its share
+
+  const dot = (a, b) => a.reduce((sum, entry, index) => sum + entry * b[index], 0);
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const norm = (a) => Math.sqrt(dot(a, a));
+  const apply = (matrix, a) => matrix.map((row) => dot(row, a));
+
+  // Inverse of a symmetric positive definite matrix, by Gauss and Jordan after its diagonal is scaled to ones: newtons
+  // per metre stand beside newton metres per radian.
+  function inverse(matrix) {
+    const n = matrix.length;
+    const scale = matrix.map((row, i) => 1 / Math.sqrt(row[i]));
+    const work = matrix.map((row, i) => [
+      ...row.map((entry, j) => entry * scale[i] * scale[j]),
+      ...row.map((_, j) => (i === j ? 1 : 0)),
+    ]);
+    for (let column = 0; column < n; column++) {
+      let pivot = column;
+      for (let row = column + 1; row < n; row++) {
+        if (Math.abs(work[row][column]) > Math.abs(work[pivot][column])) pivot = row;
+      }
+      [work[column], work[pivot]] = [work[pivot], work[column]];
+      work[column] = work[column].map((entry) => entry / work[column][column]);
+      for (let row = 0; row < n; row++) {
+        const factor = work[row][column];
+        if (row !== column) work[row] = work[row].map((entry, index) => entry - factor * work[column][index]);
+      }
+    }
+    return work.map((row, i) => row.slice(n).map((entry, j) => entry * scale[i] * scale[j]));
+  }
+
+  // Principal values, the least first, and axes as columns of a right-handed frame, of a symmetric 3 x 3 matrix, by
+  // Jacobi's rotations.
+  function principal(block) {
+    const a = block.map((row) => row.slice());
+    let v = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+    for (let sweep = 0; sweep < 60; sweep++) {
+      const rest = Math.hypot(a[0][1], a[0][2], a[1][2]);
+      if (rest <= 1e-17 * Math.hypot(a[0][0], a[1][1], a[2][2])) break;
+      for (const [p, q] of [[0, 1], [0, 2], [1, 2]]) {
+        if (a[p][q] === 0) continue;
+        const ratio = (a[q][q] - a[p][p]) / (2 * a[p][q]);
+        const t = (ratio < 0 ? -1 : 1) / (Math.abs(ratio) + Math.sqrt(ratio * ratio + 1));
+        const c = 1 / Math.sqrt(t * t + 1), s = t * c;
+        for (let k = 0; k < 3; k++) [a[k][p], a[k][q]] = [c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]];
+        for (let k = 0; k < 3; k++) [a[p][k], a[q][k]] = [c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]];
+        for (let k = 0; k < 3; k++) [v[k][p], v[k][q]] = [c * v[k][p] - s * v[k][q], s * v[k][p] + c * v[k][q]];
+      }
+    }
+    const order = [0, 1, 2].sort((i, j) => a[i][i] - a[j][j]);
+    const axes = v.map((row) => order.map((column) => row[column]));
+    const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column]));
+    if (dot(cross(x, y), z) < 0) axes.forEach((row) => { row[2] = -row[2]; });
+    return { values: order.map((i) => a[i][i]), axes };
+  }
+
+  function product(a, b) {
+    const result = new Array(16).fill(0);
+    for (let column = 0; column < 4; column++) {
+      for (let row = 0; row < 4; row++) {
+        for (let k = 0; k < 4; k++) result[4 * column + row] += a[4 * k + row] * b[4 * column + k];
+      }
+    }
+    return result;
+  }
+
+  // The transform that makes a unit sphere an ellipsoid, or a unit arrow an arrow.
+  function stretched(axes, lengths, position) {
+    const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column] * lengths[column]));
+    return [...x, 0, ...y, 0, ...z, 0, ...position, 1];
+  }
+
+  // A rotation that takes the z axis to a direction, as rows.
+  function turnZTo(direction) {
+    const size = norm(direction), z = direction.map((entry) => entry / size);
+    const sizes = z.map(Math.abs), least = sizes.indexOf(Math.min(...sizes));
+    const beside = cross([0, 1, 2].map((index) => (index === least ? 1 : 0)), z);
+    const x = beside.map((entry) => entry / norm(beside)), y = cross(z, x);
+    return [0, 1, 2].map((index) => [x[index], y[index], z[index]]);
+  }
+
+  class Pose {
+    // What the program `place` says of joint positions.
+    constructor(robot, q) {
+      this.q = q;
+      this.robot = robot;
+      this.numbers = new Float64Array(robot.programs.place_size);
+      robot.programs.place(q, this.numbers);
+    }
+
+    // Rows of rotation and translation of a joint, shape 3 x 4; the tool comes after the joints.
+    rows(index) {
+      return [0, 4, 8].map((first) => [...this.numbers.subarray(12 * index + first, 12 * index + first + 4)]);
+    }
+
+    placement(index) {
+      const rows = this.rows(index);
+      return [0, 1, 2, 3].flatMap((column) => [...rows.map((row) => row[column]), column === 3 ? 1 : 0]);
+    }
+
+    translation(index) {
+      return this.rows(index).map((row) => row[3]);
+    }
+
+    get tool() {
+      return this.translation(this.robot.data.tool);
+    }
+
+    // Greatest error of the loop closures [m, rad].
+    get residual() {
+      return this.numbers[12 * this.robot.data.placements];
+    }
+
+    swing(index) {
+      const first = 12 * this.robot.data.placements + 1 + 2 * index;
+      return Math.atan2(Math.sqrt(this.numbers[first]), this.numbers[first + 1]);
+    }
+
+    // x, y, z, rx, ry, rz of the tool, R = Rx Ry Rz.
+    get toolComponents() {
+      const R = this.rows(this.robot.data.tool);
+      return [
+        R[0][3], R[1][3], R[2][3],
+        Math.atan2(-R[1][2], R[2][2]),
+        Math.atan2(R[0][2], Math.hypot(R[1][2], R[2][2])),
+        Math.atan2(-R[0][1], R[0][0]),
+      ];
+    }
+
+    // Values of the numbers of a set: coordinates or commands.
+    values(set) {
+      const tool = set.numbers.some((number) => number.tool !== null) ? this.toolComponents : null;
+      return set.numbers.map(({ joint, tool: component, scale, offset }) => {
+        if (joint === null) return scale * tool[component] + offset;
+        const { index, continuous } = joint;
+        return scale * (continuous ? Math.atan2(this.q[index + 1], this.q[index]) : this.q[index]) + offset;
+      });
+    }
+
+    // Every joint and closure outside its range, in words.
+    brokenLimits() {
+      const { joints, swings } = this.robot.data.limits;
+      const readings = [
+        ...joints.map((limit) => [limit, this.q[limit.index]]),
+        ...swings.map((limit, index) => [limit, this.swing(index)]),
+      ];
+      return readings
+        .filter(([{ lower, upper }, value]) => !(lower - 1e-9 <= value && value <= upper + 1e-9))
+        .map(([{ name, unit, factor, offset, digits, lower, upper }, value]) => {
+          const shown = (number) => (factor * number + offset).toFixed(digits);
+          const ends = factor < 0 ? [upper, lower] : [lower, upper];
+          return `${name} at ${shown(value)} ${unit}, outside ${ends.map(shown).join(" .. ")} ${unit}`;
+        });
+    }
+  }
+
+  class Robot {
+    constructor(data, functions) {
+      this.data = data;
+      this.programs = functions;
+    }
+
+    pose(q) {
+      return new Pose(this, Float64Array.from(q));
+    }
+
+    home() {
+      return this.pose(this.data.home);
+    }
+
+    // The pose at values of a set's numbers, by way of poses between, in the assembly mode of the pose it starts from;
+    // null where loops do not close, or a singular pose is in between.
+    moved(pose, set, values) {
+      const start = set.numbers.length ? pose.values(set) : [];
+      const sizes = set.numbers.map(({ unit }) => (unit === "m" ? this.data.length : 1));
+      const way = Math.max(0, ...values.map((value, k) => Math.abs((value - start[k]) / set.numbers[k].scale) / sizes[k]));
+      if (!Number.isFinite(way)) return null;
+      let q = pose.q, done = 0, step = way > LEG ? LEG / way : 1, sign = null;
+      while (done < 1) {
+        const next = done + step > 1 - 1e-9 ? 1 : done + step;
+        const between = next === 1 ? values : values.map((value, k) => start[k] + next * (value - start[k]));
+        const found = this.closed(q, set, between);
+        if (found && (sign === null || found.sign === sign)) {
+          ({ q, sign } = found);
+          done = next;
+          step = Math.min(2 * step, way > LEG ? LEG / way : 1);
+        } else {
+          step /= 2;
+          if (step * Math.max(way, LEG) < SHORTEST_LEG) return null;
+        }
+      }
+      return new Pose(this, q);
+    }
+
+    // Newton's method with a set's numbers given: joint positions, and on which side of singular poses they are.
+    closed(start, set, values) {
+      const close = this.programs[set.program], n = start.length;
+      const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
+      const input = Float64Array.from([...start, 1, 0, ...given]), output = new Float64Array(n + 3);
+      let sign = null;
+      for (let step = 0; step < STEPS; step++) {
+        close(input, output);
+        const margin = output[n], jump = output[n + 1], residual = output[n + 2];
+        if (!(jump < JUMP)) return null; // or not a number
+        if (sign !== null && Math.sign(margin) !== sign) return null;
+        sign = Math.sign(margin);
+        input.set(output.subarray(0, n + 2));
+        if (residual < NEARLY_CLOSED) return { q: output.slice(0, n), sign };
+      }
+      return null;
+    }
+
+    // C at the tool, twist = C wrench, or null where it is in doubt.
+    compliance(pose, springs = this.programs.springs) {
+      if (this.data.lengths.some(({ index, at_zero }) => !(pose.q[index] + at_zero > 0))) return null;
+      const numbers = new Float64Array(this.programs.compliance_size);
+      this.programs.compliance(pose.q, springs, numbers);
+      if (numbers[36] !== 1) return null;
+      return [0, 6, 12, 18, 24, 30].map((first) => [...numbers.subarray(first, first + 6)]);
+    }
+
+    // The 3 x 3 block that an ellipsoid shows, as pm3dof_pin.viewer.ellipsoids.block does.
+    block(compliance, { motion, of, others }) {
+      const start = motion === "translation" ? 0 : 3;
+      const cut = (matrix) => matrix.slice(start, start + 3).map((row) => row.slice(start, start + 3));
+      const held = others === "held";
+      const block = cut(held ? inverse(compliance) : compliance);
+      return held === (of === "stiffness") ? block : inverse(block);
+    }
+
+    // Share of each spring in the deflection under a wrench: the derivative of its logarithm by that of the spring's
+    // compliance, as the springs take up what makes their energy least.
+    shares(pose, springs, wrench) {
+      const deflection = (places, factor) => {
+        const numbers = this.programs.springs.slice();
+        places.forEach((place) => { numbers[place] *= factor; }); // roots of its compliance
+        return Math.log(dot(wrench, apply(this.compliance(pose, numbers), wrench)));
+      };
+      return springs.map((places) => {
+        const change = deflection(places, 1 + SHARE_STEP) - deflection(places, 1 - SHARE_STEP);
+        return change / (2 * Math.log((1 + SHARE_STEP) / (1 - SHARE_STEP)));
+      });
+    }
+
+    // Actuator forces that hold the weight; null in a singular pose.
+    holdingForces(pose) {
+      const numbers = new Float64Array(this.programs.holding_size);
+      this.programs.holding(pose.q, numbers);
+      const forces = [...numbers.subarray(0, numbers.length - 1)];
+      return numbers[forces.length] > this.data.sound_pivot && forces.every(Number.isFinite) ? forces : null;
+    }
+
+    // Origin and direction of each actuated joint's axis in the world.
+    actuatorAxes(pose) {
+      return this.data.actuators.map(({ joint, axis }) => {
+        const rows = pose.rows(joint);
+        return { origin: rows.map((row) => row[3]), direction: rows.map((row) => dot(row.slice(0, 3), axis)) };
+      });
+    }
+  }
+
+  return Object.assign(Robot, { principal, inverse, product, stretched, turnZTo });
+})();

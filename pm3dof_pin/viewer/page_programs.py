@@ -1,0 +1,227 @@
+"""The programs by which a page moves a robot without Python: traced from its model, printed as JavaScript."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.elastic.compiled import traced_quantity
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.quantities import COMPLIANCE
+from pm3dof_pin.elastic.traced import spring_parameters
+from pm3dof_pin.exceptions import ConvergenceError, ProgramError
+from pm3dof_pin.kinematics.continuation import samples_near
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs import geometry
+from pm3dof_pin.programs.closing import Task, closing_program
+from pm3dof_pin.programs.elimination import Doubt, Objects, is_zero, least_squares, matrix_of, total, zeros
+from pm3dof_pin.programs.graph import Graph, Scalar, maximum
+from pm3dof_pin.programs.javascript import javascript
+from pm3dof_pin.programs.loops import closure_equations, swing
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Vector
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PageProgram:
+    """A program with the values of its parameters.
+
+    Attributes:
+        program: the straight line.
+        parameters: shape=(number of parameters,).
+    """
+
+    program: Program
+    parameters: Vector
+
+    def __call__(self, q: Vector) -> Vector:
+        """Return the outputs at one configuration, as the page computes them."""
+        outputs: Vector = self.program.evaluate(q[None], self.parameters)[0]
+        return outputs
+
+
+class PagePrograms:
+    """Everything that a page computes of a robot.
+
+    - `place(q)`: placements of all joints, rotation and translation row by row, shape=(joints, 3, 4); of the tool; the
+      greatest closure error; square of the sine, and cosine, of every swing angle that has a limit.
+    - `close_coordinates`, `close_commands`: Newton's steps, see :func:`~pm3dof_pin.programs.closing.closing_program`.
+    - `compliance(q)`: C at the tool, and 1 if nothing is in doubt, else 0.
+    - `holding(q)`: actuator forces that hold the weight, and the least pivot, small near singular poses.
+
+    Args:
+        robot: the robot, its home configuration closed.
+
+    Attributes:
+        robot: the robot.
+        place: see above.
+        compliance: see above; None for a robot without springs or without a tool frame, or if there is no program.
+        holding: see above; None if there is no program, or the actuators do not hold the robot by themselves.
+
+    Raises:
+        ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
+        ConvergenceError: its loops do not close near home.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._samples = samples_near(robot, robot.home.q)
+        verify(robot, self._samples)
+        self.place = self._place()
+
+    @cached_property
+    def spring_lengths(self) -> list[dict[str, Any]]:
+        """Lengths that have to be positive for a compliance: q[index] + at_zero [m]."""
+        if self.compliance is None:
+            return []
+        lengths = [block.length for block in ElasticModel(self.robot).blocks if block.length is not None]
+        return [{"index": self.robot.single_joint(at.joint).q_index, "at_zero": at.at_zero} for at in lengths]
+
+    @cached_property
+    def compliance(self) -> PageProgram | None:
+        """C at the tool, shape=(6, 6), then 1 if nothing is in doubt, else 0."""
+        robot = self.robot
+        if not robot.springs or robot.tool_frame is None:
+            return None
+        model = ElasticModel(robot)
+        try:
+            program = traced_quantity(model, robot.tool_frame, COMPLIANCE, closed=True)
+        except ProgramError as error:
+            _logger.info("no compliance in the page: %s", error)
+            return None
+        return _with_parameters(program, model.mechanism, spring_parameters(model))
+
+    @cached_property
+    def holding(self) -> PageProgram | None:
+        """Forces of the actuators, then the least pivot."""
+        robot = self.robot
+        graph = Graph()
+        tree = Tree(graph, robot, self._samples)
+        actuated, passive = list(robot.actuated_indices), list(robot.passive_indices)
+        rows = _closure_rows(tree)
+        doubt = Doubt()
+        # velocities of the passive joints for unit ones of the actuators, backwards
+        moved = zeros(len(passive), len(actuated))
+        if len(rows) and passive:
+            moved = least_squares(rows[:, passive], rows[:, actuated], doubt)
+        weights = _gravity_torques(tree)
+        forces = [
+            weights[k] - total([weights[index] * moved[row, column] for row, index in enumerate(passive)])
+            for column, k in enumerate(actuated)
+        ]
+        return _with_parameters(graph.program("holding", {"forces": forces, "pivot": doubt.pivot}), robot)
+
+    def closing(self, name: str, coordinates: Sequence[Coordinate]) -> PageProgram:
+        """Return Newton's step for given coordinates; those that are joints come before components of the tool."""
+        joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
+        tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
+        traced = closing_program(self.robot, Task(joints, tool), self._samples)
+        return _with_parameters(dataclasses.replace(traced.program, name=name), self.robot)
+
+    @cached_property
+    def source(self) -> str:
+        """All programs as JavaScript: an object `programs` of functions."""
+        robot = self.robot
+        printed = {"place": self.place, "close_coordinates": self.closing("close_coordinates", robot.coordinates)}
+        if robot.command_coordinates and robot.command_coordinates != robot.coordinates:
+            printed["close_commands"] = self.closing("close_commands", robot.command_coordinates)
+        if self.holding is not None:
+            printed["holding"] = self.holding
+        functions = [javascript(entry.program, entry.parameters) for entry in printed.values()]
+        members = [f"{name}, {name}_size: {len(entry.program.results)}" for name, entry in printed.items()]
+        if self.compliance is not None:
+            # its springs are changed by the page to tell their shares
+            functions.append(javascript(self.compliance.program))
+            values = json.dumps(self.compliance.parameters.tolist())
+            members.append(f"compliance, compliance_size: {len(self.compliance.program.results)}, springs: {values}")
+        return "\n".join([*functions, f"const programs = {{ {', '.join(members)} }};"])
+
+    def spring_places(self, names: Iterable[str]) -> list[int]:
+        """Return the places of some springs' numbers among the parameters of `compliance`."""
+        assert self.compliance is not None
+        starts = tuple(f"spring/{spring}/U" for spring in names)
+        return [k for k, name in enumerate(self.compliance.program.parameters) if name.startswith(starts)]
+
+    def _place(self) -> PageProgram:
+        robot = self.robot
+        graph = Graph()
+        tree = Tree(graph, robot, self._samples)
+        placements = [tree.body(joint) for joint in range(robot.model.njoints)]
+        if robot.tool_frame is not None:
+            placements.append(tree.frame(robot.tool_frame))
+        rows = [[[*p.rotation[i], p.translation[i]] for i in range(3)] for p in placements]
+        residual: Scalar = 0.0
+        for index in range(len(robot.closures)):
+            closure = closure_equations(tree, index).residual
+            residual = closure if is_zero(residual) else maximum(residual, closure)
+        swings = [swing(tree, k) for k, loop in enumerate(robot.closures) if loop.swing_limit is not None]
+        outputs: dict[str, Any] = {"placements": rows, "residual": residual, "swings": swings}
+        return _with_parameters(graph.program("place", outputs), robot)
+
+
+@lru_cache(maxsize=8)
+def programs_of(robot: Robot) -> PagePrograms | None:
+    """Return the programs of a robot, traced once; None if there are none, which is logged."""
+    try:
+        programs = PagePrograms(robot)
+        _ = programs.source
+    except (ProgramError, ConvergenceError) as error:
+        _logger.warning("no sliders for %s: %s", robot.name, error)
+        return None
+    return programs
+
+
+def _with_parameters(program: Program, robot: Robot, springs: Mapping[str, float] | None = None) -> PageProgram:
+    known = dict(springs or {})
+    own = [name for name in program.parameters if name not in known]
+    known |= dict(zip(own, geometry.values(robot, own), strict=True))
+    return PageProgram(program, np.array([known[name] for name in program.parameters]))
+
+
+def _closure_rows(tree: Tree) -> Objects:
+    """Return the constraint Jacobian with lengths in characteristic lengths, shape=(m, nv)."""
+    robot = tree.mechanism
+    rows = []
+    for index in range(len(robot.closures)):
+        equations = closure_equations(tree, index)
+        for i, is_angular in enumerate(equations.is_angular):
+            factor = 1.0 if is_angular else 1.0 / robot.characteristic_length
+            row = zeros(1, robot.model.nv)[0]
+            for k, column in equations.columns.items():
+                row[k] = column[i] * factor
+            rows.append(row)
+    return matrix_of(rows, robot.model.nv)
+
+
+def _gravity_torques(tree: Tree) -> list[Scalar]:
+    """Return the generalised forces that hold the tree of bodies, one for each entry of v [N, N m]."""
+    model = tree.mechanism.model
+    gravity = np.array(model.gravity.linear)
+    torques: list[Scalar] = [0.0] * model.nv
+    for joint in range(1, model.njoints):
+        inertia = model.inertias[joint]
+        if inertia.mass == 0.0:
+            continue
+        body = tree.body(joint)
+        centre = body.translation + body.rotation @ np.array(inertia.lever)
+        weight = -inertia.mass * gravity
+        index = joint
+        while index > 0:
+            first = model.joints[index].idx_v
+            for k in range(first, first + model.joints[index].nv):
+                velocity = tree.screws[k].velocity(centre)
+                work = total([float(w) * v for w, v in zip(weight, velocity, strict=True) if w])
+                torques[k] = torques[k] + work
+            index = model.parents[index]
+    return torques
