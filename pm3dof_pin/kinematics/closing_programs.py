@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -11,30 +11,38 @@ from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, stored
 from pm3dof_pin.programs.checks import checks_program
-from pm3dof_pin.programs.closing import Task, closing_program
-from pm3dof_pin.programs.llvm import Compiled
+from pm3dof_pin.programs.closing import Task, TracedProgram, closing_program, damped_closing_program
+from pm3dof_pin.programs.llvm import Compiled, Iteration
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.typing import Matrix, Vector
+from pm3dof_pin.typing import Array, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 
-class ClosingPrograms(NamedTuple):
-    """The programs of one robot for one task.
+class BoundProgram(NamedTuple):
+    """A compiled program with the parameters of one robot.
 
     Attributes:
-        step: one Newton step, see :func:`~pm3dof_pin.programs.closing.closing_program`.
-        step_parameters: its parameters for this robot.
-        checks: see :func:`~pm3dof_pin.programs.checks.checks_program`.
-        checks_parameters: its parameters for this robot.
+        compiled: the program as machine code.
+        parameters: geometry and limits of the robot.
     """
 
-    step: Compiled
-    step_parameters: Vector
-    checks: Compiled
-    checks_parameters: Vector
+    compiled: Compiled
+    parameters: Vector
+
+    def __call__(self, inputs: Matrix) -> Matrix:
+        """Evaluate the program at many poses, shape=(n, number of outputs)."""
+        return self.compiled(inputs, self.parameters)
+
+    def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
+        """Repeat the program until its residual is small."""
+        return self.compiled.iterate(inputs, self.parameters, tolerance=tolerance, max_steps=max_steps)
+
+    def named(self, inputs: Matrix) -> dict[str, Array]:
+        """Evaluate the program at many poses; return the groups of its outputs by name."""
+        return self.compiled.program.split(self(inputs))
 
 
 class ProgramSource:
@@ -52,7 +60,8 @@ class ProgramSource:
         self._robot = robot
         self._numbers = geometry.numbers(robot)
         self._structure = geometry.structure(robot)
-        self._known: dict[tuple[Task, bool], tuple[Compiled, Compiled]] = {}
+        self._known: dict[tuple[str, bool], Compiled] = {}
+        self._verified: set[bool] = set()
 
     @cached_property
     def samples(self) -> Matrix:
@@ -67,37 +76,53 @@ class ProgramSource:
         """Tell whether a variant of the robot has the same structure."""
         return robot is self._robot or geometry.structure(robot) == self._structure
 
-    def programs(self, robot: Robot, task: Task) -> ClosingPrograms:
-        """Return the programs of the robot or of a variant.
+    def step(self, robot: Robot, task: Task, *, damped: bool = False) -> BoundProgram:
+        """Return a step that closes the loops, see :func:`~pm3dof_pin.programs.closing.closing_program`.
 
         Args:
             robot: the robot or a variant.
             task: what is given when loops are closed.
+            damped: whether the step is a damped one.
 
         Raises:
             ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
             ConvergenceError: no closed configurations were found near home.
         """
+        trace = damped_closing_program if damped else closing_program
+        return self._bound(
+            robot,
+            f"step {task} {damped}",
+            lambda dense: trace(self._robot, task, self.samples, dense=dense),
+        )
+
+    def checks(self, robot: Robot) -> BoundProgram:
+        """Return the checks of closed configurations, see :func:`~pm3dof_pin.programs.checks.checks_program`.
+
+        Args and errors are those of :meth:`step`.
+        """
+        return self._bound(robot, "checks", lambda dense: checks_program(self._robot, self.samples, dense=dense))
+
+    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], TracedProgram]) -> BoundProgram:
         numbers = self._numbers if robot is self._robot else geometry.numbers(robot)
         dense = not geometry.share_constants(numbers, self._numbers)
-        if (task, dense) not in self._known:
-            self._known[task, dense] = self._made(task, dense)
-        step, checks = self._known[task, dense]
-        return ClosingPrograms(step, _chosen(numbers, step), checks, _chosen(numbers, checks))
-
-    def _made(self, task: Task, dense: bool) -> tuple[Compiled, Compiled]:
-        robot = self._robot
-        content = repr((self._structure, self._numbers, robot.home.q.tolist(), robot.velocity_scale.tolist()))
-        key = f"{hashlib.sha256(content.encode()).hexdigest()} {dense}"
 
         def traced() -> Program:
-            verify(robot, self.samples, dense=dense)
-            return closing_program(robot, task, self.samples, dense=dense).program
+            self._verify(dense)
+            return trace(dense).program
 
-        step = stored(f"closing {key} {task}", traced)
-        checks = stored(f"checks {key}", lambda: checks_program(robot, self.samples, dense=dense).program)
-        return compiled(step), compiled(checks)
+        if (name, dense) not in self._known:
+            self._known[name, dense] = compiled(stored(f"{name} {dense} {self._content}", traced))
+        found = self._known[name, dense]
+        return BoundProgram(found, geometry.chosen(numbers, found.program.parameters))
 
+    @cached_property
+    def _content(self) -> str:
+        """All that the programs depend on besides their task."""
+        robot = self._robot
+        content = (self._structure, self._numbers, robot.home.q.tolist(), robot.characteristic_length)
+        return hashlib.sha256(repr(content).encode()).hexdigest()
 
-def _chosen(numbers: Mapping[str, float], program: Compiled) -> Vector:
-    return geometry.chosen(numbers, program.program.parameters)
+    def _verify(self, dense: bool) -> None:
+        if dense not in self._verified:
+            verify(self._robot, self.samples, dense=dense)
+            self._verified.add(dense)

@@ -6,8 +6,9 @@ starts from its neighbour, with a linear predictor. Newton's steps are programs 
 
 A pose is accepted if the loops are closed to rounding, the joints ended near where they were predicted, and no closing
 system is singular or has changed its orientation, which would be another assembly mode. What is not accepted is tried
-again in shorter legs; what a march leaves is walked to, from home and from solved neighbours; the last resort is the
-damped solver :func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians. Only then is a pose not solved.
+again in shorter legs; what a march leaves is walked to, from home and from solved neighbours; then damped steps are
+taken. Where these come to rest with the loops open, the pose is not solved; where they do not, the careful solver
+:func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians decides.
 
 The result for a pose depends on the mechanism, the grid (or the part of it that is marched) and the coordinates, and
 neither on the number of threads nor on other poses of a walk.
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.samples import samples_near as samples_near
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -37,6 +39,10 @@ _LEG = 0.1  # of a walk [rad, characteristic lengths]
 _SHORTEST_LEG = 1.0 / 64.0  # of that
 _NEARLY_CLOSED = 1e-8  # from here one quadratic step ends in rounding
 _STEPS = 6
+_DAMPED_STEPS = 50  # in a round
+_DAMPED_ROUNDS = 20
+_AT_REST = 0.99  # of the squared error that is left after a round
+_DAMPING = 0.1  # of the first of them
 _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
 _SINGULAR = 1e-5  # margin below which a pose is left to the careful solver
@@ -72,7 +78,7 @@ class Continuation:
     """
 
     def __init__(self, robot: Robot, coordinates: Sequence[Coordinate]) -> None:
-        self._mechanism = mechanism = robot
+        self._robot = mechanism = robot
         self._nq = mechanism.model.nq
         self._coordinates = tuple(coordinates)
         self._given = [mechanism.single_joint(c.joint) for c in self._coordinates if c.joint is not None]
@@ -94,12 +100,18 @@ class Continuation:
         if not source.serves(robot):
             source = robot.program_source
         self._source = source
-        self._programs = source.programs(robot, Task(tuple(joint.name for joint in self._given), self._tool))
+        self._task = Task(tuple(joint.name for joint in self._given), self._tool)
+        self._step = source.step(robot, self._task)
+        self._checks = source.checks(robot)
+
+    @cached_property
+    def _damped_step(self) -> BoundProgram:
+        return self._source.step(self._robot, self._task, damped=True)
 
     @cached_property
     def _home(self) -> Vector:
         """The home configuration, or if that is singular the most regular of the samples."""
-        home = self._mechanism.home.q
+        home = self._robot.home.q
         if self._margins(home[None])[0] > _REGULAR:
             return home
         rows = np.vstack([home, self._source.samples])
@@ -138,15 +150,49 @@ class Continuation:
         return self._check(q, targets)
 
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
-        """Walk from q to the targets, in place; where that fails the careful solver starts there and at the guesses."""
+        """Walk from q to the targets, in place; where that fails damped steps start there and at the guesses."""
         arrived, q[:] = self._walked(q, targets)
         arrived &= self._residuals(q, targets) <= CLOSURE_TOLERANCE
-        for row in np.flatnonzero(~arrived):
-            q[row] = self._careful(targets[row], (q[row], *guesses))
+        failed = np.flatnonzero(~arrived)
+        if failed.size:
+            q[failed] = self._damped(q[failed], targets[failed], guesses)
+
+    def _damped(self, q: Matrix, targets: Matrix, guesses: Sequence[Vector]) -> Matrix:
+        """Return the poses that damped steps find from q or else from the guesses; NaN where they come to rest.
+
+        Where they do neither, or rest where the loops are nearly closed, the careful solver has the last word.
+        """
+        found = np.full_like(q, np.nan)
+        numbers = self._given_numbers(targets)
+        for starts in (q, *(np.tile(guess, (len(q), 1)) for guess in guesses)):
+            rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
+            ends, costs, moving = self._damped_ends(starts[rows], numbers[rows])
+            closed = self._residuals(ends, targets[rows]) <= CLOSURE_TOLERANCE
+            undecided = ~closed & (moving | (costs < _NEARLY_CLOSED))
+            for k in np.flatnonzero(undecided):
+                ends[k] = self._careful(targets[rows[k]], (starts[rows[k]],))
+            found[rows] = np.where((closed | undecided)[:, None], ends, np.nan)
+        return found
+
+    def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Vector, Mask]:
+        """Take damped steps until the error falls no more; return q, the squared error, and where it still falls."""
+        nq = self._nq
+        inputs = np.hstack([q, q, np.tile([_DAMPING, np.inf], (len(q), 1)), numbers])
+        rows = np.arange(len(q))
+        for _ in range(_DAMPED_ROUNDS):
+            before = inputs[rows, 2 * nq + 1]
+            states, residuals, _ = self._damped_step.iterate(inputs[rows], _NEARLY_CLOSED, _DAMPED_STEPS)
+            inputs[rows, : 2 * nq + 2] = states
+            rows = rows[(residuals > _NEARLY_CLOSED) & (states[:, 2 * nq + 1] < _AT_REST * before)]
+            if not rows.size:
+                break
+        moving = np.zeros(len(q), dtype=bool)
+        moving[rows] = True
+        return np.array(inputs[:, :nq]), inputs[:, 2 * nq + 1], moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
         """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
-        outputs = self._programs.step(self._inputs(q, self._given_numbers(targets)), self._programs.step_parameters)
+        outputs = self._step(self._inputs(q, self._given_numbers(targets)))
         residuals: Vector = outputs[:, -1]
         return residuals
 
@@ -243,7 +289,8 @@ class Continuation:
         while untried.any():
             starts = _solved_neighbours(q)
             frontier = untried & np.isfinite(starts[..., 0])
-            if not frontier.any():
+            if not frontier.any():  # islands
+                q[untried] = self._damped(np.tile(self._home, (int(untried.sum()), 1)), values[untried], ())
                 return
             untried &= ~frontier
             found = starts[frontier]
@@ -269,9 +316,7 @@ class Continuation:
             jump: the greatest way of a joint that is accepted [rad, characteristic lengths].
         """
         nq = self._nq
-        states, residuals, _ = self._programs.step.iterate(
-            self._inputs(q, numbers), self._programs.step_parameters, tolerance=_NEARLY_CLOSED, max_steps=_STEPS
-        )
+        states, residuals, _ = self._step.iterate(self._inputs(q, numbers), _NEARLY_CLOSED, _STEPS)
         accepted = (residuals <= _NEARLY_CLOSED) & (states[:, nq] > _SINGULAR) & (states[:, nq + 1] <= jump)
         return states[:, : nq + 1], accepted
 
@@ -293,15 +338,14 @@ class Continuation:
         tool = dict(zip(self._tool, numbers[self._tool_columns], strict=True))
         for guess in guesses:
             if np.isfinite(guess).all():
-                result = assemble(self._mechanism, guess, joints=joints, tool=tool)
+                result = assemble(self._robot, guess, joints=joints, tool=tool)
                 if result.converged:
                     return np.array(result.configuration.q)
         return missing
 
     def _check(self, q: Matrix, values: Matrix | None = None) -> Solution:
         """Check configurations; with values of the coordinates also whether the tool is there."""
-        programs = self._programs
-        outputs = programs.checks.program.split(programs.checks(q, programs.checks_parameters))
+        outputs = self._checks.named(q)
         residual, broken = outputs["residual"], outputs["broken"].astype(np.uint32)
         if values is not None and self._tool:
             residual = self._residuals(q, values)

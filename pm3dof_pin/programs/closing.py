@@ -1,9 +1,10 @@
-"""One Newton step that closes all loops, as a program."""
+"""Steps that close all loops, as programs: Newton's, and damped ones."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
-from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, cos, less, maximum, minimum, select, sin
+from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, cos, less, maximum, minimum, select, sin, sqrt
 from pm3dof_pin.programs.joints import Objects, cross, is_zero, objects
 from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
 from pm3dof_pin.programs.program import Program
@@ -22,6 +23,12 @@ _ROUNDING = 1e-12
 
 _RANK = 1e-6
 """Least singular value, as a part of the greatest, of equations that determine their joints."""
+
+_LEAST_DAMPING = 1e-8
+"""Least damping of damped steps, as a part of the squared error."""
+
+_LONGEST_STEP = 0.5
+"""Longest damped step [rad, characteristic lengths]: beyond it the linear model of a rotation is worth little."""
 
 PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j in range(3)))
 """Components of a task that gives the tool's whole placement."""
@@ -82,12 +89,78 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         JointNotFoundError: the model has no such joint.
         InvalidValueError: a held joint has several degrees of freedom, or the samples have another shape.
     """
+    given = _given(mechanism, task, samples, ("margin", "jump"), dense)
+    tree, equations, scale, slides, held, (_, jump) = given
+    margin: Scalar = 1.0
+    longest: Scalar = 0.0
+    moves: dict[int, Scalar] = {}
+    for system in _systems([_scaled(e, scale, slides) for e in equations], held):
+        matrix, right = system.reduced(moves)
+        solution, system_margin = _solved(matrix, right)
+        moves |= dict(zip(system.unknowns, solution, strict=True))
+        margin = _least(margin, system_margin)
+        longest = maximum(longest, largest(solution))
+    velocities = {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
+    outputs = {"q": tree.step(velocities), "margin": margin, "jump": jump + longest, "residual": _residual(equations)}
+    return TracedProgram(tree.graph.program("closing", outputs), tree.geometry.constants)
+
+
+def damped_closing_program(
+    mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False
+) -> TracedProgram:
+    """Record one damped step, for far starts and singular configurations.
+
+    Levenberg-Marquardt on all equations that share joints, as in :func:`~pm3dof_pin.kinematics.assembly.assemble`: the
+    damping falls with the square of the error (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
+    quadratic; a step that makes the error larger is taken back, and the next one is shorter.
+
+    Inputs: q; `best`, nq numbers that are not used before the second step; `damping`, 0.1 at first; `cost`, infinite at
+    first; then as for :func:`closing_program`. Outputs, the state of an iteration: `q`, `best`, `damping`, and `cost`,
+    the least squared error so far, lengths in characteristic lengths; and `residual`.
+
+    Args and errors are those of :func:`closing_program`.
+    """
+    nq = mechanism.model.nq
+    names = (*(f"best[{k}]" for k in range(nq)), "damping", "cost")
+    tree, equations, scale, slides, held, (*best, damping, cost) = _given(mechanism, task, samples, names, dense)
+    scaled = [_scaled(equation, scale, slides) for equation in equations]
+    error: Scalar = sum((equation.error @ equation.error for equation in scaled), start=0.0)
+    is_worse = less(cost, error)
+    size = select(is_worse, damping * 100.0, maximum(damping * 0.1, _LEAST_DAMPING))
+    moves: dict[int, Scalar] = {}
+    for system in _joined([_system(equation, held) for equation in scaled]):
+        matrix, right = system.reduced({})
+        moves |= dict(zip(system.unknowns, _damped(matrix, right, sqrt(size * error)), strict=True))
+    longest = largest(objects(list(moves.values())))
+    share = select(less(_LONGEST_STEP, longest), _LONGEST_STEP / longest, 1.0) if moves else 1.0
+    moved = tree.step({k: move * share * (scale if k in slides else 1.0) for k, move in moves.items()})
+    outputs: dict[str, Any] = {
+        "q": [select(is_worse, old, new) for old, new in zip(best, moved, strict=True)],
+        "best": [select(is_worse, old, new) for old, new in zip(best, tree.q, strict=True)],
+        "damping": size,
+        "cost": minimum(cost, error),
+        "residual": _residual(equations),
+    }
+    return TracedProgram(tree.graph.program("damped_closing", outputs), tree.geometry.constants)
+
+
+class _Given(NamedTuple):
+    """What both kinds of steps start with: the tree, its equations, and what they leave free."""
+
+    tree: Tree
+    equations: list[Equations]
+    scale: float
+    slides: set[int]
+    held: set[int]
+    state: list[Number]
+
+
+def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[str, ...], dense: bool) -> _Given:
     graph, rows = Graph(), np.array(samples, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != mechanism.model.nq:
         raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {mechanism.model.nq})")
     q = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(mechanism.model.nq)])
-    graph.input("margin", np.ones(len(rows)))
-    jump: Scalar = graph.input("jump", np.zeros(len(rows)))
+    further = [graph.input(name, np.zeros(len(rows))) for name in state]
     held = [mechanism.single_joint(name) for name in task.joints]
     for joint in held:
         coordinate = graph.input(joint.name, [joint.coordinate(row) for row in rows])
@@ -101,21 +174,14 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
     scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
     slides = {k for k in range(mechanism.model.nv) if all(is_zero(entry) for entry in tree.screws[k].angular)}
-    margin: Scalar = 1.0
-    longest: Scalar = 0.0
-    moves: dict[int, Scalar] = {}
-    for system in _systems([_scaled(e, scale, slides) for e in equations], {joint.v_index for joint in held}):
-        matrix, right = system.reduced(moves)
-        solution, system_margin = _solved(matrix, right)
-        moves |= dict(zip(system.unknowns, solution, strict=True))
-        margin = _least(margin, system_margin)
-        longest = maximum(longest, largest(solution))
-    velocities = {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
+    return _Given(tree, equations, scale, slides, {joint.v_index for joint in held}, further)
+
+
+def _residual(equations: list[Equations]) -> Scalar:
     residual: Scalar = 0.0
     for equation in equations:
         residual = equation.residual if is_zero(residual) else maximum(residual, equation.residual)
-    outputs = {"q": tree.step(velocities), "margin": margin, "jump": jump + longest, "residual": residual}
-    return TracedProgram(graph.program("closing", outputs), tree.geometry.constants)
+    return residual
 
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
@@ -211,15 +277,18 @@ def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
         waiting.remove(equation)
         found |= set(system.unknowns)
         systems.append(system)
+    return systems + _joined([_system(equation, found) for equation in waiting])
+
+
+def _joined(systems: list[_System]) -> list[_System]:
+    """Join systems that share unknowns; leave out those without."""
     joined: list[_System] = []
-    for equation in waiting:
-        system = _system(equation, found)
-        if not system.unknowns:
-            continue
-        sharing = [other for other in joined if set(other.unknowns) & set(system.unknowns)]
-        joined = [other for other in joined if other not in sharing]
-        joined.append(_union([*sharing, system]))
-    return systems + joined
+    for system in systems:
+        if system.unknowns:
+            sharing = [other for other in joined if set(other.unknowns) & set(system.unknowns)]
+            joined = [other for other in joined if other not in sharing]
+            joined.append(_union([*sharing, system]))
+    return joined
 
 
 def _system(equations: Equations, found: set[int]) -> _System:
@@ -246,6 +315,14 @@ def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
     """Return the solution, and the margin."""
     direct = matrix.shape[0] == matrix.shape[1] <= 3
     return _solved_directly(matrix, right) if direct else _solved_by_elimination(matrix, right)
+
+
+def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:
+    """Return the damped least squares solution."""
+    size = matrix.shape[1]
+    rows = objects([[damping if i == j else 0.0 for j in range(size)] for i in range(size)])
+    extended = np.concatenate([right, objects([0.0] * size)])
+    return _solved_by_elimination(np.vstack([matrix, rows]), extended)[0]
 
 
 def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:

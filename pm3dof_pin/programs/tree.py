@@ -29,6 +29,7 @@ class Tree:
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
 
     Attributes:
+        graph: the graph.
         mechanism: the mechanism.
         q: the inputs, shape=(nq,).
         geometry: constants and parameters.
@@ -53,6 +54,7 @@ class Tree:
         model, rows = mechanism.model, np.array(samples, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != model.nq:
             raise InvalidValueError("samples", f"an array of shape {rows.shape}", f"shape (s, {model.nq})")
+        self.graph = graph
         self.mechanism = mechanism
         if positions is None:
             positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
