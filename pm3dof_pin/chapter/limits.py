@@ -34,6 +34,10 @@ class Limit(IntFlag):
     HEIGHT = 32
 
 
+LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
+"""Names of the limits, from the lowest bit on."""
+
+
 @dataclass(frozen=True)
 class LimitViolation:
     """One joint outside its range.

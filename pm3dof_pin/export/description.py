@@ -59,7 +59,9 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
 
 
 def temporary_description(robot: str, config: Path | str) -> Path:
-    """Write the URDF, closures file and SRDF of a robot with other parameters to a folder that lasts as long as Python.
+    """Write the description of a robot with other parameters to a folder that lasts as long as Python.
+
+    It has the URDF, the closures file, the SRDF and a copy of the parameter file.
 
     Args:
         robot: a robot that comes with the package, the xacro files of which are read.
@@ -77,6 +79,7 @@ def temporary_description(robot: str, config: Path | str) -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for path, text in described.items():
         write_text_atomically(folder / path, text)
+    write_text_atomically(folder / "config" / f"{name}.yaml", Path(config).read_text(encoding="utf-8"))
     return folder / "urdf" / f"{name}.urdf"
 
 

@@ -1,125 +1,52 @@
-"""The atlas: quantities over the whole workspace (z_e, theta_x, theta_y), in bounded memory, resumable.
+"""The atlas: quantities of any robot over a grid of its coordinates, in bounded memory, resumable.
 
-An atlas is computed in blocks of whole rows of theta_y. Every block is written, whole, into a Zarr store
+An atlas is computed in blocks of whole rows of its last dimensions. Every block is written, whole, into a Zarr store
 `<name>.parts` beside the result; its map of broken limits comes last, so a block with that map is done, and a job that
-was killed goes on with the blocks that have none. When all are there the store becomes the result: it is renamed, or
-copied in order into a NetCDF file. No byte of the result depends on the order or the process in which the blocks were
-computed.
+was killed goes on with the blocks that have none. When all are there the store becomes the result. A block is computed
+from its own poses alone: no byte of the result depends on the order or the process in which the blocks were computed.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import itertools
 import json
 import math
 import os
-import shutil
+import pickle
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 import pm3dof_pin
-from pm3dof_pin.chapter.limits import Limit, broken_limits
-from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError
-from pm3dof_pin.files import write_atomically
-from pm3dof_pin.maps.grid import RectangularGrid
-from pm3dof_pin.maps.quantities import Evaluation, Quantity, labels, select_quantities
-from pm3dof_pin.typing import Array
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
+from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes, flag_type, limit_names
+from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
+from pm3dof_pin.typing import Array, Engine
 
 if TYPE_CHECKING:
     import xarray as xr
-    import zarr
     from distributed import Client
 
-Block = tuple[int, int]  # first index along z_e and along theta_x
+Block: TypeAlias = tuple[int, ...]
+"""First index of a block along each dimension."""
 
-DIMS = ("z_e", "theta_x", "theta_y")
-LIMITS = "broken_limits"
-DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
+Precision: TypeAlias = Literal["single", "double"]
+
 _BLOCK_POSES = 65_536
 _SCHEDULER_PATIENCE = "10s"
-
-
-@dataclass(frozen=True)
-class AtlasGrid:
-    """The poses of an atlas: a rectangular grid of tilts at equally spaced heights, ends included.
-
-    Attributes:
-        tilts: theta_x and theta_y.
-        height_range: first and last z_e [m].
-        height_count: number of heights.
-    """
-
-    tilts: RectangularGrid
-    height_range: tuple[float, float]
-    height_count: int
-
-    def __post_init__(self) -> None:
-        """Check the heights.
-
-        Raises:
-            InvalidValueError: the range is not two growing finite heights, or there are fewer than 2.
-        """
-        first, last = self.height_range
-        if not (np.isfinite(first) and np.isfinite(last) and first < last):
-            raise InvalidValueError("height_range", self.height_range, "two growing finite heights in metres")
-        if self.height_count < 2:
-            raise InvalidValueError("height_count", self.height_count, "at least 2")
-
-    @classmethod
-    def over_workspace(cls, tripod: Tripod, shape: tuple[int, int, int]) -> AtlasGrid:
-        """Return a grid over +-45 deg of both tilts and all heights of the level platform.
-
-        Args:
-            tripod: the machine.
-            shape: number of theta_x, theta_y and z_e.
-        """
-        tilt = (-np.radians(45.0), np.radians(45.0))
-        tilts = RectangularGrid(theta_x_range=tilt, theta_y_range=tilt, shape=shape[:2])
-        return cls(tilts, (tripod.height_min, tripod.height_max), shape[2])
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of z_e, theta_x, theta_y."""
-        return (self.height_count, *self.tilts.shape)
-
-    @property
-    def block_shape(self) -> tuple[int, int, int]:
-        """Shape of the blocks: whole rows of theta_y, about 65,536 poses."""
-        heights, rows, columns = self.shape
-        section = rows * columns
-        if section <= _BLOCK_POSES:
-            return min(heights, _BLOCK_POSES // section), rows, columns
-        return 1, max(1, _BLOCK_POSES // columns), columns
-
-    def coordinates(self) -> dict[str, Array]:
-        """Return z_e [m], theta_x and theta_y [rad]."""
-        tilts = {name: coordinate.values for name, coordinate in self.tilts.coordinates().items()}
-        return {"z_e": np.linspace(*self.height_range, self.height_count), **tilts}
-
-    def blocks(self) -> list[Block]:
-        """Return the first indices of every block."""
-        heights, rows, _ = self.block_shape
-        return [(i, j) for i in range(0, self.shape[0], heights) for j in range(0, self.shape[1], rows)]
-
-    def slices(self, block: Block) -> tuple[slice, slice, slice]:
-        """Return where a block stands in the atlas."""
-        ends = [min(first + size, all_) for first, size, all_ in zip(block, self.block_shape, self.shape, strict=False)]
-        return slice(block[0], ends[0]), slice(block[1], ends[1]), slice(0, self.shape[2])
-
-    def poses(self, block: Block) -> Array:
-        """Return the poses of a block, shape=(heights, rows, columns, 3) [rad, rad, m]."""
-        coordinates = self.coordinates()
-        parts = [coordinates[name][part] for name, part in zip(DIMS, self.slices(block), strict=True)]
-        z_e, theta_x, theta_y = np.meshgrid(*parts, indexing="ij")
-        return np.stack([theta_x, theta_y, z_e], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -127,59 +54,131 @@ class Atlas:
     """What to compute and where to put it.
 
     Attributes:
-        tripod: the machine.
-        grid: the poses.
-        quantities: names out of :data:`pm3dof_pin.maps.quantities.QUANTITIES`.
+        robot: the robot, with the springs of its description; or an elastic model.
+        grid: the poses; its dimensions are those of the result.
+        quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`.
         path: result, `.nc` (NetCDF) or `.zarr`.
-        keep_beyond_limits: keep the values of poses that break a joint limit but can be reached.
+        keep_beyond_limits: keep the values of poses that break a limit but can be reached.
+        precision: "single" or "double" on disk; computed in double, and 6 x 6 matrices are always double.
+        engine: what computes.
     """
 
-    tripod: Tripod
-    grid: AtlasGrid
+    robot: Robot | ElasticModel
+    grid: Grid
     quantities: tuple[str, ...]
     path: Path
     keep_beyond_limits: bool = False
+    precision: Precision = "single"
+    engine: Engine = "program"
 
     def __post_init__(self) -> None:
         """Check names and path.
 
         Raises:
-            InvalidValueError: an unknown quantity, or a path that ends neither in .nc nor in .zarr.
+            InvalidValueError: an unknown quantity, a grid without dimensions, or a path that ends neither in .nc nor in
+                .zarr.
         """
-        select_quantities(self.quantities)
+        if not self.grid.axes:
+            raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
         if self.path.suffix not in (".nc", ".zarr"):
             raise InvalidValueError("path", self.path, "a name ending in .nc or .zarr")
+        self.selected  # noqa: B018  a name that is not known is an error at once
+
+    @cached_property
+    def mapped(self) -> MappedRobot:
+        """The robot whose quantities are mapped."""
+        return MappedRobot(self.robot)
+
+    @cached_property
+    def selected(self) -> tuple[Quantity, ...]:
+        """The quantities."""
+        return select_quantities(self.quantities, self.mapped)
 
     @property
     def parts(self) -> Path:
         """The store that holds the finished blocks until all are there."""
-        return self.path.with_name(self.path.name + ".parts")
+        return self.store.parts
 
-    @property
+    @cached_property
+    def block_shape(self) -> tuple[int, ...]:
+        """Shape of the blocks: whole rows of the last dimensions, about 65,536 poses."""
+        shape: list[int] = []
+        room = _BLOCK_POSES
+        for size in reversed(self.grid.shape):
+            shape.insert(0, max(1, min(size, room)))
+            room //= size
+        return tuple(shape)
+
+    def blocks(self) -> Iterator[Block]:
+        """Iterate over the first indices of every block."""
+        starts = (range(0, size, step) for size, step in zip(self.grid.shape, self.block_shape, strict=True))
+        return itertools.product(*starts)
+
+    def slices(self, block: Block) -> tuple[slice, ...]:
+        """Return the place of a block in the atlas."""
+        sizes = zip(block, self.block_shape, self.grid.shape, strict=True)
+        return tuple(slice(first, min(first + step, size)) for first, step, size in sizes)
+
+    @cached_property
+    def store(self) -> AtlasStore:
+        """The arrays of the atlas on disk."""
+        coordinates = {
+            c.name: (self.grid.axes[c.name], {"units": c.unit, "long_name": f"coordinate {c.name}"})
+            for c in self.grid.coordinates
+            if c.name in self.grid.axes
+        }
+        return AtlasStore(
+            self.path,
+            {name: coordinates[name] for name in self.grid.dims},
+            self.block_shape,
+            (*map(self._variable, self.selected), self._flags()),
+            self.attributes,
+        )
+
+    @cached_property
     def attributes(self) -> dict[str, Any]:
         """What the result says of itself; two atlases with the same attributes have the same numbers."""
-        parameters = {
-            key: list(quantity.value) if isinstance(quantity.value, tuple) else quantity.value
-            for key, quantity in self.tripod.parameters.quantities.items()
-        }
+        robot = self.mapped.robot
         specification = {
-            "grid": dataclasses.asdict(self.grid),
+            "description": hashlib.sha256(pickle.dumps(self._description(), protocol=5)).hexdigest(),
+            "axes": {name: [float(v[0]), float(v[-1]), len(v)] for name, v in self.grid.axes.items()},
+            "values": hashlib.sha256(b"".join(v.tobytes() for v in self.grid.axes.values())).hexdigest(),
+            "fixed": dict(self.grid.fixed),
             "quantities": self.quantities,
             "keep_beyond_limits": self.keep_beyond_limits,
-            "parameters": parameters,
+            "precision": self.precision,
+            "engine": self.engine,
         }
         return {
-            "title": "Atlas of a 3-DOF parallel manipulator over (z_e, theta_x, theta_y)",
+            "title": f"Atlas of {robot.name} over ({', '.join(self.grid.dims)})",
+            "machine": robot.name,
             "source": f"pm3dof-pin {pm3dof_pin.__version__}",
-            "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, chapter 8",
             "specification": json.dumps(specification, sort_keys=True),
+            **{f"fixed_{name}": value for name, value in self.grid.fixed.items()},
         }
+
+    def _description(self) -> tuple[Any, ...]:
+        springs = self.robot.springs if isinstance(self.robot, ElasticModel) else ()
+        return self.mapped.robot, springs
+
+    def _variable(self, quantity: Quantity) -> Variable:
+        labels = {dim.name: dim.labels(self.mapped) for dim in quantity.dims}
+        attributes: dict[str, Any] = {"units": quantity.unit_for(self.mapped), "long_name": quantity.long_name}
+        attributes |= {f"{name}_labels": " ".join(entries) for name, entries in labels.items()}
+        double = self.precision == "double" or len(labels) > 1
+        own = {name: len(entries) for name, entries in labels.items()}
+        return Variable(quantity.name, own, np.dtype("float64" if double else "float32"), float("nan"), attributes)
+
+    def _flags(self) -> Variable:
+        names = limit_names(self.mapped.robot)
+        attributes = flag_attributes(names, "limits that exclude the pose; 0: none")
+        return Variable(BROKEN_LIMITS, {}, flag_type(names), 0, attributes)
 
 
 def compute_atlas(
     atlas: Atlas,
     *,
-    workers: int | None = None,
+    threads: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -187,7 +186,7 @@ def compute_atlas(
 
     Args:
         atlas: what and where.
-        workers: threads; the number of processors by default.
+        threads: the number of processors by default.
         scheduler: address of a dask scheduler whose workers see the same file system; instead of threads.
         progress: called with (poses done, poses in all) after every block.
 
@@ -201,23 +200,23 @@ def compute_atlas(
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
     with _cluster(scheduler) if scheduler else nullcontext() as cluster:
-        return _compute(atlas, workers, cluster, progress)
+        return _compute(atlas, threads, cluster, progress)
 
 
 def _compute(
-    atlas: Atlas, workers: int | None, cluster: Client | None, progress: Callable[[int, int], None] | None
+    atlas: Atlas, threads: int | None, cluster: Client | None, progress: Callable[[int, int], None] | None
 ) -> Path:
     try:
-        _open_parts(atlas)
-        todo = [block for block in atlas.grid.blocks() if not _is_done(atlas, block)]
-        total = math.prod(atlas.grid.shape)
+        atlas.store.open()
+        todo = [block for block in atlas.blocks() if not atlas.store.is_done(block)]
+        total = atlas.grid.size
         done = total - sum(_poses_in(atlas, block) for block in todo)
-        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, workers)
+        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
         for block in run:
             done += _poses_in(atlas, block)
             if progress:
                 progress(done, total)
-        return _finish(atlas)
+        return atlas.store.finish(map(atlas.slices, atlas.blocks()))
     except OSError as error:
         reason = error.strerror or str(error)
         if atlas.parts.exists():
@@ -226,7 +225,7 @@ def _compute(
 
 
 def open_atlas(path: Path | str) -> xr.Dataset:
-    """Open an atlas lazily, with the names of axes, springs and legs as coordinates.
+    """Open an atlas lazily, with the names of axes, springs and the like as coordinates.
 
     Args:
         path: an atlas, `.nc` or `.zarr`.
@@ -243,33 +242,22 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 
 def compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store; the map of broken limits last, as the sign that it is done."""
-    import zarr
-
-    group = zarr.open_group(atlas.parts, mode="r+")
-    where = atlas.grid.slices(block)
-    poses = atlas.grid.poses(block)
-    flags = broken_limits(atlas.tripod, poses)
-    evaluation = Evaluation(atlas.tripod, poses)
-    for quantity in select_quantities(atlas.quantities):
-        values = np.array(quantity.compute(evaluation))
-        if not atlas.keep_beyond_limits:
-            values[flags != 0] = np.nan
-        _array(group, quantity.name)[where] = values
-    _array(group, LIMITS)[where] = flags
+    place = atlas.slices(block)
+    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine)
+    wanted = poses.solved if atlas.keep_beyond_limits else poses.within_limits
+    evaluation = Evaluation(atlas.mapped, poses[wanted], engine=atlas.engine, threads=1)
+    for quantity in atlas.selected:
+        values: Array = np.full((*poses.shape, *quantity.shape_for(atlas.mapped)), np.nan)
+        if wanted.any():
+            values[wanted] = quantity.compute(evaluation)
+        atlas.store.write(quantity.name, place, values)
+    atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
     return block
 
 
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    import zarr
-
-    array = group[name]
-    assert isinstance(array, zarr.Array)
-    return array
-
-
-def _on_threads(atlas: Atlas, todo: Sequence[Block], workers: int | None) -> Iterator[Block]:
-    """Run the blocks on threads (the kernels and the writes leave the interpreter lock), a few ahead at a time."""
-    count = workers or os.cpu_count() or 1
+def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[Block]:
+    """Run the blocks on threads (programs and writes leave the interpreter lock), a few ahead at a time."""
+    count = threads or os.cpu_count() or 1
     waiting: deque[Future[Block]] = deque()
     with ThreadPoolExecutor(count) as pool:
         try:
@@ -304,152 +292,4 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
 
 
 def _poses_in(atlas: Atlas, block: Block) -> int:
-    return int(np.prod([part.stop - part.start for part in atlas.grid.slices(block)]))
-
-
-def _is_done(atlas: Atlas, block: Block) -> bool:
-    heights, rows, _ = atlas.grid.block_shape
-    return (atlas.parts / LIMITS / "c" / str(block[0] // heights) / str(block[1] // rows) / "0").is_file()
-
-
-def _open_parts(atlas: Atlas) -> None:
-    """Make the store, or check that the one that is there is of the same atlas."""
-    import zarr
-
-    _require_place(atlas.path)
-    if (atlas.parts / "zarr.json").is_file():
-        if dict(zarr.open_group(atlas.parts, mode="r").attrs) != atlas.attributes:
-            raise OutputError(atlas.path, f"{atlas.parts} is an unfinished atlas of other settings; remove it first")
-        for torn in atlas.parts.rglob("*.partial"):
-            torn.unlink()
-        return
-    shutil.rmtree(atlas.parts, ignore_errors=True)
-    _require_room(atlas)
-    atlas.parts.parent.mkdir(parents=True, exist_ok=True)
-    fresh = atlas.parts.with_name(atlas.parts.name + ".new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    _make_store(atlas, fresh)
-    fresh.rename(atlas.parts)
-
-
-def _require_place(path: Path) -> None:
-    """Refuse at once a place that the result cannot take: only a file gives way to a file, and an atlas to an atlas."""
-    if path.suffix == ".nc" and path.is_dir():
-        raise OutputError(path, "a folder is there, expected nothing or a file")
-    if path.suffix == ".zarr" and path.exists() and not (path / LIMITS / "zarr.json").is_file():
-        raise OutputError(path, "something else than an atlas is there, expected nothing or an older atlas")
-
-
-def _require_room(atlas: Atlas) -> None:
-    """Refuse at once what the disk cannot hold: the blocks and, beside them, the NetCDF file that is made from them."""
-    names = labels(atlas.tripod)
-    numbers = sum(math.prod(len(names[dim]) for dim in entry.dims) for entry in select_quantities(atlas.quantities))
-    copies = 2 if atlas.path.suffix == ".nc" else 1
-    needed = copies * math.prod(atlas.grid.shape) * (8 * numbers + 1)
-    folder = next(parent for parent in atlas.parts.resolve().parents if parent.exists())
-    free = shutil.disk_usage(folder).free
-    if needed > free:
-        raise OutputError(atlas.path, f"it takes {needed / 1e9:.4g} GB of disk to make, {free / 1e9:.4g} GB are free")
-
-
-def _make_store(atlas: Atlas, path: Path) -> None:
-    import zarr
-
-    group = zarr.create_group(path, attributes=atlas.attributes)
-    units = {"z_e": "m", "theta_x": "rad", "theta_y": "rad"}
-    for name, values in atlas.grid.coordinates().items():
-        coordinate = group.create_array(
-            name,
-            shape=values.shape,
-            dtype="float64",
-            chunks=values.shape,
-            compressors=None,
-            dimension_names=[name],
-            attributes={"units": units[name]},
-        )
-        coordinate[:] = values
-    names = labels(atlas.tripod)
-    for quantity in select_quantities(atlas.quantities):
-        own_shape = tuple(len(names[dim]) for dim in quantity.dims)
-        attributes = {"units": quantity.unit, "long_name": quantity.long_name}
-        attributes |= {f"{dim}_labels": " ".join(names[dim]) for dim in quantity.dims}
-        _make_array(atlas, group, quantity.name, "float64", np.nan, (quantity.dims, own_shape), attributes)
-    kinds = [limit for limit in Limit if limit]
-    flags = {
-        "long_name": "joint limits that exclude the pose; 0: none",
-        "flag_masks": [int(limit) for limit in kinds],
-        "flag_meanings": " ".join((limit.name or "").lower() for limit in kinds),
-    }
-    _make_array(atlas, group, LIMITS, "uint8", 0, ((), ()), flags)
-
-
-def _make_array(
-    atlas: Atlas,
-    group: zarr.Group,
-    name: str,
-    dtype: str,
-    fill_value: float,
-    own: tuple[tuple[str, ...], tuple[int, ...]],
-    attributes: dict[str, Any],
-) -> None:
-    own_dims, own_shape = own
-    group.create_array(
-        name,
-        shape=atlas.grid.shape + own_shape,
-        dtype=dtype,
-        chunks=atlas.grid.block_shape + own_shape,
-        fill_value=fill_value,
-        compressors=None,
-        dimension_names=[*DIMS, *own_dims],
-        attributes=attributes,
-        config={"write_empty_chunks": True},  # a block of zeros is a finished block too
-    )
-
-
-def _finish(atlas: Atlas) -> Path:
-    if atlas.path.suffix == ".nc":
-        _copy_to_netcdf(atlas)
-        shutil.rmtree(atlas.parts)
-        return atlas.path
-    if atlas.path.exists():
-        shutil.rmtree(atlas.path)
-    atlas.parts.rename(atlas.path)
-    return atlas.path
-
-
-def _copy_to_netcdf(atlas: Atlas) -> None:
-    """Copy the store block by block, in order, into uncompressed variables of fixed places."""
-    import netCDF4
-    import zarr
-
-    group = zarr.open_group(atlas.parts, mode="r")
-    names = labels(atlas.tripod)
-    quantities = select_quantities(atlas.quantities)
-    with write_atomically(atlas.path) as temporary, netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
-        file.setncatts(atlas.attributes)
-        for dim, size in zip(DIMS, atlas.grid.shape, strict=True):
-            file.createDimension(dim, size)
-        for dim in dict.fromkeys(dim for quantity in quantities for dim in quantity.dims):
-            file.createDimension(dim, len(names[dim]))
-        for name in (*DIMS, *(quantity.name for quantity in quantities), LIMITS):
-            array = _array(group, name)
-            dims = _dimension_names(name, quantities)
-            variable = file.createVariable(name, array.dtype.str[1:], dims, contiguous=True, fill_value=False)
-            variable.setncatts({key: _netcdf_attribute(value) for key, value in array.attrs.items()})
-            if name in DIMS:
-                variable[:] = array[:]
-                continue
-            for block in atlas.grid.blocks():
-                where = atlas.grid.slices(block)
-                variable[where] = array[where]
-
-
-def _dimension_names(name: str, quantities: Sequence[Quantity]) -> tuple[str, ...]:
-    if name in DIMS:
-        return (name,)
-    own = next((quantity.dims for quantity in quantities if quantity.name == name), ())
-    return (*DIMS, *own)
-
-
-def _netcdf_attribute(value: Any) -> Any:
-    return np.array(value, dtype=np.uint8) if isinstance(value, list) else value
+    return math.prod(part.stop - part.start for part in atlas.slices(block))

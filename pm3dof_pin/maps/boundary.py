@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import pm3dof_pin
+from pm3dof_pin.chapter.limits import LIMIT_NAMES
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.maps.section import flag_attributes
+from pm3dof_pin.maps.limit_flags import flag_attributes
 from pm3dof_pin.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def workspace_boundary(tripod: Tripod, workspace: Workspace) -> xr.Dataset:
     tilts = np.concatenate([section.tilts for section in workspace.sections])
     heights = np.repeat(workspace.heights, [len(section.rays) for section in workspace.sections])
     limits = np.concatenate([section.limits for section in workspace.sections])
-    attributes = flag_attributes("joint limits that end the reachable set here")
+    attributes = flag_attributes(LIMIT_NAMES, "joint limits that end the reachable set here")
     return xr.Dataset(
         {"binding_limits": ("point", limits, attributes)},
         coords={

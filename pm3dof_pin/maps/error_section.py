@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pm3dof_pin
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
-from pm3dof_pin.maps.section import BROKEN_LIMITS, flag_attributes, section_outline
+from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
+from pm3dof_pin.maps.section import section_outline
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ def error_section(
         for name, (unit, long_name) in QUANTITIES.items()
     }
     dataset = xr.Dataset(
-        variables | {BROKEN_LIMITS: (grid.dims, flags, flag_attributes("joint limits that the pose breaks"))},
+        variables
+        | {BROKEN_LIMITS: (grid.dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))},
         coords={
             **{
                 name: (c.dims, c.values, {"units": c.unit, "long_name": c.long_name})

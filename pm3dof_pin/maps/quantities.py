@@ -1,55 +1,110 @@
-"""What can be mapped over the workspace: named quantities of the tripod with their dimensions and units."""
+"""What can be mapped over the poses of a robot: named quantities with their dimensions and units.
+
+A new quantity is a function of an :class:`Evaluation` with :func:`quantity` over it. Rooms above add their own in the
+same way, and say for which robots they exist.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from pm3dof_pin.chapter import chapter_stiffness as chapter
-from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
-from pm3dof_pin.chapter.kinematics import inverse_kinematics
-from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.description.parameters import TripodParameters
-from pm3dof_pin.dynamics.modes import natural_modes
+from pm3dof_pin.dynamics.modes import natural_frequencies
 from pm3dof_pin.elastic import indices, shares
+from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
+from pm3dof_pin.elastic.sweep import compliance_over
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Engine
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 _MODES = 6
+_RIGID = 1e-12  # of the greatest compliance of its kind: an axis that gives less gives nothing
+
+
+class MappedRobot:
+    """A robot whose quantities are mapped; its springs are read when a quantity asks for them.
+
+    Args:
+        robot: the robot, with the springs of its description; or an elastic model.
+
+    Attributes:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: Robot | ElasticModel) -> None:
+        self.robot = robot.rigid if isinstance(robot, ElasticModel) else robot
+        self._given = robot
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._given,)
+
+    @cached_property
+    def elastic(self) -> ElasticModel:
+        """The robot with its springs.
+
+        Raises:
+            DescriptionError: the description has no springs.
+        """
+        return self._given if isinstance(self._given, ElasticModel) else ElasticModel(self._given)
+
+    @cached_property
+    def free_motions(self) -> FreeMotionStiffness | None:
+        """The motions that the robot is free to make at home; None where they are not independent or not elastic."""
+        try:
+            return free_motion_stiffness(self.elastic, self.robot.home)
+        except PM3DofError:
+            return None
 
 
 class Evaluation:
-    """A tripod at a block of poses; what several quantities need is computed once.
+    """A robot at a batch of poses; what several quantities need is computed once.
 
     Args:
-        tripod: the machine.
-        poses: shape=(..., 3) [rad, rad, m]; poses out of reach give NaN.
+        mapped: the robot.
+        poses: the poses; those that were not solved give NaN.
+        engine: what computes.
+        threads: the number of processors by default. No result depends on it.
     """
 
-    def __init__(self, tripod: Tripod, poses: Array) -> None:
-        self.tripod = tripod
+    def __init__(
+        self, mapped: MappedRobot, poses: Poses, *, engine: Engine = "program", threads: int | None = None
+    ) -> None:
+        self.mapped = mapped
         self.poses = poses
-
-    @cached_property
-    def stiffness(self) -> Array:
-        """K at O_e, shape=(..., 6, 6)."""
-        return elastic_stiffness(self.tripod, self.poses, on_failure="nan")
+        self.engine = engine
+        self.threads = threads
 
     @cached_property
     def compliance(self) -> Array:
-        """C = K^-1, shape=(..., 6, 6)."""
-        return indices.compliance(self.stiffness)
+        """C at the tool, base axes, shape=(..., 6, 6)."""
+        solved = self.poses.solved
+        values = np.full((*self.poses.shape, 6, 6), np.nan)
+        values[solved] = compliance_over(
+            self.mapped.elastic, self.poses.q[solved], nonexistent="nan", workers=self.threads
+        )
+        return values
 
     @cached_property
-    def chapter_diagonal(self) -> Array:
-        """The chapter's six numbers, shape=(..., 6)."""
-        return chapter.chapter_stiffness(self.tripod, self.poses, on_failure="nan")
+    def stiffness(self) -> Array:
+        """K = C^-1 at the tool, shape=(..., 6, 6); NaN where a direction is rigid."""
+        return indices.stiffness(self.compliance)
+
+    @cached_property
+    def felt_stiffness(self) -> Array:
+        """1 / C_ii, shape=(..., 6); infinite where an axis is rigid."""
+        diagonal = np.einsum("...ii->...i", self.compliance)
+        greatest = diagonal.reshape(*diagonal.shape[:-1], 2, 3).max(axis=-1)
+        with np.errstate(divide="ignore"):
+            return np.where(diagonal <= _RIGID * np.repeat(greatest, 3, axis=-1), np.inf, 1.0 / diagonal)
 
     @cached_property
     def length(self) -> Array:
@@ -60,35 +115,39 @@ class Evaluation:
         """Principal stiffnesses of three motions, the others free, shape=(..., 3)."""
         return indices.ellipsoid(indices.condensed_stiffness(self.compliance, motion)).values
 
-    def shares(self) -> Array:
-        """Share of each spring in the deflection under a unit wrench along each axis, shape=(..., 6, s)."""
-        contributions = spring_contributions(self.tripod, self.poses)
-        return shares.shares(contributions[..., None, :, :, :], np.eye(6))
+    def at_each(self, shape: tuple[int, ...], compute: Callable[[Array], Array]) -> Array:
+        """Compute something pose by pose.
 
-    def natural_frequencies(self) -> Array:
-        """Lowest natural frequencies with the drives held by their springs, shape=(..., 6) [Hz].
+        Args:
+            shape: shape of one result.
+            compute: from q, shape=(nq,), to a result; a pose at which it raises an error of the package gives NaN.
 
-        Raises:
-            InvalidValueError: the masses are not known: the tripod is not the one that comes with the package.
+        Returns:
+            shape=(..., *shape).
         """
-        if self.tripod.parameters.quantities != TripodParameters.load().quantities:
-            raise InvalidValueError(
-                "natural_frequencies", f"of {self.tripod.parameters.name}", "the machine whose URDF has the masses"
-            )
-        model = _described_model(self.tripod.parameters.name)
-        frequencies = np.full((*self.poses.shape[:-1], _MODES), np.nan)
-        for index in np.ndindex(self.poses.shape[:-1]):
+        values = np.full((*self.poses.shape, *shape), np.nan)
+        for index in zip(*np.nonzero(self.poses.solved), strict=True):
             try:
-                pose = model.rigid.solve(self.poses[index])
-            except UnreachablePoseError:
+                values[index] = compute(self.poses.q[index])
+            except PM3DofError:
                 continue
-            frequencies[index] = natural_modes(model, pose.configuration(), count=_MODES).frequencies
-        return frequencies
+        return values
 
 
-@cache
-def _described_model(name: str) -> ElasticModel:
-    return ElasticModel.load(name)
+@dataclass(frozen=True)
+class Dimension:
+    """A dimension of a quantity beside those of the poses.
+
+    Attributes:
+        name: its name.
+        labels: from the robot to the names of the entries along it.
+    """
+
+    name: str
+    labels: Callable[[MappedRobot], tuple[str, ...]]
+
+
+Unit: TypeAlias = str | Callable[[MappedRobot], str]
 
 
 @dataclass(frozen=True)
@@ -97,120 +156,259 @@ class Quantity:
 
     Attributes:
         name: its name.
-        dims: its own dimensions beside those of the grid.
-        unit: its unit; where the entries differ, the units in their order.
-        long_name: what it is, for a person.
         compute: from an evaluation to an array, shape=(..., *own dimensions).
+        unit: its unit; where the entries differ, the units followed by their entries in brackets.
+        long_name: what it is, for a person.
+        dims: its own dimensions beside those of the poses.
+        exists: whether a robot has it.
     """
 
     name: str
-    dims: tuple[str, ...]
-    unit: str
-    long_name: str
     compute: Callable[[Evaluation], Array]
+    unit: Unit
+    long_name: str
+    dims: tuple[Dimension, ...]
+    exists: Callable[[MappedRobot], bool]
+
+    def unit_for(self, mapped: MappedRobot) -> str:
+        """Return the unit for a robot."""
+        return self.unit if isinstance(self.unit, str) else self.unit(mapped)
+
+    def shape_for(self, mapped: MappedRobot) -> tuple[int, ...]:
+        """Return the shape of its value at one pose of a robot."""
+        return tuple(len(dim.labels(mapped)) for dim in self.dims)
 
 
-_MATRIX_UNIT = "N/m, N, N m/rad"
-_AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
-
-_ALL = (
-    Quantity(
-        "K", ("axis", "axis_2"), _MATRIX_UNIT, "elastic stiffness at the tool, axes of the base", lambda e: e.stiffness
-    ),
-    Quantity("C", ("axis", "axis_2"), "m/N, 1/N, rad/(N m)", "elastic compliance at the tool", lambda e: e.compliance),
-    Quantity(
-        "felt_stiffness",
-        ("axis",),
-        _AXIS_UNIT,
-        "stiffness felt along one axis, all other motions free",
-        lambda e: 1.0 / np.einsum("...ii->...i", e.compliance),
-    ),
-    Quantity(
-        "translational_stiffness",
-        ("principal",),
-        "N/m",
-        "principal translational stiffnesses, rotations free",
-        lambda e: e.principal("translation"),
-    ),
-    Quantity(
-        "rotational_stiffness",
-        ("principal",),
-        "N m/rad",
-        "principal rotational stiffnesses, translations free",
-        lambda e: e.principal("rotation"),
-    ),
-    Quantity(
-        "eigenvalues",
-        ("mode",),
-        "N/m",
-        "eigenvalues of K at its characteristic length",
-        lambda e: indices.eigenvalues(e.stiffness, e.length),
-    ),
-    Quantity(
-        "condition_number",
-        (),
-        "1",
-        "condition number of K at its characteristic length",
-        lambda e: indices.condition_number(e.stiffness, e.length),
-    ),
-    Quantity(
-        "characteristic_length", (), "m", "length that makes rotations as stiff as translations", lambda e: e.length
-    ),
-    Quantity("spring_shares", ("axis", "spring"), "1", "share of each spring in the deflection", lambda e: e.shares()),
-    Quantity(
-        "natural_frequencies",
-        ("natural_mode",),
-        "Hz",
-        "lowest natural frequencies",
-        lambda e: e.natural_frequencies(),
-    ),
-    Quantity(
-        "chapter_diagonal",
-        ("chapter_axis",),
-        "N m/rad (theta_x, theta_y, theta_z), N/m (t_z, t_x, t_y)",
-        "stiffness as the chapter computes it",
-        lambda e: e.chapter_diagonal,
-    ),
-    Quantity(
-        "chapter_global",
-        (),
-        "mixed",
-        "mean of the chapter's six numbers",
-        lambda e: chapter.global_index(e.chapter_diagonal),
-    ),
-    Quantity(
-        "slider_travel",
-        ("leg",),
-        "m",
-        "slider travel along the guideways",
-        lambda e: inverse_kinematics(e.tripod, e.poses, on_failure="nan"),
-    ),
-)
-QUANTITIES = {quantity.name: quantity for quantity in _ALL}
+QUANTITIES: dict[str, Quantity] = {}
+"""All known quantities by name."""
 
 
-def select_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
+def always(mapped: MappedRobot) -> bool:
+    """Tell that any robot has a quantity."""
+    return True
+
+
+def quantity(
+    *names: str,
+    unit: Unit,
+    long_name: str,
+    dims: tuple[Dimension, ...] = (),
+    exists: Callable[[MappedRobot], bool] = always,
+) -> Callable[[Callable[[Evaluation], Array]], Callable[[Evaluation], Array]]:
+    """Make a function of an :class:`Evaluation` a quantity; the arguments are the attributes of :class:`Quantity`.
+
+    Args:
+        names: its names, all of them accepted.
+        unit: its unit.
+        long_name: what it is.
+        dims: its own dimensions.
+        exists: whether a robot has it.
+    """
+
+    def register(compute: Callable[[Evaluation], Array]) -> Callable[[Evaluation], Array]:
+        for name in names:
+            QUANTITIES[name] = Quantity(name, compute, unit, long_name, dims, exists)
+        return compute
+
+    return register
+
+
+def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -> tuple[Quantity, ...]:
     """Return the quantities of the given names, in that order, each once.
 
+    Args:
+        names: names of :data:`QUANTITIES`.
+        mapped: the robot that must have them, if there is one already.
+
     Raises:
-        InvalidValueError: a name that is not in :data:`QUANTITIES`, or none at all.
+        InvalidValueError: a name that is not in :data:`QUANTITIES`, one that the robot does not have, or none at all.
     """
+    known = {name: entry for name, entry in QUANTITIES.items() if mapped is None or entry.exists(mapped)}
     selected = tuple(dict.fromkeys(names))
-    unknown = [name for name in selected if name not in QUANTITIES]
+    unknown = [name for name in selected if name not in known]
     if unknown or not selected:
-        raise InvalidValueError("quantities", ", ".join(unknown) or "none", f"some of {', '.join(QUANTITIES)}")
-    return tuple(QUANTITIES[name] for name in selected)
+        raise InvalidValueError("quantities", ", ".join(unknown) or "none", f"some of {', '.join(known)}")
+    return tuple(known[name] for name in selected)
 
 
-def labels(tripod: Tripod) -> dict[str, tuple[str, ...]]:
-    """Return what the entries along each own dimension of the quantities are called."""
-    return {
-        "axis": AXES,
-        "axis_2": AXES,
-        "principal": ("least", "middle", "greatest"),
-        "mode": tuple(str(mode) for mode in range(1, 7)),
-        "spring": spring_names(tripod),
-        "natural_mode": tuple(str(mode) for mode in range(1, _MODES + 1)),
-        "chapter_axis": chapter.AXES,
-        "leg": tuple(str(leg + 1) for leg in range(tripod.leg_count)),
+def unit_of_entry(units: str, entry: str) -> str:
+    """Return an entry's unit out of "N/m (x, y, z), N m/rad (rx, ry, rz)"; a unit of all entries stays as it is."""
+    for part in units.split("), "):
+        unit, _, entries = part.rstrip(")").partition(" (")
+        if entry in entries.split(", "):
+            return unit
+    return units
+
+
+def axes_of_twists(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the entries of a twist or wrench."""
+    return AXES
+
+
+def principal_values(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of three principal values, ascending."""
+    return ("least", "middle", "greatest")
+
+
+def numbers_to_six(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the numbers of six values, ascending."""
+    return tuple(str(number + 1) for number in range(_MODES))
+
+
+def spring_names(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the springs."""
+    return mapped.elastic.spring_names
+
+
+def command_names(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the commands."""
+    return tuple(command.name for command in mapped.robot.commands)
+
+
+def command_unit(mapped: MappedRobot) -> str:
+    """Return the units of the commands."""
+    by_unit: dict[str, list[str]] = {}
+    for command in mapped.robot.commands:
+        by_unit.setdefault(command.unit, []).append(command.name)
+    if len(by_unit) == 1:
+        return next(iter(by_unit))
+    return ", ".join(f"{unit} ({', '.join(names)})" for unit, names in by_unit.items())
+
+
+AXIS = Dimension("axis", axes_of_twists)
+AXIS_2 = Dimension("axis_2", axes_of_twists)
+PRINCIPAL = Dimension("principal", principal_values)
+MODE = Dimension("mode", numbers_to_six)
+NATURAL_MODE = Dimension("natural_mode", numbers_to_six)
+SPRING = Dimension("spring", spring_names)
+COMMAND = Dimension("command", command_names)
+
+_AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
+
+
+@quantity(
+    "K",
+    "stiffness",
+    dims=(AXIS, AXIS_2),
+    unit="N/m, N, N m/rad",
+    long_name="elastic stiffness at the tool, axes of the base",
+)
+def _stiffness(evaluation: Evaluation) -> Array:
+    return evaluation.stiffness
+
+
+@quantity(
+    "C", "compliance", dims=(AXIS, AXIS_2), unit="m/N, 1/N, rad/(N m)", long_name="elastic compliance at the tool"
+)
+def _compliance(evaluation: Evaluation) -> Array:
+    return evaluation.compliance
+
+
+@quantity(
+    "felt_stiffness", dims=(AXIS,), unit=_AXIS_UNIT, long_name="stiffness felt along one axis, all other motions free"
+)
+def _felt_stiffness(evaluation: Evaluation) -> Array:
+    return evaluation.felt_stiffness
+
+
+@quantity(
+    "translational_stiffness",
+    dims=(PRINCIPAL,),
+    unit="N/m",
+    long_name="principal translational stiffnesses, rotations free",
+)
+def _translational_stiffness(evaluation: Evaluation) -> Array:
+    return evaluation.principal("translation")
+
+
+@quantity(
+    "rotational_stiffness",
+    dims=(PRINCIPAL,),
+    unit="N m/rad",
+    long_name="principal rotational stiffnesses, translations free",
+)
+def _rotational_stiffness(evaluation: Evaluation) -> Array:
+    return evaluation.principal("rotation")
+
+
+@quantity("eigenvalues", dims=(MODE,), unit="N/m", long_name="eigenvalues of K at its characteristic length")
+def _eigenvalues(evaluation: Evaluation) -> Array:
+    return indices.eigenvalues(evaluation.stiffness, evaluation.length)
+
+
+@quantity("condition_number", unit="1", long_name="condition number of K at its characteristic length")
+def _condition_number(evaluation: Evaluation) -> Array:
+    return indices.condition_number(evaluation.stiffness, evaluation.length)
+
+
+@quantity("characteristic_length", unit="m", long_name="length that makes rotations as stiff as translations")
+def _characteristic_length(evaluation: Evaluation) -> Array:
+    return evaluation.length
+
+
+@quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")
+def _spring_shares(evaluation: Evaluation) -> Array:
+    model = evaluation.mapped.elastic
+
+    def of_pose(q: Array) -> Array:
+        return shares.shares(cartesian_compliance(model, q).contributions[None], np.eye(6))
+
+    return evaluation.at_each((6, len(model.spring_names)), of_pose)
+
+
+@quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowest natural frequencies")
+def _natural_frequencies(evaluation: Evaluation) -> Array:
+    model = evaluation.mapped.elastic
+    return evaluation.at_each((_MODES,), lambda q: natural_frequencies(model, q, count=_MODES))
+
+
+@quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")
+def _first_frequency(evaluation: Evaluation) -> Array:
+    model = evaluation.mapped.elastic
+    return evaluation.at_each((), lambda q: natural_frequencies(model, q, count=1)[0])
+
+
+@quantity("commands", dims=(COMMAND,), unit=command_unit, long_name="what the counters of the drives show")
+def _commands(evaluation: Evaluation) -> Array:
+    return evaluation.poses.commands
+
+
+def free_motion_names(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the motions that the robot is free to make."""
+    motions = mapped.free_motions
+    return () if motions is None else motions.names
+
+
+def free_motion_unit(mapped: MappedRobot) -> str:
+    """Return the units of the stiffnesses of the free motions, of the diagonal in brackets."""
+    motions = mapped.free_motions
+    if motions is None:
+        return "1"
+    names = {
+        unit: [name for name, own in zip(motions.names, motions.units, strict=True) if own == unit]
+        for unit in ("m", "rad")
     }
+    listed = [f"{word} ({', '.join(names[unit])})" for unit, word in (("m", "N/m"), ("rad", "N m/rad")) if names[unit]]
+    return ", ".join(listed)
+
+
+def has_free_motions(mapped: MappedRobot) -> bool:
+    """Tell whether the free motions have a stiffness at home."""
+    return mapped.free_motions is not None
+
+
+@quantity(
+    "free_stiffness",
+    dims=(Dimension("free_motion", free_motion_names), Dimension("free_motion_2", free_motion_names)),
+    unit=free_motion_unit,
+    long_name="stiffness of the motions that the robot is free to make",
+    exists=has_free_motions,
+)
+def _free_stiffness(evaluation: Evaluation) -> Array:
+    model, names = evaluation.mapped.elastic, free_motion_names(evaluation.mapped)
+
+    def of_pose(q: Array) -> Array:
+        found = free_motion_stiffness(model, model.rigid.configuration(q))
+        return found.stiffness if found.names == names else np.full((len(names), len(names)), np.nan)
+
+    return evaluation.at_each((len(names), len(names)), of_pose)

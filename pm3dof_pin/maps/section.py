@@ -9,18 +9,17 @@ from numpy.typing import ArrayLike
 
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
+from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
 from pm3dof_pin.typing import Array
 from pm3dof_pin.workspace import workspace_section
 
 if TYPE_CHECKING:
     import xarray as xr
 
-
-BROKEN_LIMITS = "broken_limits"
 
 _LONG_NAMES = {
     "theta_x": "stiffness about theta_x",
@@ -69,7 +68,7 @@ def stiffness_section(
         for name, (values, attributes) in _chapter_variables(tripod, poses).items()
     }
     return xr.Dataset(
-        variables | {BROKEN_LIMITS: (dims, flags, flag_attributes("joint limits that the pose breaks"))},
+        variables | {BROKEN_LIMITS: (dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))},
         coords={
             **{name: (c.dims, c.values, _labels(c.unit, c.long_name)) for name, c in grid.coordinates().items()},
             "z_e": (("z_e",) if heights.ndim else (), heights, _labels("m", "height of the tool point O_e")),
@@ -103,16 +102,6 @@ def section_outline(
     radii = np.minimum(section.radii, edge)
     tilts = radii[:, None] * np.stack([np.cos(section.azimuths), np.sin(section.azimuths)], axis=-1)
     return stiffness_section(tripod, PointGrid(tilts), section.z_e)
-
-
-def flag_attributes(long_name: str) -> dict[str, object]:
-    """Return the attributes of a variable that holds sums of :class:`~pm3dof_pin.chapter.limits.Limit`."""
-    return {
-        "long_name": long_name,
-        "flag_masks": np.array([int(limit) for limit in Limit], dtype=np.uint8),
-        "flag_meanings": " ".join(limit.name.lower() for limit in Limit if limit.name),
-        "comment": "sum of the flags; zero within all limits",
-    }
 
 
 def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,19 +13,19 @@ import numpy as np
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
-from pm3dof_pin.maps.section import BROKEN_LIMITS
+from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
+from pm3dof_pin.maps.quantities import unit_of_entry
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
-
-POSE = ("theta_x", "theta_y", "z_e")
 
 
 def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
     """Write a map as NetCDF-4, compressed, angles in radians; equal maps give equal bytes.
 
     Args:
-        dataset: result of :func:`~pm3dof_pin.maps.section.stiffness_section` or the like.
+        dataset: result of :func:`~pm3dof_pin.maps.grid_map.quantity_map` or the like.
         path: file to write.
 
     Returns:
@@ -42,14 +43,16 @@ def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
     return Path(path)
 
 
-def write_csv(dataset: xr.Dataset, path: Path | str) -> Path:
+def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:
     """Write a map as CSV for a spreadsheet: one row a pose, angles in degrees, the unit at the end of each heading.
 
-    Limits are written as words; what is excluded by one is an empty cell.
+    Limits are written as words; what is excluded by one is an empty cell. A variable with dimensions of its own has a
+    column for each entry.
 
     Args:
-        dataset: a map whose variables stand over the same dimensions, with the coordinates theta_x, theta_y and z_e.
+        dataset: a map whose variables stand over the same dimensions.
         path: file to write.
+        coordinates: those that are written; by default all that have a unit.
 
     Returns:
         The path written.
@@ -57,7 +60,8 @@ def write_csv(dataset: xr.Dataset, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    columns = dict(_columns(dataset))
+    names = [str(name) for name in dataset.coords if "units" in dataset[name].attrs]
+    columns = dict(_columns(dataset, names if coordinates is None else coordinates))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -65,25 +69,29 @@ def write_csv(dataset: xr.Dataset, path: Path | str) -> Path:
     return write_text_atomically(path, text.getvalue())
 
 
-def _columns(dataset: xr.Dataset) -> Iterator[tuple[str, list[str]]]:
+def _columns(dataset: xr.Dataset, coordinates: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
     """Heading and cells of each column."""
-    template = next(iter(dataset.data_vars.values()))
-    for name in (*POSE, *map(str, dataset.data_vars)):
-        variable = dataset[name].broadcast_like(template).transpose(*template.dims)
+    template = min(dataset.data_vars.values(), key=lambda variable: variable.ndim)
+    for name in (*coordinates, *map(str, dataset.data_vars)):
+        variable = dataset[name].broadcast_like(template).transpose(*template.dims, ...)
         if "flag_masks" in variable.attrs:
             if name == BROKEN_LIMITS:
                 yield "within_limits", ["FALSE" if flags else "TRUE" for flags in variable.values.flat]
             yield name, _words(variable)
-        else:
-            yield _column_of_numbers(name, variable)
+            continue
+        own = variable.dims[template.ndim :]
+        units = variable.attrs["units"]
+        for entry in itertools.product(*(variable[dim].values for dim in own)):
+            unit = unit_of_entry(units, str(entry[0])) if len(own) == 1 else units
+            values = variable.sel(dict(zip(own, entry, strict=True))).values
+            yield _column_of_numbers("_".join([name, *map(str, entry)]), unit, values)
 
 
-def _column_of_numbers(name: str, variable: xr.DataArray) -> tuple[str, list[str]]:
-    unit, values = variable.attrs["units"], variable.values
+def _column_of_numbers(name: str, unit: str, values: Array) -> tuple[str, list[str]]:
     if unit == "rad":
         unit, values = "deg", np.degrees(values)
-    heading = f"{name}_{unit.replace('/', '_per_').replace(' ', '_')}"
-    return heading, ["" if np.isnan(value) else f"{value:.12g}" for value in values.flat]
+    heading = name if unit == "1" else f"{name}_{unit.replace('/', '_per_').replace(' ', '_').replace(',', '')}"
+    return heading, ["" if not np.isfinite(value) else f"{value:.12g}" for value in values.flat]
 
 
 def _words(variable: xr.DataArray) -> list[str]:
