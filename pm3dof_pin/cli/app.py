@@ -28,6 +28,7 @@ from pm3dof_pin.cli import (
     view,
     workspace,
 )
+from pm3dof_pin.cli.map_options import MapCommand
 from pm3dof_pin.exceptions import PM3DofError
 
 WORK_FAILED = 1
@@ -51,10 +52,10 @@ app.command("fk", context_settings=_NEGATIVE_NUMBERS)(kinematics.fk)
 app.command("stiffness", context_settings=_NEGATIVE_NUMBERS)(stiffness.stiffness)
 app.command("statics", context_settings=_NEGATIVE_NUMBERS)(statics.statics)
 app.command("modes", context_settings=_NEGATIVE_NUMBERS)(modes.modes)
-app.command("stiffness-map")(stiffness_map.stiffness_map)
+app.command("stiffness-map", cls=MapCommand)(stiffness_map.stiffness_map)
 app.command("table-8-3")(table.table_8_3)
-app.command("workspace")(workspace.workspace)
-app.command("atlas")(atlas.atlas)
+app.command("workspace", cls=MapCommand)(workspace.workspace)
+app.command("atlas", cls=MapCommand)(atlas.atlas)
 app.command("error-map")(error_map.error_map)
 app.command("calibration-plan")(calibration_plan.calibration_plan)
 app.command("measure")(measure.measure)

@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Json, load_tripod, tilt_angle
+from pm3dof_pin.cli.map_options import (
+    CoordinateRange,
+    EngineName,
+    EngineOption,
+    Ranges,
+    Threads,
+    Values,
+    declared_ranges,
+    robot_grid,
+)
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.cli.pose_arguments import Config, RobotName, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.robot import Robot
+
 LEAST_POINTS = 2
+_POSES = 10_000  # of an atlas over all coordinates, about
+_TILTS = ("theta_x", "theta_y", "z_e")
+_DEFAULT_POINTS = (91, 91, 61)
+_DEFAULT_TILT = 45.0
+_DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
 
 Quantities = Annotated[
     list[str] | None,
@@ -20,15 +41,31 @@ Quantities = Annotated[
 ]
 
 
+class PrecisionName(StrEnum):
+    """Numbers on disk."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+
 def atlas(
     quantity: Quantities = None,
     out: Annotated[Path, typer.Option(help="Result: NetCDF (.nc) or Zarr (.zarr).")] = Path("results/atlas.nc"),
+    robot: RobotName = THE_TRIPOD,
+    ranges: Ranges = None,
+    values: Values = None,
+    counts: Annotated[
+        str | None,
+        typer.Option(metavar="N,N,..", help="Numbers of values over the ranges of all coordinates, or one for all."),
+    ] = None,
     points: Annotated[
-        tuple[int, int, int], typer.Option(metavar="NX NY NZ", help="Number of theta_x, theta_y and z_e.")
-    ] = (91, 91, 61),
+        tuple[int, int, int] | None,
+        typer.Option(metavar="NX NY NZ", help="Number of theta_x, theta_y and z_e (91 91 61)."),
+    ] = None,
     tilt: Annotated[
-        float, typer.Option(parser=tilt_angle, help="Tilts run from minus to plus this angle [deg].")
-    ] = 45.0,
+        float | None,
+        typer.Option(parser=tilt_angle, help="theta_x and theta_y run from minus to plus this angle [deg] (45)."),
+    ] = None,
     heights: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="FIRST LAST", help="Heights z_e [m]; those of the level platform by default."),
@@ -36,60 +73,99 @@ def atlas(
     keep_beyond_limits: Annotated[
         bool, typer.Option("--keep-beyond-limits", help="Keep values of poses that break a joint limit.")
     ] = False,
+    precision: Annotated[PrecisionName, typer.Option(help="Of the numbers on disk.")] = PrecisionName.SINGLE,
     pictures: Annotated[bool, typer.Option(help="Draw slices through every quantity but matrices.")] = True,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; the number of processors by default.")] = None,
+    threads: Threads = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the dask cluster of this scheduler.")
     ] = None,
-    list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and leave.")] = False,
+    engine: EngineOption = EngineName.PROGRAM,
+    list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and exit.")] = False,
     as_json: Json = False,
     config: Config = None,
 ) -> None:
-    """Quantities over the whole workspace (theta_x, theta_y, z_e) as labelled arrays: angles in degrees, metres.
+    """Quantities over the workspace of a robot as labelled arrays: angles in degrees, lengths in metres.
 
-    A job that was interrupted goes on where it stopped when the same command is given again.
+    The axes are the coordinates named with --range, in this order; without any, all coordinates over their ranges, and
+    for pm3dof z_e, theta_x, theta_y. A job that was interrupted goes on where it stopped when the same command is given
+    again.
     """
-    from pm3dof_pin.maps.atlas import DEFAULT_QUANTITIES, Atlas, AtlasGrid, compute_atlas
-    from pm3dof_pin.maps.grid import RectangularGrid
-    from pm3dof_pin.maps.quantities import QUANTITIES
+    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    from pm3dof_pin.maps.atlas import Atlas, compute_atlas
+    from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
 
-    if list_quantities:
-        known = {name: {"unit": entry.unit, "what": entry.long_name} for name, entry in QUANTITIES.items()}
-        lines = [f"{name}: {entry['what']} [{entry['unit']}]" for name, entry in known.items()]
-        print_result({"quantities": known}, lines, as_json=as_json)
-        return
-    names = tuple(quantity or DEFAULT_QUANTITIES)
-    for name in names:
+    for name in quantity or ():
         if name not in QUANTITIES:
             raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
-    if min(points) < LEAST_POINTS:
+    if points and min(points) < LEAST_POINTS:
         raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
-    tripod = load_tripod(config)
-    angle = math.radians(tilt)
-    grid = AtlasGrid(
-        RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=points[:2]),
-        heights or (tripod.height_min, tripod.height_max),
-        points[2],
-    )
-    job = Atlas(tripod, grid, names, out, keep_beyond_limits)
+    loaded = load_robot(robot, config=config)
+    existing = {name: entry for name, entry in QUANTITIES.items() if entry.exists(MappedRobot(loaded))}
+    if list_quantities:
+        mapped = MappedRobot(loaded)
+        known = {name: {"unit": entry.unit_for(mapped), "what": entry.long_name} for name, entry in existing.items()}
+        lines = [f"{name}: {entry['what']} [{entry['unit']}]" for name, entry in known.items()]
+        print_result({"quantities": known}, lines, as_json=as_json)
+        return
+    names = tuple(quantity or (name for name in _DEFAULT_QUANTITIES if name in existing))
+    if ranges or counts:
+        if points or tilt is not None or heights:
+            raise typer.BadParameter("--points, --tilt and --heights do not go with --range and --counts")
+        grid = robot_grid(loaded, ranges or _all_ranges(loaded, counts), values or ())
+    elif tuple(coordinate.name for coordinate in loaded.coordinates) == _TILTS:
+        grid = _tilt_grid(loaded, points or _DEFAULT_POINTS, _DEFAULT_TILT if tilt is None else tilt, heights)
+    elif points or tilt is not None or heights:
+        raise typer.BadParameter(f"--points, --tilt and --heights are for {', '.join(_TILTS)}: use --range")
+    else:
+        grid = robot_grid(loaded, _all_ranges(loaded, None))
+    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision.value, engine.value)
     if job.parts.exists():
         message(f"going on with {job.parts}")
     try:
         with progress_bar("poses") as progress:
-            path = compute_atlas(job, workers=workers, scheduler=scheduler, progress=progress)
+            path = compute_atlas(job, threads=threads, scheduler=scheduler, progress=progress)
     except KeyboardInterrupt:
         message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
         raise
     files = [path, *_draw(path)] if pictures else [path]
-    poses = math.prod(grid.shape)
-    result = {"files": [str(file) for file in files], "poses": poses, "quantities": job.quantities}
-    print_result(result, [f"{poses:,} poses: {', '.join(job.quantities)}"], as_json=as_json)
+    result = {
+        "files": [str(file) for file in files],
+        "robot": loaded.name,
+        "dimensions": grid.dims,
+        "poses": grid.size,
+        "quantities": job.quantities,
+    }
+    print_result(result, [f"{grid.size:,} poses: {', '.join(job.quantities)}"], as_json=as_json)
     for file in files:
         message(f"wrote {file}")
+
+
+def _tilt_grid(robot: Robot, points: tuple[int, int, int], tilt: float, heights: tuple[float, float] | None) -> Grid:
+    """Return the grid of --points, --tilt and --heights: z_e, theta_x, theta_y."""
+    angle = math.radians(tilt)
+    low, high = heights or robot.range_of(robot.coordinate("z_e"))
+    nx, ny, nz = points
+    return robot.grid(z_e=(low, high, nz), theta_x=(-angle, angle, nx), theta_y=(-angle, angle, ny))
+
+
+def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
+    """Return the ranges of all coordinates, with the numbers of --counts."""
+    number = len(robot.coordinates)
+    try:
+        wanted = [int(word) for word in counts.replace(",", " ").split()] if counts else []
+    except ValueError:
+        raise typer.BadParameter(f"--counts {counts}: expected whole numbers") from None
+    if counts and (len(wanted) not in (1, number) or min(wanted) < LEAST_POINTS):
+        raise typer.BadParameter(
+            f"--counts {counts}: expected one number, or {number} for {robot.name}, of at least {LEAST_POINTS}"
+        )
+    if not wanted:
+        wanted = [max(LEAST_POINTS, round(_POSES ** (1.0 / max(number, 1))))]
+    return declared_ranges(robot, robot.coordinates, wanted if len(wanted) == number else wanted * number)
 
 
 def _draw(path: Path) -> list[Path]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import click
 import typer
+from typer.core import TyperCommand
 
+from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import finite_number
 from pm3dof_pin.cli.pose_arguments import check_units
 
@@ -25,44 +29,86 @@ class EngineName(StrEnum):
     PINOCCHIO = "pinocchio"
 
 
-class _Number(click.ParamType):
-    name = "number"
+@dataclass(frozen=True)
+class CoordinateRange:
+    """Values of a coordinate that varies, angles in degrees."""
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        return value if isinstance(value, float) else finite_number(str(value))
+    name: str
+    first: float
+    last: float
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> CoordinateRange:
+        """Read NAME FIRST LAST COUNT."""
+        words = text.split()
+        if len(words) != _VALUES["--range"] or not words[3].isdigit():
+            raise typer.BadParameter(f"'{text}' is not NAME FIRST LAST COUNT")
+        return cls(words[0], finite_number(words[1]), finite_number(words[2]), int(words[3]))
 
 
-_RANGE = click.Tuple([str, _Number(), _Number(), click.IntRange(min=1)])
-_VALUE = click.Tuple([str, _Number()])
+@dataclass(frozen=True)
+class CoordinateValue:
+    """Value of a coordinate that stands still, angles in degrees."""
 
-RangeOption = tuple[str, float, float, int]
-ValueOption = tuple[str, float]
+    name: str
+    value: float
+
+    @classmethod
+    def parse(cls, text: str) -> CoordinateValue:
+        """Read NAME VALUE."""
+        words = text.split()
+        if len(words) != _VALUES["--at"]:
+            raise typer.BadParameter(f"'{text}' is not NAME VALUE")
+        return cls(words[0], finite_number(words[1]))
+
+
+class MapCommand(TyperCommand):
+    """A command with options of several values that may be repeated, which Typer does not have of itself."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join the values of such an option into one, and go on."""
+        joined: list[str] = []
+        rest = deque(args)
+        while rest:
+            joined.append(rest.popleft())
+            count = _VALUES.get(joined[-1], 0)
+            if count and rest and " " not in rest[0]:
+                joined.append(" ".join(rest.popleft() for _ in range(min(count, len(rest)))))
+        return super().parse_args(ctx, joined)
+
+
+_VALUES = {"--range": 4, "--over": 4, "--at": 2}
+"""Number of values of each such option."""
 
 Ranges = Annotated[
-    list[str] | None,
+    list[CoordinateRange] | None,
     typer.Option(
         "--range",
         metavar="NAME FIRST LAST COUNT",
-        click_type=_RANGE,
+        parser=CoordinateRange.parse,
         help="Values of a coordinate [deg, m]; may be repeated. Coordinates not named stay at home.",
+        autocompletion=completion.coordinates,
     ),
 ]
 Over = Annotated[
-    list[str] | None,
+    list[CoordinateRange] | None,
     typer.Option(
         "--over",
         metavar="NAME FIRST LAST COUNT",
-        click_type=_RANGE,
+        parser=CoordinateRange.parse,
         help="Values of a coordinate of the map [deg, m], twice; the first two by default, over their ranges.",
+        autocompletion=completion.coordinates,
     ),
 ]
 Values = Annotated[
-    list[str] | None,
+    list[CoordinateValue] | None,
     typer.Option(
         "--at",
         metavar="NAME VALUE",
-        click_type=_VALUE,
+        parser=CoordinateValue.parse,
         help="Value of a coordinate that stands still [deg, m]; may be repeated. Home by default.",
+        autocompletion=completion.coordinates,
     ),
 ]
 EngineOption = Annotated[
@@ -73,51 +119,55 @@ Threads = Annotated[
 ]
 
 
-def robot_grid(robot: Robot, ranges: Sequence[RangeOption], values: Sequence[ValueOption] = ()) -> Grid:
+def robot_grid(robot: Robot, ranges: Sequence[CoordinateRange], values: Sequence[CoordinateValue] = ()) -> Grid:
     """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2.
 
     Args:
         robot: the robot.
-        ranges: name, first, last and count of each coordinate that varies [deg, m].
-        values: name and value of coordinates that stand still [deg, m].
+        ranges: coordinates that vary.
+        values: coordinates that stand still at another value than that of home.
     """
     import numpy as np
 
-    names = [name for name, *_ in (*ranges, *values)]
+    names = [entry.name for entry in ranges] + [entry.name for entry in values]
     for name in names:
         if names.count(name) > 1:
             raise typer.BadParameter(f"{name} is given twice")
     axes: dict[str, tuple[float, float, int] | float] = {}
-    for name, first, last, count in ranges:
-        coordinate = _coordinate(robot, name)
-        if not (first < last or (first == last and count == 1)) or (first < last and count < 2):
-            raise typer.BadParameter(f"{name} from {first:g} to {last:g} in {count}: expected growing values, at least 2")
-        check_units(robot, [coordinate], np.array([[first], [last]]))
-        axes[name] = (_si(coordinate, first), _si(coordinate, last), count)
-    for name, value in values:
-        coordinate = _coordinate(robot, name)
-        check_units(robot, [coordinate], np.array([[value]]))
-        axes[name] = _si(coordinate, value)
+    for wanted in ranges:
+        coordinate = _coordinate(robot, wanted.name)
+        if wanted.count < 1 or (wanted.first >= wanted.last if wanted.count > 1 else wanted.first != wanted.last):
+            given = f"{wanted.name} {wanted.first:g} {wanted.last:g} {wanted.count}"
+            raise typer.BadParameter(f"{given}: expected growing values")
+        axes[wanted.name] = (_si(coordinate, wanted.first), _si(coordinate, wanted.last), wanted.count)
+    for entry in values:
+        coordinate = _coordinate(robot, entry.name)
+        axes[entry.name] = _si(coordinate, entry.value)
+    numbers = {entry.name: (entry.first, entry.last) for entry in ranges}
+    numbers |= {entry.name: (entry.value, entry.value) for entry in values}
+    home = zip(robot.coordinates, robot.home_coordinates, strict=True)
+    ends = [numbers.get(c.name, [value if c.unit == "m" else math.degrees(value)] * 2) for c, value in home]
+    check_units(robot, robot.coordinates, np.array(ends).T)
     return robot.grid(**axes)
 
 
-def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[RangeOption]:
-    """Return the ranges of coordinates as `--range` takes them [deg, m].
+def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
+    """Return the ranges of coordinates as `--range` takes them.
 
     Args:
         robot: the robot.
         coordinates: those that vary.
-        counts: number of values of each, or one for all.
+        counts: number of values of each.
     """
     import numpy as np
 
-    ranges: list[RangeOption] = []
-    for coordinate, count in zip(coordinates, counts if len(counts) > 1 else counts * len(coordinates), strict=True):
+    ranges = []
+    for coordinate, count in zip(coordinates, counts, strict=True):
         lower, upper = robot.range_of(coordinate)
         if not np.isfinite([lower, upper]).all():
             raise typer.BadParameter(f"{coordinate.name} of {robot.name} has no range: give one with its name")
         factor = 1.0 if coordinate.unit == "m" else 180.0 / np.pi
-        ranges.append((coordinate.name, float(lower * factor), float(upper * factor), count))
+        ranges.append(CoordinateRange(coordinate.name, float(lower * factor), float(upper * factor), count))
     return ranges
 
 
@@ -125,14 +175,9 @@ def _coordinate(robot: Robot, name: str) -> Coordinate:
     for coordinate in robot.coordinates:
         if coordinate.name == name:
             return coordinate
-    raise typer.BadParameter(f"{robot.name} has no coordinate '{name}': expected one of {_names(robot)}")
-
-
-def _names(robot: Robot) -> str:
-    return ", ".join(coordinate.name for coordinate in robot.coordinates)
+    names = ", ".join(coordinate.name for coordinate in robot.coordinates)
+    raise typer.BadParameter(f"{robot.name} has no coordinate '{name}': expected one of {names}")
 
 
 def _si(coordinate: Coordinate, number: float) -> float:
-    import math
-
     return number if coordinate.unit == "m" else math.radians(number)

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Json, finite_number, load_tripod, tilt_angle
-from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.cli import completion
+from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, declared_ranges, robot_grid
+from pm3dof_pin.cli.options import Json, finite_number, load_tripod, tilt_angle
+from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import Config, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.maps.quantities import MappedRobot
 
 LEAST_TO_DRAW = 3
 PICTURES = {
@@ -23,23 +29,159 @@ PICTURES = {
     "figure_8_3c_t_z.png": "stiffness_t_z",
     "figure_8_4_global.png": "stiffness_global",
 }
+_DEFAULT_TILT, _DEFAULT_POINTS = 40.0, 81
+_DEFAULT_COUNT = 41
+_ELASTIC = ("felt_stiffness", "translational_stiffness", "rotational_stiffness", "condition_number", "first_frequency")
+_OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness", "first_frequency")
 
 
 def stiffness_map(
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="NAME|PATH",
+            help="A robot, by name or by the path of its description; without it, the chapter's map.",
+            autocompletion=completion.robots,
+        ),
+    ] = None,
+    over: Over = None,
+    values: Values = None,
     height: Annotated[
         float | None,
-        typer.Option(parser=finite_number, help="Height z_e of the section [m]; by default that of Table 8.3."),
+        typer.Option(parser=finite_number, help="Height z_e of the chapter's section [m]; that of Table 8.3."),
     ] = None,
     tilt: Annotated[
-        float, typer.Option(parser=tilt_angle, help="Tilts run from minus to plus this angle [deg].")
-    ] = 40.0,
-    points: Annotated[int, typer.Option(min=2, help="Number of values of each tilt.")] = 81,
-    pictures: Annotated[bool, typer.Option(help="Draw the pictures of Figs. 8.3 and 8.4.")] = True,
+        float | None,
+        typer.Option(parser=tilt_angle, help="Tilts of the chapter's section go to this angle [deg] (40)."),
+    ] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="Number of values of each tilt (81), or of each coordinate (41).")
+    ] = None,
+    pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
+    engine: EngineOption = EngineName.PROGRAM,
     as_json: Json = False,
     config: Config = None,
 ) -> None:
-    """Maps of the chapter's stiffness as dataset, spreadsheet and pictures (Figs. 8.3, 8.4), and Table 8.3."""
+    """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
+
+    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3. With --robot (pm3dof too): felt and principal
+    stiffness, condition number and first natural frequency over two coordinates; where the tool is rigid in some
+    direction, the stiffness of its free motions.
+    """
+    if robot is None and not over and not values and engine is EngineName.PROGRAM:
+        _map_of_chapter(out, height, tilt or _DEFAULT_TILT, points or _DEFAULT_POINTS, pictures, as_json, config)
+        return
+    if height is not None or tilt is not None:
+        raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
+    loaded = load_robot(robot or "pm3dof", config=config)
+    from pm3dof_pin.maps.quantities import MappedRobot
+
+    if over and len(over) != 2:
+        raise typer.BadParameter(f"expected --over twice, not {len(over)} times")
+    named = {entry.name for entry in values or ()}
+    free = [coordinate for coordinate in loaded.coordinates if coordinate.name not in named][:2]
+    grid = robot_grid(
+        loaded, over or declared_ranges(loaded, free, [points or _DEFAULT_COUNT] * len(free)), values or ()
+    )
+    if len(grid.axes) < 2:
+        raise typer.BadParameter(f"{loaded.name} has fewer than two coordinates to map over")
+    mapped = MappedRobot(loaded)
+    with progress_bar("stiffness map") as progress:
+        from pm3dof_pin.maps.grid_map import quantity_map
+        from pm3dof_pin.maps.storage import write_csv, write_netcdf
+
+        dataset = quantity_map(mapped, grid, _quantities(mapped), engine=engine.value)
+        inside = int((dataset["broken_limits"] == 0).sum())
+        _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
+        files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
+        if pictures:
+            files += _draw(dataset, out, progress)
+    spans = _ranges(dataset)
+    result = {
+        "robot": loaded.name,
+        "files": [str(file) for file in files],
+        "dimensions": grid.dims,
+        "fixed": dict(grid.fixed),
+        "poses": grid.size,
+        "poses_within_limits": inside,
+        "ranges": spans,
+    }
+    rows = [
+        [name, *(f"{entry[key]:.4e}" for key in ("least", "greatest")), entry["unit"]] for name, entry in spans.items()
+    ]
+    lines = [
+        *table_lines(["quantity", "least", "greatest", "unit"], rows),
+        "",
+        f"{grid.size:,} poses over {' and '.join(grid.dims)}, {inside:,} within every limit",
+    ]
+    print_result(result, lines, as_json=as_json)
+    for file in files:
+        message(f"wrote {file}")
+
+
+def _quantities(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return what is mapped: what comes from the 6 x 6 stiffness, or from that of the free motions if there is none."""
+    import numpy as np
+
+    from pm3dof_pin.elastic.quantities import STIFFNESS
+    from pm3dof_pin.maps.quantities import Evaluation
+
+    home = Evaluation(mapped, mapped.robot.at(mapped.robot.home.q[None]), engine="pinocchio")
+    if np.isfinite(home.elastic(STIFFNESS)).all() or mapped.free_motions is None:
+        return _ELASTIC
+    return _OF_FREE_MOTIONS
+
+
+def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+    """Return least and greatest finite value of every number of the map."""
+    import numpy as np
+
+    from pm3dof_pin.maps.units import unit_of_entry
+
+    ranges = {}
+    for name, label, own in _entries(dataset):
+        values = dataset[name].sel(dict.fromkeys(own, label)).values
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            unit = unit_of_entry(dataset[name].attrs["units"], label)
+            ends = {"least": float(finite.min()), "greatest": float(finite.max()), "unit": unit}
+            ranges[f"{name}_{label}" if label else name] = ends
+    return ranges
+
+
+def _entries(dataset: xr.Dataset) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Return every number of the map: variable, label and own dimensions; of matrices the diagonal."""
+    entries: list[tuple[str, str, tuple[str, ...]]] = []
+    for name, variable in dataset.data_vars.items():
+        own = tuple(map(str, variable.dims[2:]))
+        labels = [str(label) for label in variable[own[0]].values] if own else [""]
+        if "flag_masks" not in variable.attrs:
+            entries += [(str(name), label, own) for label in labels]
+    return entries
+
+
+def _draw(dataset: xr.Dataset, out: Path, progress: Any) -> list[Path]:
+    """Draw a picture of every number of the map that has finite values."""
+    import numpy as np
+
+    from pm3dof_pin.figures.section_map import section_map
+    from pm3dof_pin.figures.style import save_figure
+
+    entries = _entries(dataset)
+    files = []
+    for done, (name, label, own) in enumerate(entries, start=1):
+        if np.isfinite(dataset[name].sel(dict.fromkeys(own, label)).values).sum() >= LEAST_TO_DRAW:
+            path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
+            files.append(save_figure(section_map(dataset, name, entry=label or None), path))
+        progress(done, len(entries))
+    return files
+
+
+def _map_of_chapter(
+    out: Path, height: float | None, tilt: float, points: int, pictures: bool, as_json: bool, config: Path | None
+) -> None:
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.maps.grid import RectangularGrid
     from pm3dof_pin.maps.section import stiffness_section
@@ -53,7 +195,7 @@ def stiffness_map(
         section = stiffness_section(tripod, grid, height)
         inside = int((section["broken_limits"] == 0).sum())
         z_e = float(section["z_e"])
-        _require_poses(tripod, z_e, inside, drawn=pictures)
+        _require_poses(f"at z_e = {z_e:g} m", inside, drawn=pictures, tripod=tripod)
         files = [write_netcdf(section, out / "stiffness_map.nc"), write_csv(section, out / "stiffness_map.csv")]
         progress(2, 2 + len(names))
         if names:
@@ -78,16 +220,17 @@ def stiffness_map(
         message(f"wrote {file}")
 
 
-def _require_poses(tripod: Tripod, z_e: float, inside: int, *, drawn: bool) -> None:
+def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | None = None) -> None:
     """Refuse a map without anything on it, or with too little for its pictures, before a file is written."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
-    where = f"of the map at z_e = {z_e:g} m"
     if inside == 0:
-        level = f"{tripod.height_min:.4f} to {tripod.height_max:.4f} m"
-        raise UnreachablePoseError(f"no pose {where} is within every joint limit; the level platform goes from {level}")
+        hint = "try other ranges, or --at"
+        if tripod is not None:
+            hint = f"the level platform goes from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
+        raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
     if drawn and inside < LEAST_TO_DRAW:
         raise UnreachablePoseError(
-            f"{inside} of the poses {where} within every joint limit, too few to draw: "
-            "more --points, a smaller --tilt, or --no-pictures"
+            f"{inside} of the poses of the map {place} within every joint limit, too few to draw: "
+            "more --points, other ranges, or --no-pictures"
         )

@@ -13,7 +13,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.labels import axis_label, drawn, in_words
 from pm3dof_pin.figures.style import COLORMAP, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
-from pm3dof_pin.maps.quantities import unit_of_entry
+from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
@@ -132,8 +132,8 @@ def _draw_three(figure: Figure, field: xr.DataArray, norm: Normalize, levels: Ar
     axes: dict[str, Any] = figure.subplot_mosaic(
         [["0", "1", "2", "3"], ["x", "x", "y", "y"]], height_ratios=[1.0, 1.15]
     )
-    for panel, index in enumerate(_section_indices(field)):
-        filled = _draw_plane(axes[str(panel)], field.isel({stacked: index}), norm, levels)
+    for place, index in enumerate(_section_indices(field)):
+        filled = _draw_plane(axes[str(place)], field.isel({stacked: index}), norm, levels)
     for panel, dim in (("x", second), ("y", first)):
         plane = field.isel({dim: _middle(field[dim].values)})
         _draw_plane(axes[panel], plane.transpose(..., stacked), norm, levels, equal=False)

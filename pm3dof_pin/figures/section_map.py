@@ -24,7 +24,7 @@ from pm3dof_pin.figures.labels import axis_label, drawn, in_words
 from pm3dof_pin.figures.space import towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
-from pm3dof_pin.maps.quantities import unit_of_entry
+from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def section_map(
         variable: name of the variable, for example "stiffness_theta_x".
         outline: the same variables along a closed line, which gives the map its smooth edge; without it the map ends at
             the last poses within the limits.
-        entry: label along the variable's own dimension, if it has one.
+        entry: label along the variable's own dimension, if it has one; of a matrix an entry of the diagonal.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
@@ -118,7 +118,7 @@ def _sheet(section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: st
     variable = section[name]
     own = [dim for dim in variable.dims if dim not in section[BROKEN_LIMITS].dims]
     if entry is not None:
-        variable = variable.sel({own[0]: entry})
+        variable = variable.sel(dict.fromkeys(own, entry))
     if variable.ndim != 2:
         raise InvalidValueError("section", dict(section.sizes), "a map over two coordinates, one entry a pose")
     values, attributes = np.where(np.isfinite(variable.values), variable.values, np.nan), variable.attrs

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pm3dof_pin.kinematics.robot import Robot
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
 
 BROKEN_LIMITS = "broken_limits"
 

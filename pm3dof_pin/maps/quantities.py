@@ -14,11 +14,19 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pm3dof_pin.dynamics.modes import natural_frequencies
-from pm3dof_pin.elastic import indices, shares
+from pm3dof_pin.elastic import shares
+from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
-from pm3dof_pin.elastic.sweep import compliance_over
+from pm3dof_pin.elastic.quantities import (
+    COMPLIANCE,
+    CONDITIONING,
+    FELT_STIFFNESS,
+    PRINCIPAL_STIFFNESS,
+    STIFFNESS,
+    ElasticQuantity,
+)
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -27,7 +35,7 @@ from pm3dof_pin.typing import Array, Engine
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 _MODES = 6
-_RIGID = 1e-12  # of the greatest compliance of its kind: an axis that gives less gives nothing
+_RIGID = 1e-12  # an axis that gives less than this part of the softest of its kind gives nothing
 
 
 class MappedRobot:
@@ -80,40 +88,17 @@ class Evaluation:
     ) -> None:
         self.mapped = mapped
         self.poses = poses
-        self.engine = engine
+        self.engine: Engine = engine
         self.threads = threads
+        self._elastic: dict[str, Array] = {}
 
-    @cached_property
-    def compliance(self) -> Array:
-        """C at the tool, base axes, shape=(..., 6, 6)."""
-        solved = self.poses.solved
-        values = np.full((*self.poses.shape, 6, 6), np.nan)
-        values[solved] = compliance_over(
-            self.mapped.elastic, self.poses.q[solved], nonexistent="nan", workers=self.threads
-        )
-        return values
-
-    @cached_property
-    def stiffness(self) -> Array:
-        """K = C^-1 at the tool, shape=(..., 6, 6); NaN where a direction is rigid."""
-        return indices.stiffness(self.compliance)
-
-    @cached_property
-    def felt_stiffness(self) -> Array:
-        """1 / C_ii, shape=(..., 6); infinite where an axis is rigid."""
-        diagonal = np.einsum("...ii->...i", self.compliance)
-        greatest = diagonal.reshape(*diagonal.shape[:-1], 2, 3).max(axis=-1)
-        with np.errstate(divide="ignore"):
-            return np.where(diagonal <= _RIGID * np.repeat(greatest, 3, axis=-1), np.inf, 1.0 / diagonal)
-
-    @cached_property
-    def length(self) -> Array:
-        """Characteristic length of K at each pose [m]."""
-        return indices.characteristic_length(self.stiffness)
-
-    def principal(self, motion: indices.Motion) -> Array:
-        """Principal stiffnesses of three motions, the others free, shape=(..., 3)."""
-        return indices.ellipsoid(indices.condensed_stiffness(self.compliance, motion)).values
+    def elastic(self, quantity: ElasticQuantity) -> Array:
+        """Return a quantity of the elastic behaviour of the tool, shape=(..., *its shape); NaN where it fails."""
+        if quantity.name not in self._elastic:
+            self._elastic[quantity.name] = evaluate(
+                self.mapped.elastic, self.poses, quantity, on_failure="nan", engine=self.engine, threads=self.threads
+            ).values
+        return self._elastic[quantity.name]
 
     def at_each(self, shape: tuple[int, ...], compute: Callable[[Array], Array]) -> Array:
         """Compute something pose by pose.
@@ -231,15 +216,6 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     return tuple(known[name] for name in selected)
 
 
-def unit_of_entry(units: str, entry: str) -> str:
-    """Return an entry's unit out of "N/m (x, y, z), N m/rad (rx, ry, rz)"; a unit of all entries stays as it is."""
-    for part in units.split("), "):
-        unit, _, entries = part.rstrip(")").partition(" (")
-        if entry in entries.split(", "):
-            return unit
-    return units
-
-
 def axes_of_twists(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the entries of a twist or wrench."""
     return AXES
@@ -294,21 +270,23 @@ _AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
     long_name="elastic stiffness at the tool, axes of the base",
 )
 def _stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.stiffness
+    return evaluation.elastic(STIFFNESS)
 
 
 @quantity(
     "C", "compliance", dims=(AXIS, AXIS_2), unit="m/N, 1/N, rad/(N m)", long_name="elastic compliance at the tool"
 )
 def _compliance(evaluation: Evaluation) -> Array:
-    return evaluation.compliance
+    return evaluation.elastic(COMPLIANCE)
 
 
 @quantity(
     "felt_stiffness", dims=(AXIS,), unit=_AXIS_UNIT, long_name="stiffness felt along one axis, all other motions free"
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.felt_stiffness
+    felt = evaluation.elastic(FELT_STIFFNESS)
+    least = felt.reshape(*felt.shape[:-1], 2, 3).min(axis=-1)
+    return np.where(felt * _RIGID >= np.repeat(least, 3, axis=-1), np.inf, felt)
 
 
 @quantity(
@@ -318,7 +296,7 @@ def _felt_stiffness(evaluation: Evaluation) -> Array:
     long_name="principal translational stiffnesses, rotations free",
 )
 def _translational_stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.principal("translation")
+    return evaluation.elastic(PRINCIPAL_STIFFNESS)[..., 0, :]
 
 
 @quantity(
@@ -328,22 +306,24 @@ def _translational_stiffness(evaluation: Evaluation) -> Array:
     long_name="principal rotational stiffnesses, translations free",
 )
 def _rotational_stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.principal("rotation")
+    return evaluation.elastic(PRINCIPAL_STIFFNESS)[..., 1, :]
 
 
 @quantity("eigenvalues", dims=(MODE,), unit="N/m", long_name="eigenvalues of K at its characteristic length")
 def _eigenvalues(evaluation: Evaluation) -> Array:
-    return indices.eigenvalues(evaluation.stiffness, evaluation.length)
+    return evaluation.elastic(CONDITIONING)[..., :_MODES]
 
 
 @quantity("condition_number", unit="1", long_name="condition number of K at its characteristic length")
 def _condition_number(evaluation: Evaluation) -> Array:
-    return indices.condition_number(evaluation.stiffness, evaluation.length)
+    values = evaluation.elastic(CONDITIONING)
+    ratio: Array = values[..., _MODES - 1] / values[..., 0]
+    return ratio
 
 
 @quantity("characteristic_length", unit="m", long_name="length that makes rotations as stiff as translations")
 def _characteristic_length(evaluation: Evaluation) -> Array:
-    return evaluation.length
+    return evaluation.elastic(CONDITIONING)[..., _MODES]
 
 
 @quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")
