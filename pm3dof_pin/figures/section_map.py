@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _LEVELS = 20
 _ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 0.72])  # its sides
+_LINE = 0.2  # height of one of the title [inch]
 _LONGEST_TITLE = 110  # letters in one line
 _LINES = 9  # lines of the grid that are drawn on the surface, along each of its dimensions
 
@@ -58,12 +59,14 @@ def section_map(
     """
     sheet = _sheet(section, variable, outline, entry)
     with house_style():
-        figure = new_figure(9.0, 4.0)
+        height = 4.0 + _LINE * sheet.title.count("\n")
+        figure = new_figure(9.0, height)
         figure.suptitle(sheet.title)
         # placed by hand: no layout engine knows the size of labels in space
-        _draw_surface(figure.add_axes((-0.025, 0.0, 0.48, 0.95), projection="3d"), sheet)
-        filled = _draw_contours(figure.add_axes((0.545, 0.125, 0.343, 0.77)), sheet)
-        figure.colorbar(filled, cax=figure.add_axes((0.905, 0.125, 0.016, 0.77)), label=sheet.label)
+        part = 4.0 / height
+        _draw_surface(figure.add_axes((-0.025, 0.0, 0.48, 0.95 * part), projection="3d"), sheet)
+        filled = _draw_contours(figure.add_axes((0.545, 0.125 * part, 0.343, 0.77 * part)), sheet)
+        figure.colorbar(filled, cax=figure.add_axes((0.905, 0.125 * part, 0.016, 0.77 * part)), label=sheet.label)
     return figure
 
 

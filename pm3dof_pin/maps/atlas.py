@@ -28,7 +28,7 @@ import numpy as np
 
 import pm3dof_pin
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
@@ -197,6 +197,7 @@ def compute_atlas(
         OutputError: the folder cannot be written, something else than an older atlas is in its place, there is no room
             for it, the disk is full (what is finished is kept), or the unfinished store beside the result belongs to
             another atlas.
+        UnreachablePoseError: no pose of the grid is within the limits; nothing is written.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
     with _cluster(scheduler) if scheduler else nullcontext() as cluster:
@@ -216,6 +217,9 @@ def _compute(
             done += _poses_in(atlas, block)
             if progress:
                 progress(done, total)
+        if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
+            atlas.store.remove()
+            raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
         return atlas.store.finish(map(atlas.slices, atlas.blocks()))
     except OSError as error:
         reason = error.strerror or str(error)

@@ -105,11 +105,21 @@ class AtlasStore:
         with np.errstate(over="ignore"):  # beyond single precision a number is infinite
             array[place] = np.asarray(values).astype(array.dtype)
 
+    def read(self, name: str, place: Place) -> Any:
+        """Read the values of one array at one block."""
+        import zarr
+
+        return _array(zarr.open_group(self.parts, mode="r"), name)[place]
+
+    def remove(self) -> None:
+        """Remove the unfinished store."""
+        shutil.rmtree(self.parts)
+
     def finish(self, blocks: Iterable[Place]) -> Path:
         """Make the result of the finished blocks and return its path."""
         if self.path.suffix == ".nc":
             self._copy_to_netcdf(blocks)
-            shutil.rmtree(self.parts)
+            self.remove()
             return self.path
         if self.path.exists():
             shutil.rmtree(self.path)

@@ -19,7 +19,8 @@ from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, labels, select_quantities
+from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
+from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.scene import Scene
@@ -84,12 +85,13 @@ def tool_tips(poses: ArrayLike, length: float) -> Array:
 
 
 def workspace_shell(
-    tripod: Tripod, quantity: str, *, tool_length: float, heights: int = 61, directions: int = 240
+    robot: Robot, tripod: Tripod, quantity: str, *, tool_length: float, heights: int = 61, directions: int = 240
 ) -> Shell:
     """Return the boundary of what a tool's tip reaches, with a quantity at each of its points.
 
     Args:
-        tripod: the machine.
+        robot: the machine.
+        tripod: the same in closed form.
         quantity: a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries:
             "condition_number", "translational_stiffness:least" or "felt_stiffness:z".
         tool_length: see :func:`tool_tips` [m].
@@ -103,14 +105,15 @@ def workspace_shell(
     """
     from pm3dof_pin.workspace.stack import height_range, workspace
 
-    entry = scalar_quantity(tripod, quantity)
+    mapped = MappedRobot(robot)
+    entry = scalar_quantity(mapped, quantity)
     low, high = height_range(tripod)
     inset = _END * (high - low)
     # closer to each other near the ends, where the sections shrink fast
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
     space = workspace(tripod, low + inset + (high - low - 2.0 * inset) * places, directions)
     poses = boundary_poses(space)
-    values = entry.values(tripod, poses)
+    values = entry.values(mapped, poses)
     tips = tool_tips(poses, tool_length)
     lines = _rings(tips, heights, directions)
     return Shell(tips, _faces(heights, directions), lines, values, entry.title, entry.unit)
@@ -132,39 +135,43 @@ class ScalarQuantity:
     title: str
     unit: str
 
-    def values(self, tripod: Tripod, poses: Array) -> Array:
-        """Return the number at poses, shape=(..., 3), shape=(...)."""
-        values = QUANTITIES[self.name].compute(Evaluation(tripod, poses))
+    def values(self, mapped: MappedRobot, coordinates: Array) -> Array:
+        """Return the number at coordinates, shape=(..., number of coordinates), shape=(...)."""
+        poses = mapped.robot.solve(coordinates, on_failure="nan")
+        values = QUANTITIES[self.name].compute(Evaluation(mapped, poses))
         return values if self.index is None else values[..., self.index]
 
 
-def scalar_quantity(tripod: Tripod, text: str) -> ScalarQuantity:
+def scalar_quantity(mapped: MappedRobot, text: str) -> ScalarQuantity:
     """Find one number among the quantities of the maps: "name" or "name:entry".
 
     Raises:
         InvalidValueError: no such quantity or entry, or the quantity is no list of numbers.
     """
     name, _, label = text.partition(":")
-    (quantity,) = select_quantities([name])
+    (quantity,) = select_quantities([name], mapped)
     if not quantity.dims:
         if label:
             raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
-        return ScalarQuantity(name, None, quantity.long_name, quantity.unit)
-    entries = labels(tripod)[quantity.dims[0]] if len(quantity.dims) == 1 else ()
+        return ScalarQuantity(name, None, quantity.long_name, quantity.unit_for(mapped))
+    entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
     if label not in entries:
         expected = f"'{name}:' and one of {', '.join(entries)}" if entries else "a quantity that is a number or a list"
         raise InvalidValueError("quantity", text, expected)
-    return ScalarQuantity(name, entries.index(label), f"{quantity.long_name}: {label}", _unit(quantity.unit, label))
+    unit = unit_of_entry(quantity.unit_for(mapped), label)
+    return ScalarQuantity(name, entries.index(label), f"{quantity.long_name}: {label}", unit)
 
 
-def scalar_quantities(tripod: Tripod) -> list[str]:
+def scalar_quantities(mapped: MappedRobot) -> list[str]:
     """Return every text that :func:`scalar_quantity` takes."""
     names = []
     for quantity in QUANTITIES.values():
+        if not quantity.exists(mapped):
+            continue
         if not quantity.dims:
             names.append(quantity.name)
         elif len(quantity.dims) == 1:
-            names += [f"{quantity.name}:{label}" for label in labels(tripod)[quantity.dims[0]]]
+            names += [f"{quantity.name}:{label}" for label in quantity.dims[0].labels(mapped)]
     return names
 
 
@@ -253,12 +260,3 @@ def _rings(vertices: Array, sections: int, directions: int) -> Array:
     rings = vertices[: sections * directions].reshape(sections, directions, 3)[step // 2 :: step]
     ends = np.stack([rings, np.roll(rings, -1, axis=1)], axis=2)
     return ends.reshape(-1, 3)
-
-
-def _unit(unit: str, label: str) -> str:
-    """Return the unit of one entry where a quantity's unit names several: "N/m (x, y, z), N m/rad (rx, ry, rz)"."""
-    for part in unit.split("), "):
-        own, _, entries = part.rstrip(")").partition(" (")
-        if label in entries.split(", "):
-            return own
-    return unit

@@ -357,7 +357,9 @@ class Viewer(ShownScene):
             raise InvalidValueError("mechanism", self.mechanism, "one with a tool frame")
         shell.require_same_machine(tripod, self.mechanism)
         length = ellipsoids.round_length(0.42 * self._radius) if tool_length is None else tool_length
-        surface = shell.workspace_shell(tripod, quantity, tool_length=length, heights=heights, directions=directions)
+        surface = shell.workspace_shell(
+            self.mechanism, tripod, quantity, tool_length=length, heights=heights, directions=directions
+        )
         shell.draw_shell(self.scene, "/workspace", surface)
         body_path, in_body = self._body_at(self.mechanism.tool_frame)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from pm3dof_pin.chapter import Tripod
+import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.figures.atlas import atlas_pictures
-from pm3dof_pin.maps.atlas import Atlas, AtlasGrid, compute_atlas, open_atlas
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 
 UNITS = {
     **{f"felt_stiffness_{axis}": "[N/m]" for axis in ("x", "y", "z")},
@@ -21,11 +22,11 @@ UNITS = {
 
 
 @pytest.fixture(scope="module")
-def pictures(tripod: Tripod, tmp_path_factory: pytest.TempPathFactory) -> dict:
-    grid = AtlasGrid.over_workspace(tripod, (9, 9, 9))
+def pictures(mechanism: Robot, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    grid = mechanism.grid(z_e=(0.40, 0.57, 9), theta_x=(-0.7, 0.7, 9), theta_y=(-0.7, 0.7, 9))
     names = ("felt_stiffness", "chapter_diagonal", "slider_travel", "condition_number", "K")
     path: Path = tmp_path_factory.mktemp("atlas") / "atlas.nc"
-    with open_atlas(compute_atlas(Atlas(tripod, grid, names, path))) as dataset:
+    with open_atlas(compute_atlas(Atlas(mechanism, grid, names, path))) as dataset:
         return atlas_pictures(dataset)
 
 
@@ -42,3 +43,19 @@ def test_colour_bar_has_the_unit_of_its_number_and_stays_within_the_picture(pict
     box = bar.yaxis.label.get_window_extent()
     assert 0 <= box.x0 < box.x1 <= figure.bbox.width
     assert 0 <= box.y0 < box.y1 <= figure.bbox.height
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 4])
+def test_other_numbers_of_dimensions(dimensions: int, tmp_path: Path) -> None:
+    robot = Robot.load("hexapod")
+    axes = {"x": (-0.01, 0.01, 5), "y": (-0.01, 0.01, 4), "z": (0.13, 0.14, 3), "rx": (-0.05, 0.05, 3)}
+    grid = robot.grid(**dict(list(axes.items())[:dimensions]))
+    with open_atlas(compute_atlas(Atlas(robot, grid, ("condition_number",), tmp_path / "atlas.nc"))) as dataset:
+        (figure,) = atlas_pictures(dataset).values()
+    figure.canvas.draw()
+    labels = {axes.get_xlabel() for axes in figure.axes}
+    assert {1: "$x$ [m]", 2: "$x$ [m]", 4: "$r_{x}$ [deg]"}[dimensions] in labels | {
+        axes.get_ylabel() for axes in figure.axes
+    }
+    if dimensions == 4:
+        assert "$x$ = 0.0000 m" in figure.get_suptitle()

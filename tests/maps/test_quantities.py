@@ -1,35 +1,234 @@
-"""Quantities of maps that are not in closed form, against the engine that they come from."""
+"""Quantities of maps on robots of every kind, against closed forms and the engine that each comes from."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.kinematics import placement
-from pm3dof_pin.description.parameters import default_parameters_path
+from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness, global_index
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
+from pm3dof_pin.chapter.kinematics import inverse_kinematics
 from pm3dof_pin.dynamics import natural_frequencies
-from pm3dof_pin.elastic import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.quantities import Evaluation
+from pm3dof_pin.elastic import ElasticModel, JointSpring
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.export.description import temporary_description
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, quantity, select_quantities
+from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.typing import Array, Engine
+
+MACHINES = Path(__file__).parents[1] / "machines"
 
 
-def test_natural_frequencies_are_those_at_each_pose(tripod: Tripod, reachable_poses: np.ndarray) -> None:
-    """Joint angles here by the general inverse geometry, in the map by the closed form."""
-    poses = np.concatenate([reachable_poses[:5], [[0.0, 0.0, 2.0]]])
-    found = Evaluation(tripod, poses.reshape(2, 3, 3)).natural_frequencies().reshape(6, 6)
-    model = ElasticModel.load("pm3dof")
-    q = np.array([model.rigid.inverse_geometry(placement(pose)).q for pose in poses[:5]])
-    np.testing.assert_allclose(found[:5], natural_frequencies(model, q, count=6), rtol=1e-9)
+def compute(evaluation: Evaluation, name: str) -> Array:
+    return QUANTITIES[name].compute(evaluation)
+
+
+@pytest.fixture(scope="module")
+def tripod_poses(mechanism: Robot, reachable_poses: np.ndarray) -> Evaluation:
+    return Evaluation(MappedRobot(mechanism), mechanism.solve(reachable_poses))
+
+
+def test_all_of_the_tripod_at_10_000_poses(
+    tripod_poses: Evaluation, tripod: Tripod, reachable_poses: np.ndarray
+) -> None:
+    stiffness = elastic_stiffness(tripod, reachable_poses)
+    scale = np.sqrt(np.einsum("nii->ni", stiffness))
+    unit = scale[:, :, None] * scale[:, None, :]
+    for name in ("K", "stiffness"):
+        assert np.abs((compute(tripod_poses, name) - stiffness) / unit).max() < 1e-10
+    compliance = np.linalg.inv(stiffness / unit) / unit
+    for name in ("C", "compliance"):
+        assert np.abs((compute(tripod_poses, name) - compliance) * unit).max() < 1e-8
+    felt = compute(tripod_poses, "felt_stiffness")
+    np.testing.assert_allclose(felt, 1.0 / np.einsum("nii->ni", compliance), rtol=1e-9)
+    for name, rows in (("translational_stiffness", slice(0, 3)), ("rotational_stiffness", slice(3, 6))):
+        block = np.linalg.inv(compliance[:, rows, rows])
+        np.testing.assert_allclose(compute(tripod_poses, name), np.linalg.eigvalsh(block), rtol=1e-7)
+    length = np.sqrt(
+        np.trace(stiffness[:, 3:, 3:], axis1=1, axis2=2) / np.trace(stiffness[:, :3, :3], axis1=1, axis2=2)
+    )
+    np.testing.assert_allclose(compute(tripod_poses, "characteristic_length"), length, rtol=1e-9)
+    change = np.ones((len(length), 6))
+    change[:, 3:] = 1.0 / length[:, None]
+    values = np.linalg.eigvalsh(stiffness * change[:, :, None] * change[:, None, :])
+    np.testing.assert_allclose(compute(tripod_poses, "eigenvalues")[:, 1:], values[:, 1:], rtol=1e-6)
+    np.testing.assert_allclose(compute(tripod_poses, "condition_number"), values[:, -1] / values[:, 0], rtol=1e-4)
+    travels = inverse_kinematics(tripod, reachable_poses)
+    for name in ("commands", "slider_travel"):
+        np.testing.assert_allclose(compute(tripod_poses, name), travels, atol=1e-11)
+    diagonal = chapter_stiffness(tripod, reachable_poses)
+    np.testing.assert_allclose(compute(tripod_poses, "chapter_diagonal"), diagonal, rtol=1e-9)
+    np.testing.assert_allclose(compute(tripod_poses, "chapter_global"), global_index(diagonal), rtol=1e-9)
+
+
+def test_engines_agree(mechanism: Robot, reachable_poses: np.ndarray) -> None:
+    mapped = MappedRobot(mechanism)
+    names = ("C", "felt_stiffness", "translational_stiffness", "condition_number", "commands")
+    for name in names:
+        program, pinocchio = (
+            compute(Evaluation(mapped, mechanism.solve(reachable_poses[:40], engine=engine), engine=engine), name)
+            for engine in ("program", "pinocchio")
+        )
+        np.testing.assert_allclose(program, pinocchio, rtol=1e-7, atol=1e-12 * np.abs(pinocchio).max())
+
+
+def test_spring_shares_of_the_tripod(mechanism: Robot, tripod: Tripod, reachable_poses: np.ndarray) -> None:
+    poses = reachable_poses[:5]
+    mapped = MappedRobot(mechanism)
+    found = compute(Evaluation(mapped, mechanism.solve(poses)), "spring_shares")
+    contributions = np.einsum("njii->nij", spring_contributions(tripod, poses))
+    expected = contributions / contributions.sum(axis=-1, keepdims=True)
+    order = [spring_names(tripod).index(name) for name in QUANTITIES["spring_shares"].dims[1].labels(mapped)]
+    np.testing.assert_allclose(found, expected[..., order], atol=1e-8)
+
+
+def test_natural_frequencies_are_those_at_each_pose(mechanism: Robot, reachable_poses: np.ndarray) -> None:
+    poses = mechanism.solve(np.concatenate([reachable_poses[:5], [[0.0, 0.0, 2.0]]]), on_failure="nan").reshape(2, 3)
+    evaluation = Evaluation(MappedRobot(mechanism), poses)
+    found = compute(evaluation, "natural_frequencies").reshape(6, 6)
+    expected = natural_frequencies(ElasticModel.load("pm3dof"), poses.q.reshape(6, -1)[:5], count=6)
+    np.testing.assert_allclose(found[:5], expected, rtol=1e-9)
+    np.testing.assert_allclose(compute(evaluation, "first_frequency").ravel()[:5], expected[:, 0], rtol=1e-9)
     assert np.isnan(found[5]).all()
 
 
-def test_natural_frequencies_of_a_machine_without_masses_are_refused(tmp_path: Path) -> None:
-    other = tmp_path / "other.yaml"
+def test_another_tripod_has_the_chapters_numbers_too(tmp_path: Path) -> None:
+    from pm3dof_pin.description.parameters import default_parameters_path
+
     text = default_parameters_path().read_text()
     assert "value: 353.0, unit: mm" in text  # the links
-    other.write_text(text.replace("value: 353.0, unit: mm", "value: 354.0, unit: mm"))
-    with pytest.raises(InvalidValueError, match="whose URDF has the masses"):
-        Evaluation(Tripod.load(other), np.zeros((1, 3))).natural_frequencies()
+    config = tmp_path / "longer.yaml"
+    config.write_text(text.replace("value: 353.0, unit: mm", "value: 354.0, unit: mm"))
+    robot = Robot.load(temporary_description("pm3dof", config))
+    pose = [0.1, -0.2, 0.5]
+    found = compute(Evaluation(MappedRobot(robot), robot.solve([pose])), "chapter_diagonal")[0]
+    np.testing.assert_allclose(found, chapter_stiffness(Tripod.load(config), pose), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["hexapod", "three_rps"])
+def test_the_chapters_numbers_are_the_tripods_alone(name: str) -> None:
+    mapped = MappedRobot(Robot.load(name))
+    with pytest.raises(InvalidValueError, match="quantities = chapter_global: expected some of K, stiffness"):
+        select_quantities(["chapter_global"], mapped)
+
+
+def hexapod_stiffness(robot: Robot, coordinates: Array) -> Array:
+    """K = J^T k J of six axial springs between base and platform joints, read off the model at home."""
+    frames = {frame.name: index for index, frame in enumerate(robot.model.frames)}
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, robot.home.q)
+    tool = data.oMf[frames["O_e"]]
+    base = np.array(
+        [data.oMi[robot.model.getJointId(f"universal{leg}_first_joint")].translation for leg in range(1, 7)]
+    )
+    corner = np.array([tool.actInv(data.oMf[frames[f"B{leg}"]]).translation for leg in range(1, 7)])
+    stiffness = np.zeros((6, 6))
+    rotation = pin.utils.rotate("x", coordinates[3]) @ pin.utils.rotate("y", coordinates[4])
+    rotation = rotation @ pin.utils.rotate("z", coordinates[5])
+    for start, point in zip(base, corner, strict=True):
+        arm = rotation @ point
+        strut = coordinates[:3] + arm - start
+        row = np.concatenate([strut, np.cross(arm, strut)]) / np.linalg.norm(strut)
+        stiffness += 2e7 * np.outer(row, row)
+    return stiffness
+
+
+def test_the_hexapod_is_six_springs() -> None:
+    robot = Robot.load("hexapod")
+    generator = np.random.default_rng(4)
+    coordinates = generator.uniform(
+        [-0.008, -0.008, 0.13, -0.06, -0.06, -0.06], [0.008, 0.008, 0.14, 0.06, 0.06, 0.06], (20, 6)
+    )
+    evaluation = Evaluation(MappedRobot(robot), robot.solve(coordinates))
+    expected = np.array([hexapod_stiffness(robot, row) for row in coordinates])
+    found = compute(evaluation, "K")
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    assert select_quantities(["free_stiffness"], evaluation.mapped)[0].unit_for(evaluation.mapped) == (
+        "N/m (x, y, z), N m/rad (rx, ry, rz)"
+    )
+
+
+def test_a_five_bar_has_the_stiffness_of_its_free_motions() -> None:
+    """k of both motors over the elbows: 1/2 k dq^2 with dq the cranks' turns for a motion of the pen."""
+    robot = Robot.load(MACHINES / "five_bar" / "five_bar.urdf")
+    mapped = MappedRobot(robot)
+    pens = np.array([[0.0, 0.42], [0.03, 0.4], [-0.05, 0.44]])
+    evaluation = Evaluation(mapped, robot.solve(pens))
+    assert np.isnan(compute(evaluation, "K")).all()
+    free = compute(evaluation, "free_stiffness")
+    assert QUANTITIES["free_stiffness"].dims[0].labels(mapped) == ("x", "y")
+
+    def cranks(pen: Array) -> Array:
+        """Angles of the upper arms, 0.25 m long, on motors at x = -0.1 and 0.1 m; the forearms are 0.35 m long."""
+        angles = []
+        for side in (-1.0, 1.0):
+            away = pen - [0.1 * side, 0.0]
+            distance = np.hypot(*away)
+            opening = np.arccos((0.25**2 + distance**2 - 0.35**2) / (2.0 * 0.25 * distance))
+            angles.append(np.arctan2(away[1], away[0]) - side * opening)
+        return np.array(angles)
+
+    for pen, stiffness in zip(pens, free, strict=True):
+        step = 1e-5
+        jacobian = np.stack([(cranks(pen + e) - cranks(pen - e)) / (2 * step) for e in step * np.eye(2)], axis=1)
+        np.testing.assert_allclose(stiffness, 5e3 * jacobian.T @ jacobian, rtol=1e-7, atol=1e-3)
+    felt = compute(evaluation, "felt_stiffness")
+    np.testing.assert_allclose(felt[:, :2], 1.0 / np.einsum("nii->ni", np.linalg.inv(free)), rtol=1e-9)
+    assert np.isinf(felt[:, 2]).all()
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_a_serial_arm_is_its_springs_one_behind_the_other(engine: Engine) -> None:
+    """C = J k^-1 J^T, with J of Pinocchio's own model."""
+    import example_robot_data
+
+    robot = Robot(example_robot_data.load("ur5").model, tool_frame="ee_link")
+    k = np.array([4e4, 4e4, 2e4, 1e4, 1e4, 1e4])
+    springs = [JointSpring(name, name, s, "N m/rad") for name, s in zip(robot.actuated_joints, k, strict=True)]
+    mapped = MappedRobot(ElasticModel(robot, springs))
+    q = np.random.default_rng(2).uniform(-1.5, 1.5, (30, 6))
+    evaluation = Evaluation(mapped, robot.at(q), engine=engine)
+    frame = robot.model.getFrameId("ee_link")
+    for row, found in zip(q, compute(evaluation, "C"), strict=True):
+        data = robot.model.createData()
+        jacobian = pin.computeFrameJacobian(robot.model, data, row, frame, pin.LOCAL_WORLD_ALIGNED)
+        expected = jacobian @ np.diag(1.0 / k) @ jacobian.T
+        np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max() + 1e-20)
+    np.testing.assert_array_equal(compute(evaluation, "commands"), q)
+    assert QUANTITIES["commands"].unit_for(mapped) == "rad"
+
+
+def test_a_robot_without_springs_has_commands_and_no_stiffness() -> None:
+    import example_robot_data
+
+    robot = Robot(example_robot_data.load("ur5").model, tool_frame="ee_link")
+    evaluation = Evaluation(MappedRobot(robot), robot.at(np.zeros((2, 6))))
+    np.testing.assert_array_equal(compute(evaluation, "commands"), np.zeros((2, 6)))
+    with pytest.raises(DescriptionError, match="springs"):
+        compute(evaluation, "K")
+
+
+def test_a_quantity_of_ones_own(mechanism: Robot) -> None:
+    try:
+
+        @quantity("height", unit="m", long_name="height of the tool")
+        def height(evaluation: Evaluation) -> Array:
+            return evaluation.poses.positions[..., 2]
+
+        evaluation = Evaluation(MappedRobot(mechanism), mechanism.solve([[0.1, 0.2, 0.5]]))
+        assert compute(evaluation, "height") == pytest.approx(0.5)
+    finally:
+        QUANTITIES.pop("height", None)
+
+
+def test_units_of_entries() -> None:
+    units = "N/m (x, y, z), N m/rad (rx, ry, rz)"
+    assert unit_of_entry(units, "y") == "N/m"
+    assert unit_of_entry(units, "rz") == "N m/rad"
+    assert unit_of_entry("Hz", "3") == "Hz"

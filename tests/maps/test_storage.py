@@ -53,7 +53,8 @@ def test_equal_maps_give_equal_bytes(tripod: Tripod, tmp_path: Path) -> None:
 @pytest.mark.parametrize("grid", [RectangularGrid(shape=(11, 9)), PolarGrid(0.8, 4, 13)])
 def test_spreadsheet(tripod: Tripod, tmp_path: Path, grid: RectangularGrid | PolarGrid) -> None:
     section = stiffness_section(tripod, grid, [0.487333, 0.55])
-    with write_csv(section, tmp_path / "section.csv").open(newline="") as file:
+    path = write_csv(section, tmp_path / "section.csv", coordinates=("theta_x", "theta_y", "z_e"))
+    with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == section.broken_limits.size
     assert list(rows[0]) == [*UNIT_OF_HEADING, "within_limits", "broken_limits"]

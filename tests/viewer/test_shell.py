@@ -13,6 +13,7 @@ from pm3dof_pin.chapter.kinematics import placement
 from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.shell import Shell, scalar_quantities, scalar_quantity, tool_tips, workspace_shell
 
@@ -21,7 +22,9 @@ LENGTH = 0.2
 
 @pytest.fixture(scope="module")
 def shell(tripod: Tripod) -> Shell:
-    return workspace_shell(tripod, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
+    return workspace_shell(
+        Robot.load("pm3dof"), tripod, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36
+    )
 
 
 def poses_of(tips: np.ndarray) -> np.ndarray:
@@ -77,15 +80,17 @@ def test_wide_ranges_are_logarithmic() -> None:
     np.testing.assert_allclose(near.places, [0.0, 0.5, 1.0])
 
 
-def test_every_listed_quantity_is_one_number(tripod: Tripod) -> None:
-    names = scalar_quantities(tripod)
-    assert {"condition_number", "felt_stiffness:z", "translational_stiffness:least", "chapter_diagonal:t_z"} <= set(
-        names
-    )
+@pytest.fixture(scope="module")
+def mapped() -> MappedRobot:
+    return MappedRobot(Robot.load("pm3dof"))
+
+
+def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
+    names = scalar_quantities(mapped)
+    assert {"condition_number", "felt_stiffness:z", "translational_stiffness:least", "commands:u2"} <= set(names)
     for name in names:
-        assert scalar_quantity(tripod, name).values(tripod, np.array([[0.1, 0.1, 0.49]])).shape == (1,)
-    assert scalar_quantity(tripod, "felt_stiffness:rx").unit == "N m/rad"
-    assert scalar_quantity(tripod, "chapter_diagonal:t_z").unit == "N/m"
+        assert scalar_quantity(mapped, name).values(mapped, np.array([[0.1, 0.1, 0.49]])).shape == (1,)
+    assert scalar_quantity(mapped, "felt_stiffness:rx").unit == "N m/rad"
 
 
 @pytest.mark.parametrize(
@@ -98,9 +103,9 @@ def test_every_listed_quantity_is_one_number(tripod: Tripod) -> None:
         ("K", "a number or a list"),
     ],
 )
-def test_bad_quantities(tripod: Tripod, name: str, words: str) -> None:
+def test_bad_quantities(mapped: MappedRobot, name: str, words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
-        scalar_quantity(tripod, name)
+        scalar_quantity(mapped, name)
 
 
 def test_another_machines_workspace_is_refused(tripod: Tripod) -> None:
