@@ -261,7 +261,7 @@ def test_any_robot_over_its_coordinates(name: str, tmp_path: Path) -> None:
     """Each number against the robot at that pose alone; more limits than eight bits hold."""
     robot = Robot.load(name)
     chosen = robot.coordinates[:4]
-    grid = robot.grid(**{c.name: (*robot.range_of(c), count) for c, count in zip(chosen, (4, 3, 3, 2), strict=False)})
+    grid = robot.grid(**{c.name: (*robot.range_of(c), count) for c, count in zip(chosen, (4, 3, 3, 3), strict=False)})
     job = Atlas(robot, grid, ("stiffness", "felt_stiffness", "commands"), tmp_path / "atlas.zarr")
     with open_atlas(compute_atlas(job)) as dataset:
         dataset.load()
