@@ -5,64 +5,75 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from typing import Annotated
+from collections.abc import Iterable
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 import pm3dof_pin
-from pm3dof_pin.cli import (
-    atlas,
-    calibrate,
-    calibration_plan,
-    compensate,
-    error_map,
-    export,
-    info,
-    kinematics,
-    measure,
-    modes,
-    statics,
-    stiffness,
-    stiffness_map,
-    table,
-    view,
-    workspace,
-)
-from pm3dof_pin.cli.map_options import MapCommand
 from pm3dof_pin.exceptions import PM3DofError
 
 WORK_FAILED = 1
+NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
+"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is no number."""
 
-app = typer.Typer(
-    name="pm3dof",
-    help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres.",
-    epilog="Exit status: 0 done, 1 the work failed or a joint limit is broken, 2 wrong usage.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+COMMANDS = {
+    "info": "info",
+    "ik": "kinematics",
+    "fk": "kinematics",
+    "stiffness": "stiffness",
+    "statics": "statics",
+    "modes": "modes",
+    "stiffness-map": "stiffness_map",
+    "table-8-3": "table",
+    "workspace": "workspace",
+    "atlas": "atlas",
+    "error-map": "error_map",
+    "calibration-plan": "calibration_plan",
+    "measure": "measure",
+    "calibrate": "calibrate",
+    "compensate": "compensate",
+    "export": "export",
+    "view": "view",
+}
+"""Module of pm3dof_pin.cli that each command is in, a function named after it, in the order of the help."""
 
-# Unknown options are handed on as arguments, so that -15 is a number; a misspelt option is then one argument too many.
-_NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
+_OF_MAPS = {"stiffness-map", "workspace", "atlas"}
+_WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
-app.command("info")(info.info)
-app.command("ik", context_settings=_NEGATIVE_NUMBERS)(kinematics.ik)
-app.command("fk", context_settings=_NEGATIVE_NUMBERS)(kinematics.fk)
-app.command("stiffness", context_settings=_NEGATIVE_NUMBERS)(stiffness.stiffness)
-app.command("statics", context_settings=_NEGATIVE_NUMBERS)(statics.statics)
-app.command("modes", context_settings=_NEGATIVE_NUMBERS)(modes.modes)
-app.command("stiffness-map", cls=MapCommand)(stiffness_map.stiffness_map)
-app.command("table-8-3")(table.table_8_3)
-app.command("workspace", cls=MapCommand)(workspace.workspace)
-app.command("atlas", cls=MapCommand)(atlas.atlas)
-app.command("error-map")(error_map.error_map)
-app.command("calibration-plan")(calibration_plan.calibration_plan)
-app.command("measure")(measure.measure)
-app.command("calibrate")(calibrate.calibrate)
-app.command("compensate", context_settings=_NEGATIVE_NUMBERS)(compensate.compensate)
-app.command("export")(export.export)
-app.command("view", context_settings=_NEGATIVE_NUMBERS)(view.view)
+
+def make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
+    """Return the command with some of its subcommands; the modules of the others are not imported."""
+    app = typer.Typer(
+        name="pm3dof",
+        help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres.",
+        epilog="Exit status: 0 done, 1 the work failed or a joint limit is broken, 2 wrong usage.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_options)
+    for name in commands:
+        function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name]}"), name.replace("-", "_"))
+        settings = NEGATIVE_NUMBERS if name in _WITH_POSE else None
+        app.command(name, cls=_map_command() if name in _OF_MAPS else None, context_settings=settings)(function)
+    return app
+
+
+def _map_command() -> type[TyperCommand]:
+    from pm3dof_pin.cli.map_options import MapCommand
+
+    return MapCommand
+
+
+def __getattr__(name: str) -> Any:
+    """Make the whole command, `app`, when it is asked for."""
+    if name != "app":
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return make_app()
 
 
 def _print_version(wanted: bool) -> None:
@@ -71,10 +82,9 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     pass
@@ -85,11 +95,12 @@ def main() -> None:
 
     Those of the package, and what the machine it runs on refuses: memory, and a full disk behind standard output.
     """
-    # the matrices here are small: threads inside BLAS only get in each other's way, and in that of other programs
+    # the matrices here are small: threads inside BLAS only contend with each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # which fonts it looks for is no news for a user
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports which fonts it looks for
+    asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
-        app()
+        make_app([asked] if asked in COMMANDS else COMMANDS)()
     except PM3DofError as error:
         typer.echo(f"pm3dof: {error}", err=True)
     except MemoryError as error:

@@ -114,7 +114,7 @@ def fk(
     if all_modes:
         commands = si_values(machine, machine.command_coordinates, chosen.numbers)
         modes, residuals = _all_modes(commands, config)
-        solved = machine.forward(commands, on_failure="nan")
+        solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
     else:
         solved = solve_pose(machine, chosen.numbers, forward=True)
     result, broken = _result(machine, solved)

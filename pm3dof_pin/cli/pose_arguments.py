@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.typing import Array, Vector
 
-NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
-"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is no number."""
-
 _MOST_DEGREES = 360.0
 _FEW_DEGREES = 0.5
 BROKEN_LIMITS = "broken_limits"
@@ -216,7 +213,9 @@ def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False)
     given = robot.command_coordinates if forward else robot.coordinates
     values = si_values(robot, given, numbers)
     try:
-        return robot.forward(values) if forward else robot.solve(values)
+        # a single pose is worth no compiled program, whose imports take longer than it
+        solve = robot.forward if forward else robot.solve
+        return solve(values, engine="pinocchio")
     except UnreachablePoseError as error:
         residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
         raise UnreachablePoseError(

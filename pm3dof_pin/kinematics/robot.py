@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,8 +18,6 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
-from pm3dof_pin.kinematics.closing_programs import ProgramSource
-from pm3dof_pin.kinematics.continuation import Continuation, Solution
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
@@ -27,6 +26,10 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
 from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.closing_programs import ProgramSource
+    from pm3dof_pin.kinematics.continuation import Continuation
 
 _logger = logging.getLogger(__name__)
 
@@ -93,6 +96,8 @@ class Robot(Mechanism):
     @cached_property
     def program_source(self) -> ProgramSource:
         """Where the programs of this robot and its variants come from."""
+        from pm3dof_pin.kinematics.closing_programs import ProgramSource
+
         return ProgramSource(self)
 
     @cached_property
@@ -331,13 +336,14 @@ class Robot(Mechanism):
             starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
         rows = targets.reshape(-1, len(coordinates))
         continuation = self._continuation(coordinates) if engine == "program" else None
+        found: tuple[Any, ...]
         if continuation is None:
-            found = Solution(close_all(self, self.home.q, coordinates, rows, starts)[0])
+            found = (close_all(self, self.home.q, coordinates, rows, starts)[0],)
         elif isinstance(values, Grid) and starts is None:
             found = continuation.march(values)
         else:
             found = continuation.walk(rows, starts)
-        failed = np.flatnonzero(np.isnan(found.q).any(axis=-1))
+        failed = np.flatnonzero(np.isnan(found[0]).any(axis=-1))
         if failed.size and on_failure == "raise":
             first = failed[:1]
             residual = float(close_all(self, self.home.q, coordinates, rows[first], None)[1][0])
@@ -352,6 +358,8 @@ class Robot(Mechanism):
 
     def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
         """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
+        from pm3dof_pin.kinematics.continuation import Continuation  # one pose on Pinocchio needs no compiler
+
         if coordinates not in self._continuations:
             try:
                 self._continuations[coordinates] = Continuation(self, coordinates)
