@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.kinematics import joint_positions
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -68,12 +67,10 @@ def main() -> None:
 @contextmanager
 def tripod_at(theta_x: float, theta_y: float, z_e: float) -> Iterator[tuple[Viewer, ElasticModel]]:
     """Angles in degrees, the height in metres."""
-    mechanism, tripod = Robot.load("pm3dof"), Tripod.load()
-    pose = np.array([np.radians(theta_x), np.radians(theta_y), z_e])
-    positions = joint_positions(tripod, pose)
-    with Viewer(mechanism, tripod=tripod) as viewer:
-        viewer.display([positions[name] for name in mechanism.q_names])
-        yield viewer, ElasticModel(mechanism)
+    robot = Robot.load("pm3dof")
+    with Viewer(robot) as viewer:
+        viewer.display(robot.solve([np.radians(theta_x), np.radians(theta_y), z_e]).configuration())
+        yield viewer, ElasticModel(robot)
 
 
 @contextmanager

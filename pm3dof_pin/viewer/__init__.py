@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pm3dof_pin.viewer.in_meshcat import draw_in_meshcat
 from pm3dof_pin.viewer.viewer import Viewer
 
-__all__ = ["Viewer"]
+__all__ = ["Viewer", "draw_in_meshcat"]

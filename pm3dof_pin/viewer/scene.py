@@ -23,7 +23,8 @@ Listener = Callable[[Message], None]
 
 OBJECT = "<object>"  # meshcat's name of the thing itself under a path, beside the paths that go on below it
 
-_TYPED_ARRAYS = {0x12: "Uint8Array", 0x15: "Int32Array", 0x16: "Uint32Array", 0x17: "Float32Array"}
+TYPED_ARRAYS = {0x12: "Uint8Array", 0x15: "Int32Array", 0x16: "Uint32Array", 0x17: "Float32Array"}
+"""Names of arrays by the codes of msgpack that meshcat's package gives them."""
 
 
 @dataclass
@@ -198,5 +199,5 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
     if type(value).__name__ == "Ext":
-        return {"typed_array": _TYPED_ARRAYS[value.type], "base64": base64.b64encode(value.data).decode()}
+        return {"typed_array": TYPED_ARRAYS[value.type], "base64": base64.b64encode(value.data).decode()}
     return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,86 @@
+"""Robots drawn into a `meshcat.Visualizer` that the user has already, as users of Pinocchio's MeshcatVisualizer do."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.indices import Motion
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.viewer.ellipsoids import Quantity
+from pm3dof_pin.viewer.scene import TYPED_ARRAYS, Message
+from pm3dof_pin.viewer.viewer import Viewer
+
+_OWN = ("/robot", "/ellipsoids", "/forces")  # background, floor and light are the user's
+_KINDS: tuple[Motion, Motion] = ("translation", "rotation")
+
+
+def draw_in_meshcat(visualizer: Any, configuration: Configuration, *, of: Quantity | None = "stiffness") -> Viewer:
+    """Draw a robot, its pose and its ellipsoids at the tool.
+
+    A second call with another configuration draws that one in place of the first. What is drawn with the viewer that
+    is returned is drawn here too, which is quicker.
+
+    Args:
+        visualizer: a `meshcat.Visualizer`, or a part of one, as `visualizer["left"]`.
+        configuration: a configuration of the robot.
+        of: what the ellipsoids show; None for no ellipsoids. A robot without springs has none.
+
+    Raises:
+        InvalidValueError: the configuration is of a mechanism that is no robot.
+        DescriptionError: see :class:`Viewer`.
+    """
+    robot = configuration.mechanism
+    if not isinstance(robot, Robot):
+        raise InvalidValueError("configuration", configuration, "one of a Robot")
+    viewer = Viewer(robot, sliders=False)
+    viewer.display(configuration)
+    drawn = []
+    if of is not None and robot.springs and robot.tool_frame is not None:
+        compliance = cartesian_compliance(ElasticModel(robot), configuration).compliance
+        for kind in _KINDS:
+            try:
+                viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=of)
+                drawn.append(kind)
+            except SingularConfigurationError:
+                continue
+    for kind in _KINDS:
+        if kind not in drawn:  # of an earlier call
+            visualizer["ellipsoids"][kind].delete()
+
+    def hear(message: Message) -> None:
+        for command in message.get("commands", []):
+            if str(command.get("path", "")).startswith(_OWN):
+                visualizer.window.send(_Command(command, visualizer.path.lower()))
+
+    hear(viewer.scene.listen(hear))
+    return viewer
+
+
+class _Command:
+    """A command of a scene as meshcat's package sends it."""
+
+    def __init__(self, command: Message, root: str) -> None:
+        self._command = command
+        self._root = root.rstrip("/")
+
+    def lower(self) -> Message:
+        """Return what is packed and sent."""
+        lowered: Message = _packed(self._command)
+        return {**lowered, "path": self._root + self._command["path"]}
+
+
+def _packed(value: Any) -> Any:
+    """Turn arrays that are written as base64 into those of msgpack."""
+    import umsgpack
+
+    if isinstance(value, dict):
+        if "base64" in value:
+            codes = {name: code for code, name in TYPED_ARRAYS.items()}
+            return umsgpack.Ext(codes[value["typed_array"]], base64.b64decode(value["base64"]))
+        return {key: _packed(entry) for key, entry in value.items()}
+    return [_packed(entry) for entry in value] if isinstance(value, list) else value
