@@ -268,11 +268,8 @@ class Continuation:
             before = np.where(np.isfinite(before), before, q)
         for index in range(first + direction, stop, direction):
             predicted = q
-            if before is not None:
-                ratio = (axis[index] - axis[index - direction]) / (
-                    axis[index - direction] - axis[index - 2 * direction]
-                )
-                predicted = self._predicted(q, before, ratio)
+            if before is not None and (last := axis[index - direction] - axis[index - 2 * direction]):
+                predicted = self._predicted(q, before, (axis[index] - axis[index - direction]) / last)
             states, accepted = self._newton(predicted, numbers[..., index, :].reshape(len(q), -1), _MARCH_JUMP)
             before, q = q, states[:, :-1]
             q[~(accepted & (np.abs(states[:, -1]) > _REGULAR))] = np.nan

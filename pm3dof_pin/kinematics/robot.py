@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -334,7 +335,7 @@ class Robot(Mechanism):
                 expected = f"shape ({nq},) or {(*shape, nq)}"
                 raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
             starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
-        rows = targets.reshape(-1, len(coordinates))
+        rows = targets.reshape(math.prod(shape), len(coordinates))
         continuation = self._continuation(coordinates) if engine == "program" else None
         found: tuple[Any, ...]
         if continuation is None:

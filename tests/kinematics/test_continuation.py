@@ -83,7 +83,7 @@ def test_a_march_finds_what_walks_find(name):
 def test_a_march_over_more_than_the_workspace():
     """The pen of a five-bar reaches less than the sum of its links: the grid is twice as wide."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
-    grid = robot.grid(x=(-0.7, 0.7, 29), y=(0.05, 0.95, 19))
+    grid = robot.grid(x=(-0.7, 0.7, 15), y=(0.05, 0.95, 10))
     marched = solver.march(grid)
     values = grid.values.reshape(-1, 2)
     expected = robot.solve(values, on_failure="nan", engine="pinocchio")
