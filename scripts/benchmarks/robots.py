@@ -1,0 +1,111 @@
+"""What a map of any robot costs: closing loops, limits and compliance over a grid, random poses, first and second use.
+
+One thread but where it says otherwise. Ratios are taken in one run: against Pinocchio's Jacobians in C++ where a
+compiler is at hand, and against the same work done pose by pose on Pinocchio.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from cpp_pinocchio import jacobians_microseconds
+
+from pm3dof_pin.elastic import ElasticModel, compliance
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+
+MACHINES = Path(__file__).parents[2] / "tests" / "machines"
+ROBOTS = {
+    "pm3dof": "pm3dof",
+    "hexapod": "hexapod",
+    "three_rps": "three_rps",
+    "delta": str(MACHINES / "delta" / "delta.urdf"),
+    "five_bar": str(MACHINES / "five_bar" / "five_bar.urdf"),
+}
+SIDE = 500  # poses along each axis of a map
+ROUNDS = 5
+FEW = 50
+
+USE = """
+import sys, time
+from pm3dof_pin.elastic import ElasticModel, compliance
+from pm3dof_pin.kinematics.robot import Robot
+robot = Robot.load(sys.argv[1])
+model = ElasticModel(robot)
+robot.home
+start = time.perf_counter()
+compliance(model, robot.solve(robot.home_coordinates))
+print(time.perf_counter() - start)
+"""
+
+
+def least(work: Callable[[], object], rounds: int = ROUNDS) -> float:
+    """Return the least time of some work [s]."""
+    times = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def map_of(robot: Robot) -> Grid:
+    """Return a grid over the first two coordinates, well within the limits."""
+    values = reachable_poses(robot, 200, np.random.default_rng(0)).coordinates
+    middle, reach = np.median(values, axis=0), 0.25 * np.ptp(values, axis=0)
+    names = [coordinate.name for coordinate in robot.coordinates]
+    ranges = {names[k]: (middle[k] - reach[k], middle[k] + reach[k], SIDE) for k in (0, 1)}
+    return robot.grid(**ranges, **{name: float(middle[k]) for k, name in enumerate(names) if k > 1})
+
+
+def uses(path: str) -> tuple[float, float]:
+    """Return the time of first and second use of a robot's programs, each in a process of its own [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"PM3DOF_CACHE_DIR": folder}
+        command = [sys.executable, "-c", USE, path]
+        runs = [subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
+    first, second = (float(run.stdout) for run in runs)
+    return first, second
+
+
+def main() -> None:
+    for name, path in ROBOTS.items():
+        robot = Robot.load(path)
+        model = ElasticModel(robot)
+        grid = map_of(robot)
+        poses = robot.solve(grid, on_failure="nan")
+        closing = least(lambda robot=robot, grid=grid: robot.solve(grid, on_failure="nan").within_limits)
+        elastic = least(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=1))
+        two = least(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=2))
+        each = 1e6 / grid.size
+        sample = reachable_poses(robot, FEW, np.random.default_rng(1))
+        careful = least(lambda r=robot, s=sample: r.solve(s.coordinates, engine="pinocchio"), 2) * 1e6 / FEW
+        draw = least(lambda r=robot: reachable_poses(r, 5000, np.random.default_rng(2)), 2) * 1e6 / 5000
+        first, second = uses(path)
+        cpp = jacobians_microseconds(sample)
+        print(f"{name}: {robot.model.nv} joint velocities, first use {first:.2f} s, second use {second:.3f} s")
+        print(
+            f"  closing and limits over a map {closing * each:6.3f} us a pose, {careful / (closing * each):.0f} times "
+            "faster than on Pinocchio, pose by pose from home"
+        )
+        print(f"  compliance                    {elastic * each:6.3f} us a pose; two threads {elastic / two:.2f} times")
+        print(f"  both, one thread              {1.0 / ((closing + elastic) * each):6.2f} million poses a second")
+        print(f"  random pose within limits     {draw:6.2f} us")
+        if isinstance(cpp, str):
+            print(f"  C++ Pinocchio: {cpp}")
+        else:
+            print(
+                f"  C++ Pinocchio, Jacobians only {cpp:6.3f} us, {cpp / (elastic * each):.0f} times the compliance here"
+            )
+
+
+if __name__ == "__main__":
+    main()
