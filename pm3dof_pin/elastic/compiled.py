@@ -9,7 +9,7 @@ import numpy as np
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import ElasticQuantity
-from pm3dof_pin.elastic.traced import Roots, elastic_tree, spring_parameters
+from pm3dof_pin.elastic.traced import Roots, elastic_tree, has_like_springs, spring_parameters
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError, RigidDirectionError
 from pm3dof_pin.kinematics.continuation import samples_near
 from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
@@ -126,7 +126,7 @@ def _key(model: ElasticModel, frame: str, quantity: ElasticQuantity, closed: boo
     parts = (
         *(quantity.name, closed, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
         *(model.spring_indices.tolist(), model.passive_indices.tolist(), model.rigid_indices.tolist(), lengths),
-        *(list(spring_parameters(model)), model.compliance_root[1].tolist()),
+        *(list(spring_parameters(model)), model.compliance_root[1].tolist(), has_like_springs(model)),
         *(geometry.structure(mechanism), geometry.pattern(mechanism, (frame,))),
     )
     return repr(parts)

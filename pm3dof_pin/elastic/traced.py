@@ -26,6 +26,7 @@ from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
 from pm3dof_pin.programs.elimination import (
     ZERO,
     Doubt,
+    Elimination,
     Objects,
     Reflection,
     eliminate,
@@ -41,6 +42,8 @@ from pm3dof_pin.programs.elimination import (
 from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
 from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit, widened
 from pm3dof_pin.programs.tree import Tree
+
+_LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the doubt's pivots
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,16 +118,22 @@ class Roots:
         """
         doubt = Doubt()
         held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
-        rows = np.vstack([_whitened(_branch_rows(branch, doubt), doubt) for branch in held])
+        rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt)
+        if rows is None:
+            raise RigidDirectionError("the springs of a branch do not give in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
         return self._noted(Root(rows.T, doubt.pivot, doubt.dropped))
 
     def _compliance(self, *, by_spring: bool) -> Objects:
         doubt = Doubt()
         held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
-        triangle, strains, order = (_condensed_as_one if by_spring else _condensed)(held, self._spring_root, doubt)
+        if by_spring:
+            triangle, strains, order = _condensed_as_one(held, self._spring_root, doubt)
+        else:
+            triangle, strains, order = _condensed(held, self._spring_root, doubt, like=has_like_springs(self._model))
         inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
-        columns = product(inverse, strains)[np.argsort(order)]
+        columns = product(inverse, strains)
+        columns = columns[np.argsort(order)]
         columns[:3] = columns[:3] * self._unit
         size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
         return self._noted(Root(columns, minimum(doubt.pivot, 6.0 / size), doubt.dropped))
@@ -199,6 +208,12 @@ def spring_parameters(model: ElasticModel) -> dict[str, float]:
     return values
 
 
+def has_like_springs(model: ElasticModel) -> bool:
+    """Tell whether the springs are like enough in stiffness to appear in pivots, lengths and angles scaled."""
+    sizes = np.abs([value for name, value in spring_parameters(model).items() if not name.endswith("/length")])
+    return bool(sizes.max() < _LIKE * sizes.min())
+
+
 def _slides(model: ElasticModel, index: int) -> bool:
     """Tell whether an entry of v is the rate of a slide."""
     return bool(model.mechanism.velocity_scale[index] != 1.0)
@@ -246,23 +261,30 @@ def _branch_rows(branch: Branch, doubt: Doubt) -> _Rows:
     return _Rows(branch.twist, strain, branch.motion)
 
 
-def _condensed(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
-    """Return R and the projected A1 of the frame, and the order of its twist's entries in both."""
+def _condensed(
+    held: Sequence[Branch], root: Objects, doubt: Doubt, *, like: bool
+) -> tuple[Objects, Objects, list[int]]:
+    """Return R and the projected A1 of the frame, and the order of its twist's entries in both.
+
+    Where springs are alike and those of every branch give in all its directions, their strains are brought to stand
+    alone in its equations first, which is less work; A1 then is 1. The springs' stiffness is in the pivots then.
+    """
     rows = [_branch_rows(branch, doubt) for branch in held]
+    if like and (whitened := _whitened(rows, doubt)) is not None:
+        triangle, order = _triangle(eliminate(whitened, range(6), Doubt()))
+        return triangle, matrix_of(np.eye(6).tolist(), 6), order
     strains, motions = _diagonal([r.strain for r in rows]), _diagonal([r.motion for r in rows])
     twists = np.vstack([r.twist for r in rows])
     result = eliminate(np.hstack([twists, strains, motions]), range(6), doubt)
+    triangle, order = _triangle(result)
     width = 6 + strains.shape[1]
-    if len(result.columns) < 6:
-        raise ProgramError("the frame can move with all springs at rest, at every sample pose")
     relations, rates = result.rest[:, 6:width], result.rest[:, width:]
     above = _diagonal([branch.relations for branch in held])
     if rank(np.vstack([above, rates])) < rank(above) + len(rates):
         if len(above):
             return _condensed_as_one(held, root, doubt)
         relations = _independent(relations, rates, doubt)
-    order = list(result.columns)
-    return result.pivot_rows[:, order], projected(relations, result.pivot_rows[:, 6:width], doubt), order
+    return triangle, projected(relations, result.pivot_rows[:, 6:width], doubt), order
 
 
 def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
@@ -272,15 +294,21 @@ def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tu
         np.vstack([widened(b.motion, b.sources, len(root)) for b in held]),
     )
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
-    if len(result.columns) < 6:
-        raise ProgramError("the frame can move with all springs at rest, at every sample pose")
+    triangle, order = _triangle(result)
     rates = np.vstack([*(widened(b.relations, b.sources, len(root)) for b in held), result.rest[:, 6:]])
     relations = product(rates, root)
     if rank(rates) < len(rates):
         relations = _independent(relations, rates, doubt)
-    order = list(result.columns)
     strains = projected(relations, product(result.pivot_rows[:, 6:], root), doubt, restored=True)
-    return result.pivot_rows[:, order], strains, order
+    return triangle, strains, order
+
+
+def _triangle(result: Elimination) -> tuple[Objects, list[int]]:
+    """Return the triangle of the frame's twist, and the order of the twist's entries in it."""
+    if len(result.columns) < 6:
+        raise ProgramError("the frame can move with all springs at rest, at every sample pose")
+    order = list(result.columns)
+    return result.pivot_rows[:, order], order
 
 
 def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
@@ -289,18 +317,22 @@ def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
     return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
 
 
-def _whitened(rows: _Rows, doubt: Doubt) -> Objects:
-    """Return the equations of a branch in which each strain appears by itself."""
-    triangle = triangular(rows.strain)
-    if triangle.shape[1] < len(triangle):
-        raise RigidDirectionError("the springs of a branch do not give in some direction")
-    solution = zeros(*rows.twist.shape)
-    for i, row in enumerate(triangle):
-        doubt.note_pivot(absolute(row[i]) / sqrt(total([entry * entry for entry in row])) if i else 1.0)
-        inverse = 1.0 / row[i]
-        for c in range(6):
-            solution[i, c] = (rows.twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
-    return solution
+def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt) -> Objects | None:
+    """Return the equations in which each strain stands alone, shape=(n, 6); None where a branch is rigid in a way."""
+    blocks = []
+    for rows in branches_rows:
+        triangle = triangular(rows.strain)
+        if triangle.shape[1] < len(triangle):
+            return None
+        solution = zeros(*rows.twist.shape)
+        for i, row in enumerate(triangle):
+            if i:
+                doubt.note_pivot(absolute(row[i]) / sqrt(total([entry * entry for entry in row])))
+            inverse = 1.0 / row[i]
+            for c in range(6):
+                solution[i, c] = (rows.twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
+        blocks.append(solution)
+    return np.vstack(blocks)
 
 
 def _diagonal(blocks: Sequence[Objects]) -> Objects:
@@ -330,11 +362,12 @@ def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool
     reflections = []
     for i in range(len(relations)):
         entries = {c: stack[i][c] for c in left if not is_zero(stack[i][c])}
-        whole = sqrt(total([entry * entry for entry in relations[i]]))
         reflections.append(_turn(entries, stack[i + 1 :]))
         left.remove(reflections[-1].indices[0])
-        if i:
-            doubt.note_pivot(reflections[-1].size / whole)
+        earlier = [stack[i][reflection.indices[0]] for reflection in reflections[:-1]]
+        if not all(map(is_zero, earlier)):
+            square = reflections[-1].size * reflections[-1].size
+            doubt.note_pivot(sqrt(square / (square + total([entry * entry for entry in earlier]))))
     parts = stack[len(relations) :]
     if not restored:
         return matrix_of(parts, relations.shape[1])[:, left]
