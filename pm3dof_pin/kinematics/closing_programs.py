@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 
+def program_source(robot: Robot) -> ProgramSource:
+    """Return where the programs of a robot come from: its prototype, unless their structures differ."""
+    source = robot.prototype.program_source
+    return source if source.serves(robot) else robot.program_source
+
+
 class BoundProgram(NamedTuple):
     """A compiled program with the parameters of one robot.
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
-from pm3dof_pin.kinematics.closing_programs import BoundProgram
+from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.samples import samples_near as samples_near
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -96,10 +96,7 @@ class Continuation:
         self._angles = np.flatnonzero(angles)  # which come back to where they were after a turn
         self._turns = 2.0 * np.pi * np.abs(self._scales[self._angles])
         self._linear = _linear_positions(mechanism)
-        source = robot.prototype.program_source
-        if not source.serves(robot):
-            source = robot.program_source
-        self._source = source
+        self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)
         self._step = source.step(robot, self._task)
         self._checks = source.checks(robot)

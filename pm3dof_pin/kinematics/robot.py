@@ -21,7 +21,7 @@ from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _HOME = "home"
+_MANY = 32  # poses that are worth a program
 
 
 class Robot(Mechanism):
@@ -176,9 +177,30 @@ class Robot(Mechanism):
                 fixed[name] = float(value)
         return Grid(self.coordinates, axes, fixed)
 
-    def at(self, q: ArrayLike) -> Poses:
-        """Return the poses at joint configurations whose loops are closed, shape=(..., nq) [m, rad]."""
-        return Poses(self, np.asarray(q, dtype=float))
+    def at(self, q: ArrayLike, *, engine: Engine = "program") -> Poses:
+        """Return the poses at joint configurations whose loops are closed.
+
+        Args:
+            q: joint configurations, NaN where there is none, shape=(..., nq) [m, rad].
+            engine: what places the tool and checks limits and closures of many poses; of a few Pinocchio does.
+        """
+        positions = np.asarray(q, dtype=float)
+        rows = positions.reshape(-1, self.model.nq)
+        if engine == "pinocchio" or len(rows) < _MANY:
+            return Poses(self, positions)
+        from pm3dof_pin.kinematics.closing_programs import program_source
+
+        try:
+            outputs = program_source(self).checks(self).named(rows)
+        except (ProgramError, ConvergenceError) as error:
+            _logger.info("%s: placed without programs: %s", self.name, error)
+            return Poses(self, positions)
+        missing = np.isnan(rows).any(axis=1)
+        broken_limits = np.where(missing, REACH, outputs["broken"]).astype(np.uint32)
+        transforms = outputs.get("transform")
+        if transforms is not None:
+            transforms[missing] = np.nan
+        return Poses(self, rows, outputs["residual"], broken_limits, transforms).reshape(*positions.shape[:-1])
 
     def solve(
         self,

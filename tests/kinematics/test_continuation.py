@@ -55,7 +55,7 @@ def test_walks_end_where_the_careful_engine_does(name, given):
     np.testing.assert_array_equal(found.broken_limits, expected.broken_limits)
     if robot.tool_frame is not None:
         np.testing.assert_allclose(found.transforms[expected.solved], expected.transforms[expected.solved], atol=1e-9)
-    poses = robot.at(found.q[expected.solved])
+    poses = robot.at(found.q[expected.solved], engine="pinocchio")
     np.testing.assert_allclose(poses.commands, expected.commands[expected.solved], atol=1e-9)
     assert poses.residual.max() < 1e-12
     difference = (poses.coordinates if given == "coordinates" else poses.commands) - values[expected.solved]
@@ -90,7 +90,9 @@ def test_a_march_over_more_than_the_workspace():
     solved = np.isfinite(marched.residual)
     assert 0.2 < solved.mean() < 0.8
     assert not (expected.solved & ~solved).any()
-    np.testing.assert_allclose(robot.at(marched.q[solved]).positions[:, :2], values[solved], atol=1e-12)
+    np.testing.assert_allclose(
+        robot.at(marched.q[solved], engine="pinocchio").positions[:, :2], values[solved], atol=1e-12
+    )
 
 
 def elbow_area(robot: Robot, q: np.ndarray) -> float:
@@ -128,7 +130,9 @@ def test_damped_steps_find_what_the_careful_solver_finds_from_far():
     expected = np.array([np.isfinite(solver._careful(row, (robot.home.q,))[0]) for row in values])
     assert 0.2 < expected.mean() < 0.8
     np.testing.assert_array_equal((costs < 1e-12) & ~moving, expected)
-    np.testing.assert_allclose(robot.at(ends[expected]).positions[:, :2], values[expected], atol=1e-12)
+    np.testing.assert_allclose(
+        robot.at(ends[expected], engine="pinocchio").positions[:, :2], values[expected], atol=1e-12
+    )
 
 
 def test_a_variant_is_solved_by_the_programs_of_its_prototype():
@@ -174,6 +178,19 @@ def test_values_that_are_not_finite_are_not_solved():
     np.testing.assert_array_equal(found.broken_limits[[1]], [1])
     assert np.isfinite(found.residual[[0, 2]]).all()
     assert np.isnan(found.transforms[1]).all()
+
+
+def test_poses_at_positions_are_those_of_pinocchio():
+    robot = load("hexapod")
+    q = random_values("hexapod", "coordinates", 60).repeat(2, axis=0)
+    positions = np.array(robot.solve(q, engine="pinocchio").q)
+    positions[1::2, 6:] += 1e-3  # loops open
+    positions[5] = np.nan
+    found = robot.at(positions.reshape(2, 60, -1))
+    expected = robot.at(positions.reshape(2, 60, -1), engine="pinocchio")
+    np.testing.assert_array_equal(found.broken_limits, expected.broken_limits)
+    np.testing.assert_allclose(found.transforms, expected.transforms, atol=1e-13)
+    np.testing.assert_array_equal(found.residual < 1e-12, expected.residual < 1e-12)
 
 
 def test_samples_are_closed_and_differ_from_home():

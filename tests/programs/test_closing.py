@@ -122,7 +122,7 @@ def test_checks_agree_with_pinocchio(robot):
     result = traced.program.split(
         traced.program.evaluate(q, geometry.values(robot, traced.program.parameters, traced.constants))
     )
-    poses = robot.at(q)
+    poses = robot.at(q, engine="pinocchio")
     np.testing.assert_array_equal(result["broken"].astype(np.uint32), poses.broken_limits)
     assert len(set(poses.broken_limits)) > 1
     np.testing.assert_allclose(result["transform"], poses.transforms, atol=1e-14)
