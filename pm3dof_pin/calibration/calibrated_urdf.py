@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.as_urdf import as_urdf
 
 logger = logging.getLogger(__name__)
 
@@ -59,7 +59,8 @@ def write_calibrated_robot(
 ) -> Path:
     """Write a calibrated robot that loads like any other: URDF, closures, and SRDF and error file if there are such.
 
-    The SRDF's named configurations keep the commands they had, and their loops are closed again.
+    The SRDF's named configurations keep the commands they had, and their loops are closed again. A robot that is
+    written in something else, or has joints that URDF lacks, becomes a plain URDF.
 
     Args:
         errors: the parameters.
@@ -75,14 +76,13 @@ def write_calibrated_robot(
         DescriptionError: see :func:`calibrated_urdf`.
         OutputError: a file cannot be written.
     """
-    files, folder = find_robot(robot), Path(directory)
-    target = folder / files.urdf.name
-    text = calibrated_urdf(errors, values, files.urdf)
-    for source in filter(None, (files.closures, files.errors if files.errors.is_file() else None)):
+    files, folder = as_urdf(Robot.load(robot)), Path(directory)
+    target = write_text_atomically(folder / files.urdf.name, calibrated_urdf(errors, values, files.urdf))
+    for source in filter(None, (files.closures, files.srdf, files.errors if files.errors.is_file() else None)):
         write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
     if files.srdf is not None:
-        write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, errors.apply(values)))
-    return write_text_atomically(target, text)
+        write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, Robot.load(target)))
+    return target
 
 
 def _closed_again(srdf: Path, calibrated: Robot) -> str:

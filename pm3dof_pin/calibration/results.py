@@ -73,14 +73,14 @@ def write_calibration(
     """
     compensation, files = calibration.compensation, find_robot(robot)
     with replace_directory(directory, SUMMARY) as folder:
-        for source in (files.urdf, files.closures, files.errors, files.srdf):
+        for source in (files.path, files.closures, files.errors, files.srdf):
             if source is not None and source.is_file():
                 write_text_atomically(folder / "nominal" / source.name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated")
         write_measurements(calibration.measurements, compensation.errors, folder / MEASUREMENTS)
-        write_text_atomically(folder / COMPENSATION, compensation_as_json(compensation, files.urdf.name))
-        summary = yaml.safe_dump(summary_of(calibration, files.urdf.stem, held_out), sort_keys=False, width=120)
+        write_text_atomically(folder / COMPENSATION, compensation_as_json(compensation, files.path.name))
+        summary = yaml.safe_dump(summary_of(calibration, files.path.stem, held_out), sort_keys=False, width=120)
         write_text_atomically(folder / SUMMARY, summary)
         if report is not None:
             write_text_atomically(folder / REPORT, report)

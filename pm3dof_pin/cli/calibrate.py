@@ -77,7 +77,7 @@ def calibrate(
             progress(2, 4)
             maps = _maps(calibration)
             progress(3, 4)
-            name = find_robot(robot).urdf.stem
+            name = find_robot(robot).path.stem
             folder = write_calibration(
                 calibration, robot, out, held_out, report_as_html(calibration, name, held_out, maps)
             )

@@ -16,7 +16,7 @@ def gepetto_files(robot: RobotDocument) -> dict[str, str]:
     """Write a robot as that convention's loader expects it.
 
     `robot.yaml` has the convention's five keys and no others; `joint_name` and `joint_type`, which say where its loader
-    makes a spherical or universal joint of a joint in the URDF, are handed on as they are.
+    makes a spherical or universal joint of a joint in the URDF, are empty: the URDF has all joints.
 
     Args:
         robot: the robot.
@@ -24,13 +24,12 @@ def gepetto_files(robot: RobotDocument) -> dict[str, str]:
     Returns:
         Text of `robot.urdf` and of `robot.yaml`.
     """
-    said = robot.convention()
     content = {
         "closed_loop": [[loop.frame_a, loop.frame_b] for loop in robot.closures],
         "type": [loop.type for loop in robot.closures],
         "name_mot": list(robot.mechanism.actuated_joints),
-        "joint_name": said.get("joint_name") or [],
-        "joint_type": said.get("joint_type") or [],
+        "joint_name": [],
+        "joint_type": [],
     }
     lines = [f"{key}: {_flow(value)}\n" for key, value in content.items()]
     return {"robot.urdf": urdf_text(robot), "robot.yaml": _BANNER.format(name=robot.name) + "".join(lines)}

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.description.robots import RobotFiles, find_robot
-from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
 from pm3dof_pin.export.urdf_document import Joint, Link, UrdfDocument, read_urdf
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.as_urdf import as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
 
 
@@ -128,13 +127,9 @@ class RobotDocument:
         """
         return replace(self, meshes=self.meshes.for_kinds(kinds))
 
-    def convention(self) -> Mapping[str, Any]:
-        """Return the closures file as plain data."""
-        return read_mapping(self.files.closures) if self.files.closures is not None else {}
-
 
 def read_robot(name_or_path: str | Path) -> RobotDocument:
-    """Read a robot for export.
+    """Read a robot for export, as a plain URDF where it is written in something else or has joints that URDF lacks.
 
     Args:
         name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
@@ -145,8 +140,10 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    files = find_robot(name_or_path)
     mechanism = Robot.load(name_or_path)
+    files = as_urdf(mechanism)
+    if files is not mechanism.files:
+        mechanism = Robot.load(files.urdf)
     urdf = read_urdf(files.urdf)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"], files.package_paths)

@@ -86,6 +86,8 @@ def _tree(mjcf: Mjcf) -> pin.Model:
     model.name = mjcf.name
     model.gravity.linear = np.array(mjcf.gravity)
     references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
+    for name, q in references.items():
+        model.referenceConfigurations[name] = pin.normalize(model, q)
     if _HOME not in references:
         model.referenceConfigurations[_HOME] = references.get(_INITIAL, pin.neutral(model))
     return model

@@ -19,6 +19,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputErr
 from pm3dof_pin.export.description import description_files, same_but_rounding
 from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
@@ -65,11 +66,34 @@ def test_gepetto_files_have_the_keys_of_the_convention_and_no_others(robot: str)
     assert from_there.home.closure_residual < 1e-12
 
 
-def test_what_the_convention_says_of_joints_is_handed_on(four_bar: Path) -> None:
+def test_a_joint_that_stands_for_another_is_written_as_what_it_is(four_bar: Path) -> None:
+    """A spherical joint is three hinges in one point, in every format."""
     closures = four_bar.with_name("linkage.closures.yaml")
     closures.write_text(closures.read_text() + "joint_name: [rocker_joint]\njoint_type: [SPHERICAL]\n")
-    content = yaml.safe_load(exported_files(read_robot(four_bar), "gepetto")["robot.yaml"])
-    assert (content["joint_name"], content["joint_type"]) == (["rocker_joint"], ["SPHERICAL"])
+    files = exported_files(read_robot(four_bar), "gepetto")
+    assert yaml.safe_load(files["robot.yaml"])["joint_name"] == []
+    hinges = ElementTree.fromstring(files["robot.urdf"]).iterfind("joint[@type='revolute']")
+    assert {"rocker_joint", "rocker_joint_y", "rocker_joint_z"} <= {joint.get("name") for joint in hinges}
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf", "gepetto"])
+def test_mjcf_with_a_ball_comes_back_as_the_same_mechanism(tmp_path: Path, kind: str) -> None:
+    """A slider-crank with a ball at each end of its rod: one degree of freedom, and the spin of the rod."""
+    body = '<geom size="0.02" mass="0.1"/>'
+    (tmp_path / "crank.xml").write_text(
+        '<mujoco model="crank"><worldbody><body name="crank"><joint name="motor" axis="0 1 0"/>'
+        f'{body}<body name="rod" pos="0.1 0 0"><joint name="ball" type="ball"/>{body}</body></body>'
+        f'<body name="slider" pos="0.5 0 0"><joint name="slide" type="slide" axis="1 0 0"/>{body}</body></worldbody>'
+        '<equality><connect body1="rod" body2="slider" anchor="0.4 0 0"/></equality>'
+        '<actuator><motor joint="motor"/></actuator></mujoco>'
+    )
+    first, *_ = export_robot(tmp_path / "crank.xml", kind, tmp_path / kind)
+    for path in (tmp_path / "crank.xml", first):
+        robot = Robot.load(path)
+        bent = robot.assemble(robot.home, joints={"motor": 0.3})
+        reach = 0.1 * np.cos(0.3) + np.sqrt(0.4**2 - (0.1 * np.sin(0.3)) ** 2)
+        assert bent.frame_placement("slider").translation[0] == pytest.approx(reach, abs=1e-10)
+        assert DegreesOfFreedom(bent, RANK_TOLERANCE).count == 2
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,291 @@
+"""Any robot as a plain URDF with a closures file: for tools, and for whatever edits a URDF.
+
+A spherical joint, which URDF does not have, becomes hinges about x, y and z in one point, which do the same as long as
+the second stays away from 90 degrees. Links between them, and others that move without mass, get a mass of 0.01 g,
+which simulators need and statics do not feel.
+"""
+
+from __future__ import annotations
+
+import atexit
+import copy
+import logging
+import math
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import yaml
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles, read_xml
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.visuals import read_visuals
+from pm3dof_pin.typing import Matrix, Vector
+
+NEGLIGIBLE_MASS = 1e-5
+"""Mass of links that move and have none [kg]."""
+
+_NEGLIGIBLE_MOMENT = 1e-9
+_logger = logging.getLogger(__name__)
+_NO_LIMITS = {"lower": "-6.283185307179586", "upper": "6.283185307179586", "effort": "0.0", "velocity": "0.0"}
+
+
+def as_urdf(mechanism: Mechanism) -> RobotFiles:
+    """Return the files of a robot, its tree a URDF with hinges and slides only, but for a floating base.
+
+    Args:
+        mechanism: a mechanism that was read from files. If these are a URDF whose joints are all its own, they are
+            returned as they are; otherwise others are written, which last as long as the process.
+
+    Raises:
+        DescriptionError: the mechanism was not read from files, or a joint is of a kind that cannot be written.
+    """
+    files = mechanism.files
+    if files is None:
+        raise DescriptionError(mechanism.source, "files", "expected a mechanism that was read from some")
+    names = (
+        {str(joint.get("name")) for joint in read_xml(files.path).iter("joint")} if files.format == "urdf" else set()
+    )
+    plain = all(joint.nv == 1 or "FreeFlyer" in joint.shortname() for joint in list(mechanism.model.joints)[1:])
+    if names and plain and set(list(mechanism.model.names)[1:]) <= names:
+        return files
+    folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    urdf = folder / f"{files.name}.urdf"
+    _write(urdf, _tree(mechanism, files))
+    closures = urdf.with_name(files.name + CLOSURES_SUFFIX)
+    closures.write_text(yaml.safe_dump(_closures(mechanism), sort_keys=False, width=120), encoding="utf-8")
+    _write(urdf.with_suffix(".srdf"), _named_configurations(mechanism, files))
+    if files.errors.is_file():
+        shutil.copy(files.errors, urdf.with_suffix(".errors.yaml"))
+    return RobotFiles(files.name, urdf, closures, urdf.with_suffix(".srdf"), "urdf", files.package_paths)
+
+
+def _write(path: Path, root: ElementTree.Element) -> None:
+    ElementTree.indent(root, "  ")
+    text = ElementTree.tostring(root, encoding="unicode")
+    path.write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8")
+
+
+# The tree
+
+
+def _tree(mechanism: Mechanism, files: RobotFiles) -> ElementTree.Element:
+    model = mechanism.model
+    robot = ElementTree.Element("robot", name=mechanism.name)
+    frames = [frame for frame in list(model.frames)[1:] if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)]
+    links = [_name_of_link(model, joint) for joint in range(model.njoints)]
+    shapes = _shapes(mechanism, files)
+    for joint, link in enumerate(links):
+        element = ElementTree.SubElement(robot, "link", name=link)
+        if joint:
+            _add_inertial(element, model.inertias[joint])
+        element.extend(shapes.get(joint, []))
+    for joint in range(1, model.njoints):
+        _add_joint(robot, mechanism, joint, links[model.parents[joint]], links[joint])
+    for frame in frames:
+        if frame.name != links[frame.parentJoint]:
+            ElementTree.SubElement(robot, "link", name=frame.name)
+            fixed = ElementTree.SubElement(robot, "joint", name=f"{frame.name}_fixed", type="fixed")
+            _add_ends(fixed, links[frame.parentJoint], frame.name, frame.placement)
+    return robot
+
+
+def _name_of_link(model: pin.Model, joint: int) -> str:
+    """Name the link of a joint: the body that stands in the joint's frame, if there is one."""
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint and frame.placement.isIdentity(0.0):
+            return str(frame.name)
+    return "base" if joint == 0 else f"{model.names[joint]}_link"
+
+
+def _add_joint(robot: ElementTree.Element, mechanism: Mechanism, index: int, parent: str, child: str) -> None:
+    model, name, joint = mechanism.model, mechanism.model.names[index], mechanism.model.joints[index]
+    kind = joint.shortname()
+    if "FreeFlyer" in kind:
+        element = ElementTree.SubElement(robot, "joint", name=name, type="floating")
+        _add_ends(element, parent, child, model.jointPlacements[index])
+        return
+    if "Spherical" in kind:
+        placement, carriers = model.jointPlacements[index], (f"{name}_x", f"{name}_xy", child)
+        for suffix, axis, link in zip(("", "_y", "_z"), np.eye(3), carriers, strict=True):
+            if link != child:
+                carrier = ElementTree.SubElement(robot, "link", name=link)
+                _add_inertial(carrier, pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), _NEGLIGIBLE_MOMENT * np.eye(3)))
+            _add_hinge(robot, f"{name}{suffix}", "revolute", parent, link, placement, axis, _NO_LIMITS)
+            parent, placement = link, pin.SE3.Identity()
+        return
+    if joint.nv != 1:
+        raise DescriptionError(mechanism.source, f"joint '{name}'", f"expected one that URDF has, not a {kind}")
+    data = joint.createData()
+    joint.calc(data, pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq])
+    subspace = np.asarray(data.S).reshape(6)
+    slides = mechanism.single_joint(name).translates
+    limits = {
+        "lower": float(mechanism.lower_limits[joint.idx_q]),
+        "upper": float(mechanism.upper_limits[joint.idx_q]),
+        "effort": float(model.upperEffortLimit[joint.idx_v]),
+        "velocity": float(model.upperVelocityLimit[joint.idx_v]),
+    }
+    written = {key: repr(value) for key, value in limits.items() if abs(value) < 1e300}
+    kind = "prismatic" if slides else "continuous" if joint.nq == 2 else "revolute"
+    along = subspace[:3] if slides else subspace[3:]
+    _add_hinge(robot, name, kind, parent, child, model.jointPlacements[index], along, written)
+
+
+def _add_hinge(
+    robot: ElementTree.Element,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    placement: pin.SE3,
+    axis: ArrayLike,
+    limits: dict[str, str],
+) -> None:
+    element = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    _add_ends(element, parent, child, placement)
+    ElementTree.SubElement(element, "axis", xyz=_text(np.asarray(axis)))
+    ElementTree.SubElement(element, "limit", {"effort": "0.0", "velocity": "0.0"} | limits)
+
+
+def _add_ends(element: ElementTree.Element, parent: str, child: str, placement: pin.SE3) -> None:
+    ElementTree.SubElement(element, "parent", link=parent)
+    ElementTree.SubElement(element, "child", link=child)
+    _add_origin(element, placement)
+
+
+def _add_origin(element: ElementTree.Element, placement: pin.SE3) -> None:
+    rpy = _roll_pitch_yaw(placement.rotation)
+    ElementTree.SubElement(element, "origin", xyz=_text(placement.translation), rpy=_text(rpy))
+
+
+def _add_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:
+    if inertia.mass == 0.0:
+        inertia = pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), _NEGLIGIBLE_MOMENT * np.eye(3))
+    inertial = ElementTree.SubElement(link, "inertial")
+    _add_origin(inertial, pin.SE3(np.eye(3), inertia.lever))
+    ElementTree.SubElement(inertial, "mass", value=repr(float(inertia.mass)))
+    moments = {
+        f"i{a}{b}": inertia.inertia["xyz".index(a), "xyz".index(b)] for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
+    }
+    ElementTree.SubElement(inertial, "inertia", {key: repr(float(value)) for key, value in moments.items()})
+
+
+def _shapes(mechanism: Mechanism, files: RobotFiles) -> dict[int, list[ElementTree.Element]]:
+    """What is drawn, by joint; shapes that URDF does not have are left out."""
+    shapes: dict[int, list[ElementTree.Element]] = {}
+    try:
+        visuals = read_visuals(mechanism.model, files)
+    except DescriptionError as error:
+        _logger.warning("%s: its shapes are left out", error)
+        return shapes
+    for shape in visuals.geometryObjects:
+        for tag, sizes, offset in _primitives(shape):
+            visual = ElementTree.Element("visual")
+            _add_origin(visual, shape.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, offset])))
+            ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), tag, sizes)
+            material = ElementTree.SubElement(visual, "material", name=f"{shape.name}_colour")
+            ElementTree.SubElement(material, "color", rgba=_text(np.asarray(shape.meshColor)))
+            shapes.setdefault(shape.parentJoint, []).append(visual)
+    return shapes
+
+
+def _primitives(shape: Any) -> Iterator[tuple[str, dict[str, str], float]]:
+    """Yield the URDF shapes that a shape is made of: tag, sizes, and how far along its z axis."""
+    geometry, kind = shape.geometry, type(shape.geometry).__name__
+    if hasattr(geometry, "num_tris"):
+        yield "mesh", {"filename": str(shape.meshPath), "scale": _text(np.asarray(shape.meshScale))}, 0.0
+    elif kind == "Box":
+        yield "box", {"size": _text(2.0 * np.asarray(geometry.halfSide))}, 0.0
+    elif kind == "Sphere":
+        yield "sphere", {"radius": repr(float(geometry.radius))}, 0.0
+    elif kind in ("Cylinder", "Capsule"):
+        radius, half = repr(float(geometry.radius)), float(geometry.halfLength)
+        yield "cylinder", {"radius": radius, "length": repr(2.0 * half)}, 0.0
+        if kind == "Capsule":
+            yield from (("sphere", {"radius": radius}, end) for end in (-half, half))
+
+
+# Beside the tree
+
+
+def _closures(mechanism: Mechanism) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "closed_loop": [[loop.frame_a, loop.frame_b] for loop in mechanism.closures],
+        "type": [loop.type for loop in mechanism.closures],
+        "name_mot": list(mechanism.actuated_joints),
+        "tool_frame": mechanism.tool_frame,
+        "motion_coordinates": list(mechanism.motion_coordinates),
+        "closure_limits": [loop.swing_limit and {"swing_rad": loop.swing_limit} for loop in mechanism.closures],
+        "commands": [_without_none(vars(command)) for command in mechanism.commands],
+        "coordinates": [_coordinate(vars(coordinate)) for coordinate in mechanism.declared_coordinates],
+        "limit_groups": {
+            group.name: [*group.joints, *group.closures]
+            for group in mechanism.limit_groups
+            if set(group.joints) <= set(list(mechanism.model.names)[1:])
+        },
+        "springs": [_plain(spring) for spring in mechanism.springs],
+    }
+    return {key: value for key, value in content.items() if value}
+
+
+def _coordinate(entries: dict[str, Any]) -> dict[str, Any]:
+    entries = dict(entries)
+    ends = [entries.pop(key) for key in ("lower", "upper")]
+    return _without_none(entries | ({"range": ends} if None not in ends else {}))
+
+
+def _without_none(entries: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entries.items() if value is not None}
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "items"):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
+
+
+def _named_configurations(mechanism: Mechanism, files: RobotFiles) -> ElementTree.Element:
+    root = ElementTree.Element("robot", name=mechanism.name)
+    for name, q in mechanism.named_configurations.items():
+        state = ElementTree.SubElement(root, "group_state", name=name, group="all")
+        for joint, values in _joint_values(mechanism, q):
+            ElementTree.SubElement(state, "joint", name=joint, value=_text(values))
+    if files.srdf is not None:
+        root.extend(copy.deepcopy(element) for element in read_xml(files.srdf).iter("disable_collisions"))
+    return root
+
+
+def _joint_values(mechanism: Mechanism, q: Vector) -> Iterator[tuple[str, Vector]]:
+    for name, joint in list(zip(mechanism.model.names, mechanism.model.joints, strict=True))[1:]:
+        values = q[joint.idx_q : joint.idx_q + joint.nq]
+        if "Spherical" in joint.shortname():
+            turn = pin.Quaternion(np.array(values)).toRotationMatrix()
+            # R = Rx(a) Ry(b) Rz(c), and its transpose is Rz(-c) Ry(-b) Rx(-a)
+            angles = [-angle for angle in _roll_pitch_yaw(turn.T)]
+            yield from (
+                (name + suffix, np.array([angle])) for suffix, angle in zip(("", "_y", "_z"), angles, strict=True)
+            )
+        else:
+            yield name, np.asarray(values)
+
+
+def _roll_pitch_yaw(rotation: Matrix) -> tuple[float, float, float]:
+    """Return angles with R = Rz(yaw) Ry(pitch) Rx(roll), to the last digits at 90 degrees of pitch too."""
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
+    return roll, pitch, yaw
+
+
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number) + 0.0) for number in numbers)

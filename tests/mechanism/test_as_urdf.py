@@ -1,0 +1,107 @@
+"""Robots that are no plain URDF, written as one: the same frames, closures, drives and configurations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, as_urdf
+
+MJCF = """<mujoco model="leg"><compiler angle="radian"/><worldbody>
+<site name="wall" pos="1.2 0.3 1.15" euler="0.1 0.2 0.3"/>
+<body name="hip" pos="0 0 1" euler="0.3 1.5707963 0.2">
+ <joint name="turn" axis="1 1 0" pos="0 0.1 0" range="-1 1" stiffness="7"/>
+ <geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/>
+ <body name="rod" pos="0 0 1"><joint name="ball" type="ball"/>
+  <geom size="0.1" pos="0.3 0.2 0"/><site name="tip" pos="0.4 0 0"/>
+  <body name="slider"><joint name="slide" type="slide" axis="0 0 1"/>
+   <geom type="box" size="0.1 0.2 0.3"/></body></body></body>
+</worldbody>
+<equality><connect site1="tip" site2="wall"/></equality>
+<actuator><motor name="drive" joint="turn"/><motor joint="slide"/></actuator>
+<keyframe><key name="bent" qpos="0.3 0.5 0.5 -0.5 0.5 0.1"/></keyframe></mujoco>"""
+
+
+@pytest.fixture
+def leg(tmp_path: Path) -> Robot:
+    (tmp_path / "leg.xml").write_text(MJCF)
+    return Robot.load(tmp_path / "leg.xml", tool_frame="tip")
+
+
+def _in_hinges(robot: Robot, q: np.ndarray, plain: Robot) -> np.ndarray:
+    """The same configuration with hinges in place of the ball."""
+    x, y, z = Rotation.from_quat(q[1:5]).as_euler("XYZ")
+    values = {"turn": q[0], "ball": x, "ball_y": y, "ball_z": z, "slide": q[5]}
+    return np.array([values[name] for name in plain.q_names])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_frames_and_inertias_are_the_same(leg: Robot, seed: int) -> None:
+    plain = Robot.load(as_urdf(leg).urdf)
+    generator = np.random.default_rng(seed)
+    q = pin.integrate(leg.model, pin.neutral(leg.model), generator.uniform(-1.0, 1.0, leg.model.nv))
+    in_hinges = _in_hinges(leg, q, plain)
+    for frame in ("hip", "rod", "slider", "tip", "wall", "world"):
+        expected = leg.configuration(q).frame_placement(frame).homogeneous
+        found = plain.configuration(in_hinges).frame_placement(frame).homogeneous
+        np.testing.assert_allclose(found, expected, atol=2e-15)
+    masses = [pin.computeTotalMass(robot.model) for robot in (leg, plain)]
+    assert masses[1] - masses[0] == pytest.approx(2 * NEGLIGIBLE_MASS), "the two links between the hinges of the ball"
+    energies = [
+        pin.computePotentialEnergy(robot.model, robot.model.createData(), at)
+        for robot, at in ((leg, q), (plain, in_hinges))
+    ]
+    assert energies[1] == pytest.approx(energies[0], abs=9.81 * 4.0 * NEGLIGIBLE_MASS)
+
+
+def test_what_is_beside_the_tree_is_the_same(leg: Robot) -> None:
+    files = as_urdf(leg)
+    plain = Robot.load(files.urdf)
+    assert plain.name == "leg"
+    assert (plain.closures, plain.commands, plain.tool_frame) == (leg.closures, leg.commands, "tip")
+    assert [dict(spring) for spring in plain.springs] == [dict(spring) for spring in leg.springs]
+    assert set(plain.named_configurations) == {"home", "bent", "qpos0"}
+    bent = _in_hinges(leg, leg.named_configurations["bent"], plain)
+    np.testing.assert_allclose(plain.named_configurations["bent"], bent, atol=1e-15)
+    index = plain.q_names.index("turn")
+    assert (plain.lower_limits[index], plain.upper_limits[index]) == (-1.0, 1.0)
+    assert plain.upper_limits[plain.q_names.index("slide")] == np.inf
+    closed = [DegreesOfFreedom(robot.assemble(robot.home), RANK_TOLERANCE).count for robot in (leg, plain)]
+    assert closed == [2, 2]
+
+
+def test_a_plain_urdf_stays_as_it_is(mechanism: Robot) -> None:
+    assert as_urdf(mechanism) is mechanism.files
+
+
+def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
+    hinge = (
+        '<joint name="knee" type="revolute"><parent link="a"/><child link="b"/><limit effort="1" velocity="1"/></joint>'
+    )
+    sphere = '<visual><origin xyz="0 0 1"/><geometry><sphere radius="0.1"/></geometry></visual>'
+    (tmp_path / "robot.urdf").write_text(
+        f'<robot name="r"><link name="a"/><link name="b">{sphere}</link>{hinge}</robot>'
+    )
+    (tmp_path / "robot.yaml").write_text("joint_name: [knee]\njoint_type: [UJOINT_ZX]\nname_mot: [knee_Z]\n")
+    robot = Robot.load(tmp_path)
+    files = as_urdf(robot)
+    assert files is not robot.files
+    plain = Robot.load(files.urdf)
+    assert plain.q_names == ("knee_Z", "knee_X")
+    assert plain.actuated_joints == ("knee_Z",)
+    q = [0.3, -0.7]
+    expected = robot.configuration(q).frame_placement("b").homogeneous
+    np.testing.assert_allclose(plain.configuration(q).frame_placement("b").homogeneous, expected, atol=1e-15)
+    assert "<sphere" in files.urdf.read_text()
+
+
+def test_a_mechanism_made_by_hand_has_no_files() -> None:
+    with pytest.raises(DescriptionError, match="expected a mechanism that was read from some"):
+        as_urdf(Robot(pin.buildSampleModelManipulator()))
