@@ -139,11 +139,9 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     """Return the felt stiffness and the compliance of many poses as columns."""
     import numpy as np
 
-    from pm3dof_pin.elastic.condensation import cartesian_compliance
+    from pm3dof_pin.elastic.batch import compliance
 
-    matrices = np.full((len(poses), 6, 6), np.nan)
-    for index in np.flatnonzero(poses.solved).tolist():
-        matrices[index] = cartesian_compliance(elastic, poses.configuration(index)).compliance
+    matrices = compliance(elastic, poses, on_failure="nan")
     with np.errstate(divide="ignore"):
         felt = 1.0 / np.einsum("nii->ni", matrices)
     columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(AXES)}

@@ -14,9 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pm3dof_pin.dynamics.modes import natural_frequencies
-from pm3dof_pin.elastic import shares
 from pm3dof_pin.elastic.batch import evaluate
-from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
 from pm3dof_pin.elastic.quantities import (
@@ -26,6 +24,7 @@ from pm3dof_pin.elastic.quantities import (
     PRINCIPAL_STIFFNESS,
     STIFFNESS,
     ElasticQuantity,
+    spring_shares,
 )
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
@@ -328,12 +327,7 @@ def _characteristic_length(evaluation: Evaluation) -> Array:
 
 @quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")
 def _spring_shares(evaluation: Evaluation) -> Array:
-    model = evaluation.mapped.elastic
-
-    def of_pose(q: Array) -> Array:
-        return shares.shares(cartesian_compliance(model, q).contributions[None], np.eye(6))
-
-    return evaluation.at_each((6, len(model.spring_names)), of_pose)
+    return evaluation.elastic(spring_shares(evaluation.mapped.elastic))
 
 
 @quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowest natural frequencies")
