@@ -2,7 +2,6 @@
 
 from . import chapter as chapter
 from .calibration.calibrate import calibrate as calibrate
-from .calibration.measurements import read_measurements as read_measurements
 from .calibration.planning import PlanningProblem as PlanningProblem
 from .calibration.results import read_compensation as read_compensation
 from .description.robots import robot_names as robot_names
@@ -32,6 +31,7 @@ from .maps.atlas import Atlas as Atlas
 from .maps.atlas import compute_atlas as compute_atlas
 from .maps.atlas import open_atlas as open_atlas
 from .mechanism.configuration import Configuration as Configuration
+from .measuring.measurement_file import read_measurements as read_measurements
 from .simulation.simulated_machine import SimulatedMachine as SimulatedMachine
 from .viewer.viewer import Viewer as Viewer
 

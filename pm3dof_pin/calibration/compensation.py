@@ -8,34 +8,41 @@ end, so the correction is iterated.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen
-from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel, command_jacobians, nearest_commands
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.calibration.learned_part import LearnedPart
+from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.typing import Array
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, OnFailure
+
+Conditions = Mapping[str, Array | float]
+"""Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13
 _MEETS = 1e-6  # what a nominal machine may miss of a wanted pose [m, tip-weighted]
+_CHUNK = 4096  # poses at a time, so that memory does not grow with their number
 
 
 @dataclass(frozen=True, eq=False)
 class Compensated:
-    """Corrected commands.
+    """Corrected commands. NaN throughout at a pose for which there are none.
 
     Attributes:
-        commands: what to command, as the machine counts, shape=(n, number of actuated joints) [m, rad].
-        nominal_commands: what the description alone would command.
-        deviations: predicted pseudo-error of the nominal machine at the nominal commands [m, rad].
+        commands: what to command, shape=(n, number of commands) [m, rad].
+        nominal_commands: what the description alone would command, shape as above [m, rad].
+        deviations: predicted pseudo-error of the nominal machine at the nominal commands, shape as above [m, rad].
         predicted_error: tip error to be expected with the corrected commands, shape=(n,) [m]: what the calibrated model
             says no command corrects, and the uncertainty of all that is predicted.
     """
@@ -51,162 +58,181 @@ class Compensation:
     """What is known of a machine, in a form to command it by.
 
     Attributes:
-        errors: the geometric parameters, with the mechanism as described.
+        errors: the geometric parameters, with the robot as described.
         values: identified parameters, shape=(number of parameters,) [m, rad]; None for the nominal model.
         covariance: theirs; None for the nominal model.
         learned: pseudo-error on top of that model; None for none.
-        inputs: scale of the learned model's inputs; None if there is none.
-        eta: weight of the orientation [m/rad].
+        eta: weight of the orientation in the tip error [m/rad].
         unexplained: tip error that was left in the measurements beside all this and beside their noise [m].
     """
 
     errors: GeometricErrors
     values: Array | None = None
     covariance: Array | None = None
-    learned: PseudoErrorModel | None = None
-    inputs: InputScale | None = None
+    learned: LearnedPart | None = None
     eta: float = TIP_LENGTH
     unexplained: float = 0.0
 
-    def model_poses(self, nominal: Poses) -> Poses:
-        """Return the model's poses, nominal or calibrated, at the commands of nominal ones."""
-        if self.values is None:
-            return nominal
-        return self.errors.apply(self.values).forward(nominal.commands, guess=nominal.q)
+    @cached_property
+    def model(self) -> Robot:
+        """The robot as described, or with the identified parameters."""
+        return self.errors.robot if self.values is None else self.errors.apply(self.values)
 
-    def learned_deviations(self, commands: Array, conditions: Mapping[str, Array | float] | None = None) -> Array:
-        """Return the learned du, shape=(n, number of actuated joints) [m, rad]; 0 without a learned model."""
-        if self.learned is None or self.inputs is None:
-            return np.zeros_like(commands)
-        return self.learned.deviations(self.inputs.scaled(commands, conditions or {}))
-
-    def poses(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Poses:
-        """Predict where the machine is at the commands of nominal poses.
+    def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
+        """Complete conditions by the middle of those measured.
 
         Args:
-            nominal: poses of the mechanism as described.
-            conditions: temperatures and loads by name.
+            given: some conditions.
 
         Raises:
-            ConvergenceError: the loops do not close at a command.
+            InvalidValueError: a condition of which nothing was learned.
         """
-        model = self.model_poses(nominal)
-        if self.learned is None:
-            return model
-        deviated = model.commands + self.learned_deviations(nominal.commands, conditions)
-        return model.robot.forward(deviated, guess=model.q)
+        usual: dict[str, Array | float] = {} if self.learned is None else {**self.learned.inputs.middle()}
+        for name in sorted(set(given) - set(usual)):
+            raise InvalidValueError(
+                "condition", name, f"one of {', '.join(usual) or 'none: no correction depends on any'}"
+            )
+        return usual | dict(given)
 
-    def corrected(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
-        """Return the commands for wanted poses that the nominal mechanism reaches.
-
-        Args:
-            nominal: wanted poses, of the mechanism as described.
-            conditions: temperatures and loads by name.
-
-        Returns:
-            Coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
-
-        Raises:
-            ConvergenceError: the correction does not settle, or the loops do not close.
-        """
-        return self._corrected(self._nearest(nominal).commands, conditions)
-
-    def compensate(self, poses: ArrayLike, conditions: Mapping[str, Array | float] | None = None) -> Compensated:
+    def compensate(
+        self,
+        wanted: Poses | ArrayLike,
+        conditions: Conditions | None = None,
+        *,
+        on_failure: OnFailure = "raise",
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Compensated:
         """Return what to command for wanted poses of the tool.
 
         Args:
-            poses: homogeneous transforms, shape=(4, 4) or (n, 4, 4).
+            wanted: poses of the robot as described, of shape (n,), or homogeneous transforms of the tool, shape=(4, 4)
+                or (n, 4, 4).
             conditions: temperatures and loads by the names of the measurements' columns.
+            on_failure: "raise", or "nan" for poses that the machine cannot reach.
+            progress: called with the number of poses done and that of all.
 
         Raises:
-            UnreachablePoseError: the machine, as described, cannot bring its tool there.
+            UnreachablePoseError: the machine cannot bring its tool there, and `on_failure` is "raise".
             ConvergenceError: the correction does not settle.
             InvalidValueError: poses of a wrong shape, or a condition is missing.
         """
-        return self._compensated(self._nominal(poses), conditions)
+        if isinstance(wanted, Poses):
+            nominal = wanted
+        else:
+            transforms = np.asarray(wanted, dtype=float)
+            transforms = transforms[None] if transforms.ndim == 2 else transforms
+            nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
+            solved = np.flatnonzero(nominal.solved)
+            missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
+            if np.any(missed > _MEETS):
+                raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
+        count, drives = len(nominal), len(self.errors.robot.commands)
+        commands, deviations = np.full((2, count, drives), np.nan)
+        answer = Compensated(commands, np.array(nominal.commands), deviations, np.full(count, np.nan))
+        given = {name: np.broadcast_to(values, count) for name, values in (conditions or {}).items()}
+        for start in range(0, count, _CHUNK):
+            rows = np.arange(start, min(start + _CHUNK, count))[nominal.solved[start : start + _CHUNK]]
+            model = self.model_poses(nominal[rows], on_failure)
+            rows, model = rows[model.solved], model[model.solved]
+            part: Conditions = {name: values[rows] for name, values in given.items()}
+            nearest = self._nearest(nominal[rows], model, on_failure)
+            answer.commands[rows] = self._corrected(nearest.commands, part)
+            answer.deviations[rows] = self._deviations(nominal[rows], model, part)
+            answer.predicted_error[rows] = self._predicted_error(nominal[rows], nearest, part)
+            if progress is not None:
+                progress(min(start + _CHUNK, count), count)
+        for array in vars(answer).values():
+            frozen(array)
+        return answer
 
-    def compensate_coordinates(
-        self, values: ArrayLike, conditions: Mapping[str, Array | float] | None = None
-    ) -> Compensated:
-        """Return what to command for wanted values of the motion coordinates.
+    def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:
+        """Predict where the machine is at the commands of nominal poses.
 
         Args:
-            values: coordinates of the mechanism's motion coordinates, shape=(n, their number) [m, rad].
+            nominal: poses of the robot as described.
             conditions: temperatures and loads by name.
 
         Raises:
-            UnreachablePoseError: the machine, as described, cannot get there.
-            DescriptionError: the mechanism has no motion coordinates.
-            ConvergenceError: the correction does not settle.
-            InvalidValueError: values of a wrong shape, or a condition is missing.
+            UnreachablePoseError: the loops do not close at a command.
         """
-        mechanism = self.errors.mechanism
-        return self._compensated(mechanism.solve(values), conditions)
+        return self._deviated(self.model_poses(nominal), nominal.commands, conditions or {})
 
-    def predicted_error(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
-        """Return the tip error to be expected at wanted poses after correction, shape=(n,) [m]."""
-        return self._predicted_error(nominal, self._nearest(nominal), conditions)
+    def corrected(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
+        """Return the commands for wanted poses alone, shape=(n, number of commands) [m, rad]; see :meth:`compensate`.
 
-    def _nominal(self, poses: ArrayLike) -> Poses:
-        array = np.asarray(poses, dtype=float)
-        wanted = finite_array("poses", np.atleast_3d(array).reshape(-1, 4, 4), (array.size // 16, 4, 4))
-        mechanism = self.errors.mechanism
-        nominal = mechanism.reach(wanted)
-        missed = tip_error(pose_difference(wanted, nominal.transforms), self.eta)
-        if np.any(missed > _MEETS):
-            raise UnreachablePoseError(f"{mechanism.name} misses a wanted pose by {missed.max():.3g} m")
-        return nominal
+        Args:
+            nominal: wanted poses, of the robot as described.
+            conditions: temperatures and loads by name.
 
-    def _nearest(self, nominal: Poses) -> Poses:
+        Raises:
+            ConvergenceError: the correction does not settle.
+            UnreachablePoseError: the loops do not close at a command.
+        """
+        nearest = self._nearest(nominal, self.model_poses(nominal))
+        return self._corrected(nearest.commands, conditions or {})
+
+    def deviations(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
+        """Predict the pseudo-error of the nominal machine at its own commands, the du of Fig. 8.6.
+
+        Args:
+            nominal: poses of the robot as described.
+            conditions: temperatures and loads by name.
+
+        Returns:
+            shape=(n, number of commands) [m, rad].
+        """
+        return self._deviations(nominal, self.model_poses(nominal), conditions or {})
+
+    def model_poses(self, nominal: Poses, on_failure: OnFailure = "raise") -> Poses:
+        """Return the model's poses, nominal or calibrated, at the commands of nominal ones.
+
+        Args:
+            nominal: poses of the robot as described.
+            on_failure: "raise", or "nan" where the model's loops do not close.
+        """
         if self.values is None:
             return nominal
-        return nearest_commands(self.model_poses(nominal), nominal.transforms, self.eta)
+        return self.model.forward(nominal.commands, guess=nominal.q, on_failure=on_failure)
 
-    def _corrected(self, commands: Array, conditions: Mapping[str, Array | float] | None) -> Array:
+    def _learned(self, commands: Array, conditions: Conditions) -> Array:
+        return np.zeros_like(commands) if self.learned is None else self.learned.deviations(commands, conditions)
+
+    def _deviated(self, model: Poses, commands: Array, conditions: Conditions) -> Poses:
+        if self.learned is None:
+            return model
+        return model.robot.forward(model.commands + self._learned(commands, conditions), guess=model.q)
+
+    def _nearest(self, nominal: Poses, model: Poses, on_failure: OnFailure = "raise") -> Poses:
+        if self.values is None:
+            return model
+        return nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
+
+    def _corrected(self, commands: Array, conditions: Conditions) -> Array:
         corrected = commands
         for _ in range(_MAX_ITERATIONS):
-            following = commands - self.learned_deviations(corrected, conditions)
+            following = commands - self._learned(corrected, conditions)
             change = float(np.abs(following - corrected).max(initial=0.0))
             corrected = following
             if change <= _SETTLED:
                 return corrected
         raise ConvergenceError("iterating the corrected command", change, "m or rad", _MAX_ITERATIONS)
 
-    def _compensated(self, nominal: Poses, conditions: Mapping[str, Array | float] | None) -> Compensated:
-        nearest = self._nearest(nominal)
-        commands = self._corrected(nearest.commands, conditions)
-        return Compensated(
-            frozen(commands),
-            frozen(np.array(nominal.commands)),
-            frozen(self.deviations(nominal, conditions)),
-            frozen(self._predicted_error(nominal, nearest, conditions)),
-        )
-
-    def deviations(self, nominal: Poses, conditions: Mapping[str, Array | float] | None = None) -> Array:
-        """Predict the pseudo-error of the nominal machine at its own commands, the du of Fig. 8.6.
-
-        Args:
-            nominal: poses of the mechanism as described.
-            conditions: temperatures and loads by name.
-
-        Returns:
-            shape=(n, number of actuated joints) [m, rad].
-        """
+    def _deviations(self, nominal: Poses, model: Poses, conditions: Conditions) -> Array:
         if self.values is None:
-            return self.learned_deviations(nominal.commands, conditions)
-        seen = self.poses(nominal, conditions).transforms
-        return nearest_commands(nominal, seen, self.eta).commands - nominal.commands
+            return self._learned(nominal.commands, conditions)
+        seen = self._deviated(model, nominal.commands, conditions).transforms
+        return nearest_poses(nominal, seen, self.eta).commands - nominal.commands
 
-    def _predicted_error(self, nominal: Poses, nearest: Poses, conditions: Mapping[str, Array | float] | None) -> Array:
+    def _predicted_error(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> Array:
         squares = tip_error(pose_difference(nominal.transforms, nearest.transforms), self.eta) ** 2
         weights = tip_weights(self.eta)
         if self.values is not None and self.covariance is not None:
             effects = sensitivities(self.errors, nearest, self.values).errors * weights[:, None]
             # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
             known = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
-            squares = squares + np.einsum("nij,jk,nik->n", effects, known, effects)
-        if self.learned is not None and self.inputs is not None:
+            squares = squares + np.sum((effects @ known) * effects, axis=(1, 2))
+        if self.learned is not None:
             control = command_jacobians(nearest) * weights[:, None]
-            spread = self.learned.uncertainties(self.inputs.scaled(nearest.commands, conditions or {}))
+            spread = self.learned.uncertainties(nearest.commands, conditions)
             squares = squares + np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))
         return np.asarray(np.sqrt(squares + self.unexplained**2))

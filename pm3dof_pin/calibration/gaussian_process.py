@@ -39,9 +39,9 @@ class GaussianProcess:
 
     Attributes:
         inputs: of the measurements, shape=(n, number of inputs).
-        targets: their du, shape=(n, number of actuated joints) [m, rad].
-        noise: variance of each du, shape=(n, number of actuated joints) [m^2, rad^2].
-        logarithms: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of actuated joints,
+        targets: their du, shape=(n, number of commands) [m, rad].
+        noise: variance of each du, shape=(n, number of commands) [m^2, rad^2].
+        logarithms: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of commands,
             k + 5).
     """
 
@@ -73,8 +73,8 @@ class GaussianProcess:
 
         Args:
             inputs: shape=(n, number of inputs).
-            deviations: du, shape=(n, number of actuated joints) [m, rad].
-            noise: variance of each du from the measurements' noise, shape=(n, number of actuated joints).
+            deviations: du, shape=(n, number of commands) [m, rad].
+            noise: variance of each du from the measurements' noise, shape=(n, number of commands).
 
         Raises:
             ConvergenceError: no kernel was found.
@@ -86,7 +86,7 @@ class GaussianProcess:
         return cls(inputs, deviations, noise, np.array(chosen))
 
     def deviations(self, inputs: Array) -> Array:
-        """Return the mean of du, shape=(n, number of actuated joints) [m, rad]."""
+        """Return the mean of du, shape=(n, number of commands) [m, rad]."""
         means = [
             _kernel_between(inputs, self.inputs, drive, parameters) @ self._weights[drive]
             for drive, parameters in enumerate(self.logarithms)
@@ -94,7 +94,7 @@ class GaussianProcess:
         return np.stack(means, axis=1)
 
     def uncertainties(self, inputs: Array) -> Array:
-        """Return the standard deviation of du, shape=(n, number of actuated joints) [m, rad]."""
+        """Return the standard deviation of du, shape=(n, number of commands) [m, rad]."""
         sigmas = []
         for drive, parameters in enumerate(self.logarithms):
             across = _kernel_between(inputs, self.inputs, drive, parameters)
@@ -149,9 +149,9 @@ class _Kernel:
 
 def _kernel_between(first: Array, second: Array, drive: int, logarithms: Array) -> Array:
     c, s, o, _, *scales = np.exp(logarithms)
-    squares = (first[:, None, :] - second[None, :, :]) ** 2
-    smooth = np.exp(-0.5 * (squares / np.square(scales[:-1])).sum(axis=2))
-    own = np.exp(-0.5 * squares[:, :, drive] / scales[-1] ** 2)
+    a, b = first / scales[:-1], second / scales[:-1]
+    smooth = np.exp(a @ b.T - 0.5 * np.sum(a**2, axis=1)[:, None] - 0.5 * np.sum(b**2, axis=1))
+    own = np.exp(-0.5 * ((first[:, None, drive] - second[:, drive]) / scales[-1]) ** 2)
     return np.asarray(c**2 * (1.0 + first @ second.T) + s**2 * smooth + o**2 * own)
 
 

@@ -22,7 +22,7 @@ from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array
 
 RANK_TOLERANCE = 1e-11
@@ -37,7 +37,7 @@ def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrume
 
     Args:
         errors: the parameters, with their tolerances.
-        poses: poses of the mechanism as described.
+        poses: poses of the robot as described.
         instrument: what is measured; full poses by default.
 
     Raises:

@@ -13,18 +13,16 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 import scipy.linalg
-import scipy.stats
+import scipy.special
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, identifiability
-from pm3dof_pin.calibration.measurements import Measurements
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import pose_difference
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 Loss = Literal["squares", "huber", "tukey"]
@@ -32,8 +30,8 @@ Loss = Literal["squares", "huber", "tukey"]
 PRIOR = 3.0
 """k: standard deviation of the parameters before the measurements, in units of their tolerances, as in planning."""
 
-UNTOLD = 0.9
-"""A parameter whose standard deviation stays above this part of what it was before was not told by the measurements."""
+PRIOR_DOMINATED = 0.9
+"""A parameter whose standard deviation stays above this part of what it was before is dominated by the prior."""
 
 _MAX_STEPS = 50
 _DAMPING = 1e-4  # (1 / 100 tolerances)^2: further than that no linearisation reaches, should nothing else hold a step
@@ -97,10 +95,10 @@ class Identification:
         return tuple(self.measurements.lines[row] for row in self.outliers)
 
     @cached_property
-    def untold(self) -> tuple[str, ...]:
+    def prior_dominated(self) -> tuple[str, ...]:
         """Parameters about which the measurements say next to nothing by themselves: the prior's value stands."""
-        silent = self.sigmas >= UNTOLD * self.prior * self.errors.tolerances
-        return tuple(name for name, quiet in zip(self.errors.names, silent, strict=True) if quiet)
+        dominated = self.sigmas >= PRIOR_DOMINATED * self.prior * self.errors.tolerances
+        return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
 
 
 def identify(
@@ -130,56 +128,20 @@ def identify(
         )
     if not prior > 0.0:
         raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
-    nominal = errors.mechanism.forward(measurements.commands)
     x, previous = np.zeros(len(errors)), np.inf
+    poses = errors.robot.forward(measurements.commands)
     for step in range(1, _MAX_STEPS + 1):
-        linear = _linearised(measurements, errors, x, nominal, prior)
+        linear = _Linearised(measurements, errors, poses, x, prior)
         fit = linear.robust(loss)
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
+        poses = errors.apply(x * errors.tolerances).forward(measurements.commands, guess=poses.q)
         if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
-            return _result(measurements, errors, x, nominal, prior, fit, step)
+            return _result(_Linearised(measurements, errors, poses, x, prior), fit, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
     )
-
-
-def measured_residuals(measurements: Measurements, poses: Poses) -> Array:
-    """Return what was measured minus what a machine does, shape=(n, 3 or 6) [m, rad].
-
-    Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
-    measured; world axes.
-
-    Args:
-        measurements: what was measured.
-        poses: of the machine, at the commands of the measurements.
-    """
-    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
-    positions = measurements.positions - poses.positions - offsets
-    if measurements.rotations is None:
-        return np.asarray(positions)
-    seen = np.tile(np.eye(4), (len(poses), 1, 1))
-    seen[:, :3, :3] = measurements.rotations
-    return np.concatenate([positions, pose_difference(poses.transforms, seen)[:, 3:]], axis=1)
-
-
-def measured_rows(measurements: Measurements, poses: Poses, tool_motions: Array) -> Array:
-    """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, 3 or 6, k).
-
-    Args:
-        measurements: what was measured.
-        poses: of the machine, at the commands of the measurements.
-        tool_motions: derivatives of the tool's pose, shape=(n, 6, k).
-    """
-    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
-    linear, angular = tool_motions[:, :3], tool_motions[:, 3:]
-    points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
-    if measurements.rotations is None:
-        return np.asarray(points)
-    turns = measurements.rotations @ np.swapaxes(poses.rotations, 1, 2)
-    derivatives = np.array([pin.Jlog3(turn) for turn in turns])
-    return np.concatenate([points, derivatives @ angular], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,12 +156,15 @@ class _Fit:
 class _Linearised:
     """The measurements' residuals as linear functions of the parameters, both in units of their deviations."""
 
-    def __init__(self, residuals: Array, rows: Array, x: Array, prior: float) -> None:
-        self.rows = rows
+    def __init__(self, measurements: Measurements, errors: GeometricErrors, poses: Poses, x: Array, prior: float):
+        self.measurements, self.errors, self.poses, self.prior = measurements, errors, poses, prior
+        self.residuals = measurements.residuals(poses)
+        motions = sensitivities(errors, poses, x * errors.tolerances).errors
+        self.rows = measurements.derivatives(poses, motions) / measurements.sigmas[:, :, None] * errors.tolerances
         self._start = x
-        self._wanted = residuals + rows @ x  # rows x = wanted - residual
+        self._wanted = self.residuals / measurements.sigmas + self.rows @ x  # rows x = wanted - residual
         self._prior = 0.0 if np.isinf(prior) else 1.0 / prior
-        self._count, self.dimension = residuals.shape
+        self._count, self.dimension = self._wanted.shape
 
     def robust(self, loss: Loss) -> _Fit:
         weights, factor = np.ones(self._count), 1.0
@@ -221,7 +186,7 @@ class _Linearised:
 
     def noise_factor(self, squares: Array, weights: Array) -> float:
         """Return how much the residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
-        median = np.median(squares) / scipy.stats.chi2.median(self.dimension)
+        median = np.median(squares) / _chi_square_quantile(0.5, self.dimension)
         freedom = max(_LEAST_FREEDOM, 1.0 - self._used(weights) / (self._count * self.dimension))
         return float(max(1.0, np.sqrt(median / freedom)))
 
@@ -234,7 +199,7 @@ class _Linearised:
         return np.asarray(np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]), compute_uv=False))
 
     def _used(self, weights: Array) -> float:
-        """Return how many freedoms the parameters take from the measurements."""
+        """Return how many degrees of freedom the parameters take from the measurements."""
         s = self._singular_values
         s = s[s > RANK_TOLERANCE * s.max(initial=0.0)]
         return float(np.sum(s**2 / (s**2 + self._prior**2)))
@@ -245,9 +210,9 @@ class _Linearised:
             pull = np.einsum("n,nj->j", weights, self._pulls) / factor**2
             return np.asarray(scipy.linalg.solve(self.information(weights, factor) + self._prior_information, pull))
         scale, count = np.sqrt(weights) / factor, self.rows.shape[2]
-        held = np.sqrt(_DAMPING) * np.eye(count)
-        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), held])
-        right = np.concatenate([(scale[:, None] * self._wanted).ravel(), held @ self._start])
+        damping = np.sqrt(_DAMPING) * np.eye(count)
+        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), damping])
+        right = np.concatenate([(scale[:, None] * self._wanted).ravel(), damping @ self._start])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK_TOLERANCE)[0])
 
     @cached_property
@@ -264,41 +229,22 @@ class _Linearised:
         return self._prior**2 * np.eye(self.rows.shape[2])
 
 
-def _linearised(
-    measurements: Measurements, errors: GeometricErrors, x: Array, nominal: Poses, prior: float
-) -> _Linearised:
-    values = x * errors.tolerances
-    poses = errors.apply(values).forward(measurements.commands, guess=nominal.q)
-    residuals = measured_residuals(measurements, poses) / measurements.sigmas
-    rows = measured_rows(measurements, poses, sensitivities(errors, poses, values).errors)
-    return _Linearised(residuals, rows / measurements.sigmas[:, :, None] * errors.tolerances, x, prior)
-
-
-def _result(
-    measurements: Measurements,
-    errors: GeometricErrors,
-    x: Array,
-    nominal: Poses,
-    prior: float,
-    fit: _Fit,
-    steps: int,
-) -> Identification:
-    linear = _linearised(measurements, errors, x, nominal, prior)
-    values = x * errors.tolerances
-    poses = errors.apply(values).forward(measurements.commands, guess=nominal.q)
-    squares = linear.squares(x)
-    bound = scipy.stats.chi2.isf(_FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
+def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
+    """Return what a fit says, given the problem linearised at its solution."""
+    errors, measurements = linear.errors, linear.measurements
+    bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
+    information = linear.information(fit.weights, fit.noise_factor)
     return Identification(
         errors=errors,
-        values=frozen(values),
-        covariance=frozen(_covariance(linear.information(fit.weights, fit.noise_factor), prior, errors.tolerances)),
-        prior=prior,
+        values=frozen(fit.x * errors.tolerances),
+        covariance=frozen(_covariance(information, linear.prior, errors.tolerances)),
+        prior=linear.prior,
         measurements=measurements,
-        poses=poses,
-        residuals=frozen(measured_residuals(measurements, poses)),
+        poses=linear.poses,
+        residuals=frozen(linear.residuals),
         weights=frozen(fit.weights),
         noise_factor=fit.noise_factor,
-        outliers=tuple(int(row) for row in np.flatnonzero(squares > bound)),
+        outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
         identifiability=identifiability(errors.names, errors.tolerances, linear.rows),
         steps=steps,
     )
@@ -321,7 +267,11 @@ def _weights(squares: Array, dimension: int, loss: str) -> Array:
     """Return the weights of squared normalised residuals, shape=(n,)."""
     if loss == "squares":
         return np.ones_like(squares)
-    bend = float(scipy.stats.chi2.ppf(_HUBER, dimension))
+    bend = _chi_square_quantile(_HUBER, dimension)
     if loss == "huber":
         return np.asarray(np.sqrt(bend / np.maximum(squares, bend)))
     return np.asarray(np.clip(1.0 - squares / (_TUKEY**2 * bend), 0.0, None) ** 2)
+
+
+def _chi_square_quantile(probability: float, dimension: int) -> float:
+    return float(2.0 * scipy.special.gammaincinv(0.5 * dimension, probability))

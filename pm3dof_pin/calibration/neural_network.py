@@ -31,12 +31,12 @@ class NeuralNetwork:
     Attributes:
         hidden_weights: W1 of each network, shape=(networks, number of inputs, hidden).
         hidden_biases: b1, shape=(networks, hidden).
-        output_weights: W2, shape=(networks, hidden, number of actuated joints).
-        output_biases: b2, shape=(networks, number of actuated joints).
-        scale: of each deviation, shape=(number of actuated joints,) [m, rad].
-        part: what of the networks' answer is used, shape=(number of actuated joints,); 0 where they are no better than
+        output_weights: W2, shape=(networks, hidden, number of commands).
+        output_biases: b2, shape=(networks, number of commands).
+        scale: of each deviation, shape=(number of commands,) [m, rad].
+        part: what of the networks' answer is used, shape=(number of commands,); 0 where they are no better than
             no correction.
-        sigmas: error in cross-validation, measurement noise included, shape=(number of actuated joints,) [m, rad].
+        sigmas: error in cross-validation, measurement noise included, shape=(number of commands,) [m, rad].
     """
 
     hidden_weights: Array
@@ -53,7 +53,7 @@ class NeuralNetwork:
 
         Args:
             inputs: shape=(n, number of inputs).
-            deviations: du, shape=(n, number of actuated joints) [m, rad].
+            deviations: du, shape=(n, number of commands) [m, rad].
             seed: of the first weights and of the folds.
 
         Raises:
@@ -72,7 +72,7 @@ class NeuralNetwork:
         return cls(hidden, hidden_bias, output, output_bias, scale, part, sigmas)
 
     def deviations(self, inputs: Array) -> Array:
-        """Return du, shape=(n, number of actuated joints) [m, rad]."""
+        """Return du, shape=(n, number of commands) [m, rad]."""
         return np.asarray(
             self.scale
             * self.part
@@ -88,7 +88,7 @@ class NeuralNetwork:
         )
 
     def uncertainties(self, inputs: Array) -> Array:
-        """Return the error in cross-validation, shape=(n, number of actuated joints) [m, rad]."""
+        """Return the error in cross-validation, shape=(n, number of commands) [m, rad]."""
         return np.tile(self.sigmas, (len(inputs), 1))
 
     def as_data(self) -> dict[str, object]:
@@ -110,7 +110,7 @@ def _answer(inputs: Array, weights: _Weights) -> Array:
 
 
 def _cross_validated(inputs: Array, targets: Array, folds: NDArray[np.int_], decay: float, seed: int) -> Array:
-    """Return what networks say of the measurements that they were not shown, shape=(n, number of actuated joints)."""
+    """Return what networks say of the measurements that they were not shown, shape=(n, number of commands)."""
     predicted = np.zeros_like(targets)
     for fold in range(int(folds.max()) + 1):
         shown = folds != fold

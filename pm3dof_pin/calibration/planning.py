@@ -32,7 +32,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array, Indices
 
 Strategy = Literal["d-optimal", "tip-optimal", "least-sensitive", "random"]
@@ -58,7 +58,7 @@ class Plan:
     Attributes:
         strategy: how they were chosen.
         indices: which of the candidates they are, shape=(n,).
-        poses: the poses, of the mechanism as described.
+        poses: the poses, of the robot as described.
         predicted_tip_rms: tip error that is left after calibration with them, root mean square over the test poses, as
             far as the parameters describe the machine [m].
         identifiability: what they identify.
@@ -81,7 +81,7 @@ class PlanningProblem:
 
     Args:
         errors: the parameters, with their tolerances.
-        candidates: poses of the mechanism as described that may be measured.
+        candidates: poses of the robot as described that may be measured.
         test_poses: poses at which the tip error is predicted; the candidates by default.
         instrument: what is measured; full poses by default.
         eta: weight of the orientation in the tip error [m/rad].
@@ -114,7 +114,7 @@ class PlanningProblem:
         tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
         effects = (tests.weighted * errors.tolerances).reshape(-1, len(errors))
         self._tip = effects.T @ effects / len(tests.poses)
-        lower, upper = coordinate_ranges(errors.mechanism, errors.mechanism.command_coordinates)
+        lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
         self._min_distance = min_distance
         self._prior = np.eye(len(errors)) / prior**2
@@ -152,8 +152,8 @@ class PlanningProblem:
         """
         return cls(
             errors,
-            reachable_poses(errors.mechanism, candidates, generator, margin=margin),
-            reachable_poses(errors.mechanism, test_poses, generator),
+            reachable_poses(errors.robot, candidates, generator, margin=margin),
+            reachable_poses(errors.robot, test_poses, generator),
             instrument=instrument,
             eta=eta,
             min_distance=min_distance,

@@ -13,27 +13,26 @@ The same measurements, method and seed give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
+from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.measurements import Measurements, command_units, write_measurements
-from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pseudo_error import InputScale, PseudoErrorModel
-from pm3dof_pin.calibration.registration import Registration
+from pm3dof_pin.calibration.judging import HeldOut
+from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, learned_model_from_data
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import replace_directory, write_text_atomically
+from pm3dof_pin.measuring.measurement_file import write_measurements
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 SUMMARY = "calibration.yaml"
@@ -42,10 +41,6 @@ MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
 
 _FORMAT = 1
-_READERS: dict[str, Callable[[Mapping[str, Any]], PseudoErrorModel]] = {
-    "gaussian process": GaussianProcess.from_data,
-    "neural network": NeuralNetwork.from_data,
-}
 
 
 def write_calibration(
@@ -73,14 +68,14 @@ def write_calibration(
     """
     compensation, files = calibration.compensation, find_robot(robot)
     with replace_directory(directory, SUMMARY) as folder:
-        for source in (files.path, files.closures, files.errors, files.srdf):
+        for source in (files.urdf, files.closures, files.errors, files.srdf):
             if source is not None and source.is_file():
                 write_text_atomically(folder / "nominal" / source.name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated")
-        write_measurements(calibration.measurements, compensation.errors, folder / MEASUREMENTS)
+        write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / COMPENSATION, compensation_as_json(compensation, files.path.name))
-        summary = yaml.safe_dump(summary_of(calibration, files.path.stem, held_out), sort_keys=False, width=120)
+        summary = yaml.safe_dump(summary_of(calibration, files.name, held_out), sort_keys=False, width=120)
         write_text_atomically(folder / SUMMARY, summary)
         if report is not None:
             write_text_atomically(folder / REPORT, report)
@@ -115,40 +110,31 @@ def summary_of(calibration: Calibration, robot: str, held_out: HeldOut | None = 
         robot: name of the robot.
         held_out: how good it is on measurements it has not seen.
     """
-    how, found = calibration.options, calibration.identification
+    options, found = calibration.options, calibration.identification
     summary: dict[str, Any] = {
         "format": _FORMAT,
         "robot": robot,
-        "method": how.method,
-        "seed": how.seed,
-        "eta_m_per_rad": how.eta,
+        "method": options.method,
+        "seed": options.seed,
+        "eta_m_per_rad": options.eta,
         "measurements": _measurements_summary(calibration.measurements),
         "outlier_lines": list(found.outlier_lines),
         "noise_factor": found.noise_factor,
         "unexplained_tip_error_m": calibration.compensation.unexplained,
     }
     if held_out is not None:
-        summary["held_out"] = held_out_summary(held_out, command_units(calibration.compensation.errors.mechanism))
+        units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
+        kinds = {
+            "tip_error_before_m": held_out.before,
+            "tip_error_after_m": held_out.after,
+            "tip_error_floor_m": held_out.floor,
+            "tip_noise_m": held_out.noise,
+            "_".join(["excess_joint_error", *units]): held_out.excess,
+        }
+        summary["held_out"] = {"poses": len(held_out.rows)} | {name: statistics(kinds[name]) for name in kinds}
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary
-
-
-def held_out_summary(held_out: HeldOut, units: Iterable[str]) -> dict[str, Any]:
-    """Return mean, 95th percentile and greatest error over the held-out poses [m].
-
-    Args:
-        held_out: the errors.
-        units: of the actuated joints, in which the excess joint error is; they end its key.
-    """
-    kinds = {
-        "tip_error_before_m": held_out.before,
-        "tip_error_after_m": held_out.after,
-        "tip_error_floor_m": held_out.floor,
-        "tip_noise_m": held_out.noise,
-        "_".join(["excess_joint_error", *sorted(set(units))]): held_out.excess,
-    }
-    return {"poses": len(held_out.rows)} | {name: statistics(values) for name, values in kinds.items()}
 
 
 def statistics(values: Array) -> dict[str, float]:
@@ -167,88 +153,79 @@ def compensation_as_json(compensation: Compensation, urdf: str) -> str:
         compensation: what to write.
         urdf: name of the nominal robot's URDF.
     """
-    covariance, scale = compensation.covariance, compensation.inputs
+    covariance, learned = compensation.covariance, compensation.learned
     if covariance is not None:
         # what nothing tells moves the tool by nothing that was ever seen; JSON has no infinity
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    scale = None
+    if learned is not None:
+        inputs = learned.inputs
+        scale = {
+            "conditions": list(inputs.conditions),
+            "centre": inputs.centre.tolist(),
+            "half_range": inputs.half_range.tolist(),
+        }
     data = {
         "format": _FORMAT,
         "urdf": urdf,
+        "tool_frame": compensation.errors.robot.tool_frame,
         "eta_m_per_rad": compensation.eta,
         "unexplained_m": compensation.unexplained,
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
-        "inputs": None
-        if scale is None
-        else {
-            "conditions": list(scale.conditions),
-            "centre": scale.centre.tolist(),
-            "half_range": scale.half_range.tolist(),
-        },
-        "pseudo_error": None if compensation.learned is None else compensation.learned.as_data(),
+        "inputs": scale,
+        "pseudo_error": None if learned is None else learned.model.as_data(),
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
 def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
-    errors = GeometricErrors.load(directory / "nominal" / data["urdf"]).select(data["parameters"])
-    scale, learned = data["inputs"], data["pseudo_error"]
-    model: PseudoErrorModel | None = None if learned is None else _READERS[learned["kind"]](learned)
+    described = GeometricErrors.load(directory / "nominal" / data["urdf"], tool_frame=data.get("tool_frame"))
+    errors = described.select(data["parameters"])
+    scale, learned = data["inputs"], None
+    if scale is not None:
+        inputs = InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"]))
+        learned = LearnedPart(learned_model_from_data(data["pseudo_error"]), inputs)
     return Compensation(
         errors,
         None if data["values"] is None else errors.values(data["values"]),
         None if data["covariance"] is None else np.array(data["covariance"], dtype=float),
-        model,
-        None
-        if scale is None
-        else InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"])),
+        learned,
         float(data["eta_m_per_rad"]),
         float(data["unexplained_m"]),
     )
 
 
 def _measurements_summary(measurements: Measurements) -> dict[str, Any]:
-    return {
+    summary: dict[str, Any] = {
         "count": len(measurements),
         "measured": measurements.measured,
         "conditions": list(measurements.conditions),
         "median_sigma_m_rad": [float(sigma) for sigma in np.median(measurements.sigmas, axis=0)],
         "warnings": list(measurements.warnings),
-    } | _registration_summary(measurements.registration)
-
-
-def _registration_summary(registration: Registration | None) -> dict[str, Any]:
-    if registration is None:
-        return {}
-    base = registration.base
-    return {
-        "base_in_instrument_frame": {
+    }
+    if measurements.registration is not None:
+        base = measurements.registration.base
+        summary["base_in_instrument_frame"] = {
             "position_m": base[:3, 3].tolist(),
             "quaternion_wxyz": quaternion(base[:3, :3]).tolist(),
-            "residual_m": registration.residual,
+            "residual_m": measurements.registration.residual,
         }
-    }
+    return summary
 
 
 def _identification_summary(found: Identification) -> dict[str, Any]:
-    errors, k = found.errors, found.prior
-    parameters = {
-        name: {
-            "value": float(value),
-            "sigma": float(sigma),
-            "tolerance": float(tolerance),
-            "unit": unit,
-        }
-        for name, value, sigma, tolerance, unit in zip(
-            errors.names, found.values, found.sigmas, errors.tolerances, errors.units, strict=True
-        )
-    }
+    errors = found.errors
+    rows = zip(errors.names, found.values, found.sigmas, errors.tolerances, errors.units, strict=True)
     return {
-        "prior_tolerances": k,
+        "prior_tolerances": found.prior,
         "steps": found.steps,
         "identifiable_combinations": found.identifiability.rank,
         "says_nothing_about": list(found.identifiability.unidentifiable),
-        "says_little_about": list(found.untold),
-        "parameters": parameters,
+        "says_little_about": list(found.prior_dominated),
+        "parameters": {
+            name: {"value": float(value), "sigma": float(sigma), "tolerance": float(tolerance), "unit": unit}
+            for name, value, sigma, tolerance, unit in rows
+        },
     }

@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
-    from pm3dof_pin.calibration.measurements import Measurements
-    from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.measuring.measurements import Measurements
+
+
+_ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
 class MethodName(StrEnum):
@@ -45,9 +47,7 @@ def calibrate(
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
     ] = MethodName.LM_GP,
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
-    ] = "pm3dof",
+    robot: RobotName = THE_TRIPOD,
     own_frame: Annotated[
         bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
     ] = False,
@@ -57,30 +57,32 @@ def calibrate(
     ] = 3.0,
     loss: Annotated[LossName, typer.Option(help="Robustness of the identification.")] = LossName.TUKEY,
     seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.calibrate import calibrate as calibrated
-    from pm3dof_pin.calibration.measurements import read_measurements
+    from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors, workspace_errors
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.description.robots import find_robot
     from pm3dof_pin.figures.calibration_report import report_as_html
+    from pm3dof_pin.measuring.measurement_file import read_measurements
 
     with _warnings_as_messages():
-        errors = _parameters(robot)
-        measurements = read_measurements(file, errors, own_frame=own_frame)
+        errors = closing_errors(load_errors(robot, tool_frame, package_path))
+        measurements = read_measurements(file, errors.robot, own_frame=own_frame)
         with progress_bar("calibrating") as progress:
             calibration = calibrated(measurements, errors, Options(method.value, seed, eta, prior, loss.value))
             progress(1, 4)
-            held_out = _held_out(calibration)
+            held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
             progress(2, 4)
-            maps = _maps(calibration)
+            maps = workspace_errors(calibration)
             progress(3, 4)
-            name = find_robot(robot).path.stem
-            folder = write_calibration(
-                calibration, robot, out, held_out, report_as_html(calibration, name, held_out, maps)
-            )
+            name = find_robot(robot).name
+            report = report_as_html(calibration, name, held_out, maps)
+            folder = write_calibration(calibration, robot, out, held_out, report)
             progress(4, 4)
     summary = summary_of(calibration, name, held_out)
     print_result({"directory": str(folder)} | summary, _lines(summary, measurements), as_json=as_json)
@@ -93,36 +95,12 @@ class _warnings_as_messages:  # noqa: N801 - used like a function
     def __enter__(self) -> None:
         self._handler = logging.StreamHandler()
         self._handler.setFormatter(logging.Formatter("pm3dof: warning: %(message)s"))
-        logging.getLogger("pm3dof_pin.calibration").addHandler(self._handler)
+        for room in _ROOMS:
+            logging.getLogger(room).addHandler(self._handler)
 
     def __exit__(self, *_: object) -> None:
-        logging.getLogger("pm3dof_pin.calibration").removeHandler(self._handler)
-
-
-def _parameters(robot: str) -> GeometricErrors:
-    """Load the robot with the error parameters with which its loops close."""
-    import numpy as np
-
-    from pm3dof_pin.cli.closing_errors import closing_errors
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-
-    errors = GeometricErrors.load(robot)
-    return closing_errors(errors, reachable_poses(errors.mechanism, 20, np.random.default_rng(0)))
-
-
-def _held_out(calibration: Calibration) -> HeldOut | None:
-    from pm3dof_pin.calibration.calibrate import can_be_judged, held_out_errors
-
-    return held_out_errors(calibration) if can_be_judged(calibration) else None
-
-
-def _maps(calibration: Calibration) -> WorkspaceErrors | None:
-    from pm3dof_pin.calibration.workspace_errors import workspace_errors
-
-    if len(calibration.compensation.errors.mechanism.motion_coordinates) < 2:
-        return None
-    return workspace_errors(calibration)
+        for room in _ROOMS:
+            logging.getLogger(room).removeHandler(self._handler)
 
 
 def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:

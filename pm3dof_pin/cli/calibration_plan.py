@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -37,9 +39,7 @@ def calibration_plan(
             help="least-sensitive is the chapter's rule; d-optimal and tip-optimal exchange poses for better."
         ),
     ] = StrategyName.D_OPTIMAL,
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
-    ] = "pm3dof",
+    robot: RobotName = THE_TRIPOD,
     positions: Annotated[
         bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
     ] = False,
@@ -58,24 +58,24 @@ def calibration_plan(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (PNG).")
     ] = None,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
     import numpy as np
 
     from pm3dof_pin.calibration.identifiability import minimum_poses
-    from pm3dof_pin.calibration.plan_file import write_plan
     from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
-    from pm3dof_pin.cli.closing_errors import closing_errors
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.simulation.instrument import Instrument
+    from pm3dof_pin.measuring.instrument import Instrument
+    from pm3dof_pin.measuring.measurement_file import write_plan
 
-    errors = GeometricErrors.load(robot)
+    errors = load_errors(robot, tool_frame, package_path)
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
-        choices = reachable_poses(errors.mechanism, candidates, generator, margin=margin)
-        tests = reachable_poses(errors.mechanism, min(candidates, 300), generator)
+        choices = reachable_poses(errors.robot, candidates, generator, margin=margin)
+        tests = reachable_poses(errors.robot, min(candidates, 300), generator)
         fitting = closing_errors(errors, choices[:20])
         instrument = Instrument("position" if positions else "pose")
         problem = PlanningProblem(fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior)
@@ -88,7 +88,7 @@ def calibration_plan(
             else float(problem.accuracy_curve([poses], name, SEEDS if "optimal" not in name else [seed]).mean())
             for name in STRATEGIES
         }
-        files = [write_plan(errors, plan, out)]
+        files = [write_plan(plan.poses, out)]
         minimum = minimum_poses(problem.regressor[: 2 * len(errors)])
         if picture is not None:
             files.append(_draw(problem, minimum, picture))
@@ -109,12 +109,11 @@ def _draw(problem: PlanningProblem, minimum: int, path: Path) -> Path:
 
 
 def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[Any, float]) -> dict[str, Any]:
-    from pm3dof_pin.calibration.measurements import command_units
 
     known = plan.identifiability
-    units = sorted(set(command_units(problem.errors.mechanism)))
+    units = sorted({command.unit for command in problem.errors.robot.commands})
     return {
-        "robot": problem.errors.mechanism.name,
+        "robot": problem.errors.robot.name,
         "strategy": plan.strategy,
         "poses": len(plan.indices),
         "_".join(["commands", *units]): plan.poses.commands,

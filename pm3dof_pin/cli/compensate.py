@@ -2,82 +2,144 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Height, Json, ThetaX, ThetaY, load_tripod, pose_of
+from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.pose_arguments import (
+    NamedConfiguration,
+    OutFile,
+    Pose,
+    PoseChoice,
+    expected_numbers,
+    read_poses,
+    readings,
+    write_batch,
+)
+from pm3dof_pin.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
+    from pm3dof_pin.kinematics.robot import Robot
 
 
 def compensate(
-    theta_x: ThetaX,
-    theta_y: ThetaY,
-    z_e: Height,
     calibration: Annotated[Path, typer.Option(metavar="DIR", help="Folder that `pm3dof calibrate` wrote.")],
+    pose: Pose = None,
+    robot: Annotated[
+        str | None,
+        typer.Option("--robot", metavar="NAME|PATH", help="The robot, to be sure that the folder is one of it."),
+    ] = None,
+    configuration: NamedConfiguration = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            "--poses",
+            metavar="FILE",
+            help="Many poses: CSV with a column NAME_deg, NAME_rad or NAME_m for each coordinate, or with x_m, y_m, "
+            "z_m, qw, qx, qy, qz; temperatures and loads may stand beside them.",
+        ),
+    ] = None,
+    out: OutFile = None,
     condition: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="A temperature or load, by the name of its column; may be repeated."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Commands that bring the calibrated machine to a pose: angles in degrees, height in metres.
+    """Commands that bring the calibrated machine to a pose, or to many: angles in degrees, lengths in metres.
 
     A pose that breaks a joint limit is still answered, with a message and exit status 1.
     """
     from pm3dof_pin.calibration.results import read_compensation
-    from pm3dof_pin.chapter.kinematics import inverse_kinematics
-    from pm3dof_pin.chapter.limits import limit_violations
     from pm3dof_pin.exceptions import InvalidValueError
+    from pm3dof_pin.kinematics.broken_limits import broken_limits
 
-    compensation = read_compensation(calibration)
-    if compensation.errors.mechanism.name != THE_TRIPOD:
-        raise InvalidValueError(
-            "--calibration", calibration, f"one of {THE_TRIPOD}; for other robots there is Compensation in Python"
-        )
+    chosen = PoseChoice.of(pose, configuration, poses, out)
     given = _conditions(condition or [])
-    usual = {} if compensation.inputs is None else compensation.inputs.middle()
-    for name in sorted(set(given) - set(usual)):
-        raise InvalidValueError("--condition", name, f"one of {', '.join(usual) or 'none, it knows none'}")
-    for name in sorted(set(usual) - set(given)):
-        message(f"pm3dof: {name} is not given: {usual[name]:.4g}, the middle of those measured, is taken")
-    if compensation.inputs is not None:
-        for name, (least, most) in compensation.inputs.beyond(given).items():
-            message(
-                f"pm3dof: {name} = {given[name]:.4g} is outside what was measured, {least:.4g} .. {most:.4g}: "
-                "the correction is a guess there"
-            )
-    tripod, pose = load_tripod(None), pose_of(theta_x, theta_y, z_e)
-    inverse_kinematics(tripod, pose)  # raises where the pose is out of reach
-    home = compensation.errors.mechanism.home.tool_placement.translation[2]
-    answer = compensation.compensate_coordinates([[pose[0], pose[1], pose[2] - home]], usual | given)
-    broken = limit_violations(tripod, pose)
-    result = {
-        "u_m": answer.commands[0],
-        "u_nominal_m": answer.nominal_commands[0],
+    known = read_compensation(calibration)
+    machine = known.errors.robot
+    if robot is not None and (name := _name_of(robot)) != machine.name:
+        raise InvalidValueError("--calibration", calibration, f"one of {name}, it is of {machine.name}")
+    if chosen.is_empty:
+        raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
+    if chosen.file is not None:
+        names = () if known.learned is None else known.learned.inputs.conditions
+        file, many = read_poses(machine, chosen.file, placements=True, numbers=names)
+        conditions = _completed(known, {**given, **file.numbers})
+        with progress_bar("compensating") as progress:
+            answer = known.compensate(many, conditions, on_failure="nan", progress=progress)
+        columns = {
+            **file.columns_as_written,
+            **file.numbers,
+            **readings(machine.command_coordinates, answer.commands),
+            "predicted_error_m": answer.predicted_error,
+        }
+        write_batch(many, columns, out, as_json)
+        return
+    solved = chosen.solve(machine)
+    conditions = _completed(known, given)
+    answer = known.compensate(solved.reshape(1), conditions)
+    units = {command.unit for command in machine.commands}
+    numbers = {"u": answer.commands[0], "u_nominal": answer.nominal_commands[0], "deviation": answer.deviations[0]}
+    result: dict[str, Any] = {
+        "robot": machine.name,
+        **numbers,
+        "commands": [{"name": command.name, "unit": command.unit} for command in machine.commands],
+        **({f"{name}_{min(units)}": values for name, values in numbers.items()} if len(units) == 1 else {}),
         "predicted_error_m": answer.predicted_error[0],
-        "deviation_m": answer.deviations[0],
-        "conditions": usual | given,
+        "conditions": conditions,
     }
+    print_result(result, _lines(machine, answer), as_json=as_json)
+    stop_on_broken_limits(broken_limits(machine, solved.configuration()))
+
+
+def _name_of(robot: str) -> str:
+    from pm3dof_pin.kinematics.robot import Robot
+
+    return Robot.load(robot).name
+
+
+def _completed(compensation: Compensation, given: Conditions) -> Conditions:
+    """Complete conditions by the middle of those measured, and say which are not given or beyond these."""
+    complete = compensation.with_usual_conditions(given)
+    for name in sorted(set(complete) - set(given)):
+        message(f"pm3dof: {name} is not given: {complete[name]:.4g}, the middle of those measured, is taken")
+    if compensation.learned is not None:
+        for name, (least, most) in compensation.learned.inputs.beyond(given).items():
+            value = given[name]
+            words = f"{name} = {value:.4g} is" if isinstance(value, float) else f"some {name} are"
+            message(
+                f"pm3dof: {words} outside what was measured, {least:.4g} .. {most:.4g}: the correction is a guess there"
+            )
+    return complete
+
+
+def _lines(robot: Robot, answer: Compensated) -> list[str]:
+    factors = [1.0 if command.unit == "m" else math.degrees(1.0) for command in robot.commands]
+    names = {"m": ("m", "µm"), "rad": ("deg", "µrad")}
+    units = [names[unit] for unit in dict.fromkeys(command.unit for command in robot.commands)]
+    unit, small = (", ".join(words) for words in zip(*units, strict=True))
     rows = [
-        [f"u{k}", f"{u:.9f}", f"{nominal:.9f}", f"{1e6 * (u - nominal):.2f}"]
-        for k, (u, nominal) in enumerate(zip(answer.commands[0], answer.nominal_commands[0], strict=True), start=1)
+        [command.name, f"{factor * u:.9f}", f"{factor * nominal:.9f}", f"{1e6 * (u - nominal):.2f}"]
+        for command, factor, u, nominal in zip(
+            robot.commands, factors, answer.commands[0], answer.nominal_commands[0], strict=True
+        )
     ]
-    lines = table_lines(["drive", "command [m]", "nominal [m]", "difference [µm]"], rows)
-    lines.append(f"tip error to be expected: {1e6 * answer.predicted_error[0]:.1f} µm")
-    print_result(result, lines, as_json=as_json)
-    stop_on_broken_limits(broken)
+    lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)
+    return [*lines, f"tip error to be expected: {1e6 * answer.predicted_error[0]:.1f} µm"]
 
 
 def _conditions(words: list[str]) -> dict[str, float]:
     conditions = {}
     for word in words:
-        name, sign, value = word.partition("=")
+        name, _, value = word.partition("=")
         try:
-            conditions[name.strip()] = float(value) if sign else float("nan")
+            conditions[name.strip()] = float(value)
         except ValueError as error:
             raise typer.BadParameter(f"--condition {word}: expected NAME=VALUE with a number") from error
-        if not sign:
-            raise typer.BadParameter(f"--condition {word}: expected NAME=VALUE with a number")
     return conditions

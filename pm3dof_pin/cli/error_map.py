@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json, load_tripod
+from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame, check_units
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
+    from pm3dof_pin.kinematics.robot import Robot
 
 PICTURES = {
     "error_map_tip.png": "tip_rms",
@@ -24,21 +24,30 @@ PICTURES = {
     "error_map_worst.png": "worst_tip",
 }
 SHOWN = 10
-
-RobotName = Annotated[
-    str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
-]
+SAMPLES = 300
 
 
 def error_map(
-    robot: RobotName = "pm3dof",
+    robot: RobotName = THE_TRIPOD,
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
-    height: Annotated[
-        float | None, typer.Option(help="Height z_e of the section [m]; by default that of Table 8.3.")
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FIRST:LAST:COUNT",
+            help="A coordinate of the map [deg, m]; may be repeated. By default the first two that have ranges.",
+        ),
     ] = None,
-    tilt: Annotated[float, typer.Option(help="Tilts run from minus to plus this angle [deg].")] = 40.0,
-    points: Annotated[int, typer.Option(min=2, help="Number of values of each tilt.")] = 41,
-    samples: Annotated[int, typer.Option(min=1, help="Number of random poses of any other robot.")] = 300,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Value of another coordinate [deg, m]; may be repeated. By default the middle of its range, or home.",
+        ),
+    ] = None,
+    points: Annotated[int, typer.Option(min=2, help="Number of values of each coordinate without --over.")] = 41,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Instead of a section: so many random poses of the whole workspace.")
+    ] = None,
     eta: Annotated[
         float, typer.Option(min=0.0, help="Weight of the orientation in the tip error [m/rad]: the length of the tool.")
     ] = 0.1,
@@ -49,25 +58,57 @@ def error_map(
         float | None, typer.Option(help="Allocate tolerances so that the tip error stays within this [m] everywhere.")
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
-    """Errors of the tool that errors of the parts lead to, over the workspace: an error map, and the critical parts.
+    """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
 
-    Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its URDF; a robot without
-    one has 0.1 mm and 0.5 mrad at every joint. The tripod is mapped over a section of its workspace, any other robot is
-    judged at random poses.
+    Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its description; a robot
+    without one has 0.1 mm and 0.5 mrad at every joint. Robots whose coordinates have no ranges are judged at random
+    poses.
     """
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.maps.error_section import MOTION_COORDINATES
+    import numpy as np
 
-    errors = GeometricErrors.load(robot)
-    result: dict[str, Any] = {"robot": errors.mechanism.name, "eta_m_per_rad": eta}
+    from pm3dof_pin.errors.error_map import error_map as error_map_at
+    from pm3dof_pin.errors.error_map import error_section, section_grid
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.maps.storage import write_csv, write_netcdf
+
+    if samples is not None and (over or at):
+        raise typer.BadParameter("expected --samples, or --over and --at, not both")
+    errors = load_errors(robot, tool_frame, package_path)
+    fixed = {name: value for name, (value,) in _named_numbers(errors.robot, "--at", at or [], 1)}
+    ranges = {
+        name: (first, last, int(count))
+        for name, (first, last, count) in _named_numbers(errors.robot, "--over", over or [], 3)
+    }
+    grid = None
+    if samples is None:
+        grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points)
+    distribution: Any = "uniform" if uniform else "normal"
+    files: list[Path] = []
+    result: dict[str, Any] = {"robot": errors.robot.name, "eta_m_per_rad": eta}
     with progress_bar("error map") as progress:
-        if errors.mechanism.motion_coordinates == MOTION_COORDINATES and robot == "pm3dof":
-            mapped, files, z_e = _section(errors, out, height, tilt, points, eta, uniform, pictures, progress)
-            result["z_e_m"] = z_e
+        if grid is None:
+            poses = reachable_poses(errors.robot, samples or SAMPLES, np.random.default_rng(0))
+            mapped = error_map_at(closing_errors(errors, poses), poses, eta=eta, distribution=distribution)
+            place = "the workspace, at random"
         else:
-            mapped, files = _sampled(errors, samples, eta, uniform), []
+            section, mapped = error_section(closing_errors(errors), grid, eta=eta, distribution=distribution)
+            steps = 2 + len(PICTURES) * (pictures and len(grid.dims) == 2)
+            progress(1, steps)
+            units = {coordinate.name: coordinate.unit for coordinate in errors.robot.coordinates}
+            result |= {f"{name}_{units[name]}": value for name, value in grid.fixed.items()}
+            place = _in_words(errors.robot, grid.fixed)
+            files += [write_netcdf(section, out / "error_map.nc"), write_csv(section, out / "error_map.csv")]
+            if pictures and len(grid.dims) == 2:
+                from pm3dof_pin.figures.section_map import section_map
+                from pm3dof_pin.figures.style import save_figure
+
+                for name, variable in PICTURES.items():
+                    files.append(save_figure(section_map(section, variable), out / name))
+                    progress(len(files), steps)
         ranking = mapped.ranking()
         files.append(_write_ranking(ranking, out / "error_ranking.csv"))
         if pictures:
@@ -78,53 +119,37 @@ def error_map(
         result |= _summary(mapped) | {"ranking": [_plain(share) for share in ranking]}
         if target is not None:
             result["allocation"] = _allocation(mapped, target)
-    print_result(result | {"files": [str(file) for file in files]}, _lines(result), as_json=as_json)
+    print_result(result | {"files": [str(file) for file in files]}, _lines(result, place), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
 
 
-def _section(
-    errors: GeometricErrors,
-    out: Path,
-    height: float | None,
-    tilt: float,
-    points: int,
-    eta: float,
-    uniform: bool,
-    pictures: bool,
-    progress: Callable[[int, int], None],
-) -> tuple[ErrorMap, list[Path], float]:
-    from pm3dof_pin.maps.error_section import error_outline, error_section
-    from pm3dof_pin.maps.grid import RectangularGrid
-    from pm3dof_pin.maps.storage import write_csv, write_netcdf
-
-    tripod, angle = load_tripod(None), math.radians(tilt)
-    grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
-    steps = 2 + len(PICTURES) * pictures
-    distribution = "uniform" if uniform else "normal"
-    section, mapped = error_section(tripod, errors, grid, height, eta=eta, distribution=distribution)  # type: ignore[arg-type]
-    progress(1, steps)
-    files = [write_netcdf(section, out / "error_map.nc"), write_csv(section, out / "error_map.csv")]
-    if pictures:
-        from pm3dof_pin.figures.section_map import section_map
-        from pm3dof_pin.figures.style import save_figure
-
-        outline = error_outline(tripod, errors, grid, section)
-        for name, variable in PICTURES.items():
-            files.append(save_figure(section_map(section, variable, outline), out / name))
-            progress(len(files), steps)
-    return mapped, files, float(section["z_e"])
+def _named_numbers(robot: Robot, option: str, words: list[str], count: int) -> list[tuple[str, list[float]]]:
+    """Read NAME=NUMBER:NUMBER ... into SI units; a third number is a count."""
+    found = []
+    for word in words:
+        name, _, text = word.partition("=")
+        coordinate = robot.coordinate(name.strip())
+        try:
+            numbers = [float(number) for number in text.split(":")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != count or not all(map(math.isfinite, numbers)):
+            raise typer.BadParameter(f"{option} {word}: expected a name, = and {count} number{'s' * (count > 1)}")
+        check_units(robot, [coordinate], [[number] for number in numbers[:2]])
+        factor = 1.0 if coordinate.unit == "m" else math.radians(1.0)
+        found.append((coordinate.name, [factor * number for number in numbers[:2]] + numbers[2:]))
+    return found
 
 
-def _sampled(errors: GeometricErrors, samples: int, eta: float, uniform: bool) -> ErrorMap:
-    import numpy as np
-
-    from pm3dof_pin.cli.closing_errors import closing_errors
-    from pm3dof_pin.errors.error_map import error_map as compute
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-
-    poses = reachable_poses(errors.mechanism, samples, np.random.default_rng(0))
-    return compute(closing_errors(errors, poses), poses, eta=eta, distribution="uniform" if uniform else "normal")
+def _in_words(robot: Robot, fixed: Any) -> str:
+    """Return which section it is: its coordinates that do not vary."""
+    words = [
+        f"{c.name} = {fixed[c.name]:.6f} m" if c.unit == "m" else f"{c.name} = {math.degrees(fixed[c.name]):g} deg"
+        for c in robot.coordinates
+        if c.name in fixed
+    ]
+    return f"the section {', '.join(words)}" if words else "the workspace"
 
 
 def _summary(mapped: ErrorMap) -> dict[str, Any]:
@@ -170,7 +195,7 @@ def _write_ranking(ranking: list[ParameterShare], path: Path) -> Path:
     return write_text_atomically(path, "\n".join(["parameter,class,tip_rms_m,share,uncompensable_share", *rows]) + "\n")
 
 
-def _lines(result: dict[str, Any]) -> list[str]:
+def _lines(result: dict[str, Any], place: str) -> list[str]:
     words = {
         "tip_rms_m": "tip error, rms",
         "compensable_rms_m": "- that commands can undo",
@@ -183,7 +208,6 @@ def _lines(result: dict[str, Any]) -> list[str]:
         [text, *(f"{1e6 * result[kind][name]:.1f}" for kind in ("least", "mean", "greatest"))]
         for name, text in words.items()
     ]
-    where = f"the section z_e = {result['z_e_m']:.6f} m" if "z_e_m" in result else "the workspace, at random"
     critical = [
         [
             share["name"],
@@ -195,7 +219,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
         for share in result["ranking"][:SHOWN]
     ]
     lines = [
-        f"{result['robot']}: {result['parameters']} error parameters, {result['poses']:,} poses of {where}, "
+        f"{result['robot']}: {result['parameters']} error parameters, {result['poses']:,} poses of {place}, "
         f"eta = {result['eta_m_per_rad']:g} m/rad",
         *table_lines(["[µm, µrad]", "least", "mean", "greatest"], rows),
         "",

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 
 
 class SourceName(StrEnum):
@@ -45,9 +47,9 @@ def measure(
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
     positions: Annotated[bool, typer.Option("--positions", help="See positions only, not whole poses.")] = False,
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or the path of its URDF.")
-    ] = "pm3dof",
+    robot: RobotName = THE_TRIPOD,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Simulate the measurements of a machine with errors, into the file that `calibrate` reads. Lengths in metres."""
@@ -55,26 +57,24 @@ def measure(
 
     import numpy as np
 
-    from pm3dof_pin.calibration.measurements import read_commands, write_measurements
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-    from pm3dof_pin.errors.sensitivity import closable
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.simulation.instrument import Instrument
+    from pm3dof_pin.measuring.instrument import Instrument
+    from pm3dof_pin.measuring.measurement_file import read_commands, write_measurements
     from pm3dof_pin.simulation.worlds import World
 
-    errors = GeometricErrors.load(robot)
+    errors = load_errors(robot, tool_frame, package_path)
     generator = np.random.default_rng(seed)
-    sample = reachable_poses(errors.mechanism, poses, generator)
-    commands = sample.commands if plan is None else read_commands(plan, errors)
-    truth = World.random(world.value, closable(errors, sample[:20]), np.random.default_rng(machine))
-    truth = truth.loaded(load)
+    sample = reachable_poses(errors.robot, poses, generator)
+    commands = sample.commands if plan is None else read_commands(plan, errors.robot)
+    fitting = closing_errors(errors, sample[:20], quiet=True)
+    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(load)
     if only is not None:
         truth = truth.only(only.value)
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")
     measurements = truth.measure(commands, generator, instrument)
-    path = write_measurements(measurements, errors, out)
+    path = write_measurements(measurements, errors.robot, out)
     result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
     print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world.value}'"], as_json=as_json)
     message(f"wrote {path}")

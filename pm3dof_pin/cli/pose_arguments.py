@@ -163,26 +163,33 @@ class PoseChoice:
         return robot.at(_named_configuration(robot, self.configuration))
 
 
-def read_poses(robot: Robot, path: Path, *, forward: bool = False) -> tuple[PoseFile, Poses]:
+def read_poses(
+    robot: Robot, path: Path, *, forward: bool = False, placements: bool = False, numbers: Sequence[str] = ()
+) -> tuple[PoseFile, Poses]:
     """Read a file of poses and solve them, those out of reach being NaN.
 
     Args:
         robot: the robot.
         path: the file.
         forward: whether it holds commands instead of coordinates.
+        placements: whether it may hold x_m, y_m, z_m, qw, qx, qy, qz of the tool instead of coordinates.
+        numbers: headings of further columns of numbers, read where they are there.
 
     Raises:
         DescriptionError: the file cannot be read, or a column or entry of it is wrong.
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.pose_file import possible_headings, read_pose_file
+    from pm3dof_pin.kinematics.pose_file import has_placements, possible_headings, read_placements, read_pose_file
 
+    if placements and has_placements(path):
+        file, transforms = read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
+        return file, robot.reach(transforms, on_failure="nan")
     given, others = robot.coordinates, robot.command_coordinates
     if forward:
         given, others = others, given
     known = [heading for coordinate in others for heading in possible_headings(coordinate)]
-    file = read_pose_file(path, given, known=[*known, BROKEN_LIMITS])
+    file = read_pose_file(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
     if file.unused:
         message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
     check_units(robot, given, file.values / [_factor(coordinate) for coordinate in given])
@@ -333,8 +340,8 @@ def _named_configuration(robot: Robot, name: str | None) -> Vector:
 
 def _home_of(robot: Robot, coordinates: Sequence[Coordinate]) -> list[tuple[Coordinate, float]]:
     home = robot.at(robot.home.q)
-    values = home.coordinates if tuple(coordinates) == robot.coordinates else home.commands
-    return list(zip(coordinates, values, strict=True))
+    transforms = home.transforms if any(coordinate.tool for coordinate in coordinates) else None
+    return list(zip(coordinates, robot.read(tuple(coordinates), home.q, transforms), strict=True))
 
 
 def _factor(coordinate: Coordinate) -> float:

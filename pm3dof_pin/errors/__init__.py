@@ -1,1 +1,1 @@
-"""Geometric errors of any mechanism: parameters, sensitivities, error maps, tolerances, pose errors."""
+"""Geometric errors of any robot: parameters, sensitivities, error maps, tolerances, pose errors."""

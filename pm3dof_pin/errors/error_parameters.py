@@ -1,4 +1,4 @@
-"""Geometric errors of any mechanism: where a joint or frame really sits, as named parameters with tolerances."""
+"""Geometric errors of any robot: where a joint or frame really sits, as named parameters with tolerances."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class GeometricParameter:
 
 
 class GeometricErrors:
-    """The geometric error parameters of one mechanism. Not to be changed once made.
+    """The geometric error parameters of one robot. Not to be changed once made.
 
     The parameters p at one place displace its placement M to M D, D = (exp3(sum of the rotations), sum of the
     translations), in the place's own axes: finite, not linearised.
@@ -70,70 +70,74 @@ class GeometricErrors:
         >>> errors.apply({"slider1_joint.tx": 1e-4}).forward([0.24, 0.24, 0.24])
 
     Args:
-        mechanism: the mechanism as described.
+        robot: the robot as described.
         parameters: what may be wrong; by default everything, see :func:`all_parameters`. Redundant parameters do no
             harm: :mod:`pm3dof_pin.calibration.identifiability` finds them.
-        command_offsets: what the command of each actuated joint reads at joint coordinate 0, shape=(number of actuated
-            joints,) [m, rad]; 0 by default.
+        fixed_bearings: coordinate of each actuated joint at the fixed bearing of its screw, from which the screw grows
+            when it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
 
     Attributes:
-        mechanism: the mechanism as described.
+        robot: the robot as described.
         parameters: the parameters, in the order of p.
         names: their names.
         tolerances: their tolerances, shape=(number of parameters,) [m, rad].
-        command_offsets: see the argument.
+        fixed_bearings: see the argument.
 
     Raises:
         InvalidValueError: two parameters have one name, an axis is no unit vector, or a tolerance is not positive.
-        FrameNotFoundError: a place is neither a joint nor a frame of the mechanism.
+        FrameNotFoundError: a place is neither a joint nor a frame of the robot.
     """
 
     def __init__(
         self,
-        mechanism: Robot,
+        robot: Robot,
         parameters: Iterable[GeometricParameter] | None = None,
         *,
-        command_offsets: ArrayLike | None = None,
+        fixed_bearings: ArrayLike | None = None,
     ) -> None:
-        self.mechanism = mechanism
-        self.parameters = tuple(all_parameters(mechanism) if parameters is None else parameters)
+        self.robot = robot
+        self.parameters = tuple(all_parameters(robot) if parameters is None else parameters)
         self.names = tuple(parameter.name for parameter in self.parameters)
         self._index = {name: index for index, name in enumerate(self.names)}
         _check(self.parameters)
         self.tolerances = frozen(np.array([parameter.tolerance for parameter in self.parameters], dtype=float))
-        actuated = len(mechanism.actuated_joints)
-        offsets = np.zeros(actuated) if command_offsets is None else command_offsets
-        self.command_offsets = frozen(finite_array("command_offsets", offsets, (actuated,)))
-        self._places = _places_in_order(mechanism, {parameter.place for parameter in self.parameters})
+        actuated = len(robot.actuated_joints)
+        bearings = np.zeros(actuated) if fixed_bearings is None else fixed_bearings
+        self.fixed_bearings = frozen(finite_array("fixed_bearings", bearings, (actuated,)))
+        self._places = _places_in_order(robot, {parameter.place for parameter in self.parameters})
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> GeometricErrors:
+    def load(
+        cls, name_or_path: str | Path, *, tool_frame: str | None = None, package_paths: Iterable[str | Path] = ()
+    ) -> GeometricErrors:
         """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
 
         Args:
-            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+            name_or_path: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
+            tool_frame: see there.
+            package_paths: see there.
 
         Raises:
             UnknownRobotError: no such robot.
             DescriptionError: a file is unreadable or not of its form.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
-        files = find_robot(name_or_path)
-        mechanism = Robot.load(name_or_path)
+        files = find_robot(name_or_path, package_paths)
+        robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
         if not files.errors.is_file():
-            return cls(mechanism)
+            return cls(robot)
         file = read_error_file(files.errors)
-        return cls(mechanism, _parameters_of(mechanism, file), command_offsets=_command_offsets(mechanism, file))
+        return cls(robot, _parameters_of(robot, file), fixed_bearings=_fixed_bearings(robot, file))
 
     def __len__(self) -> int:
         return len(self.parameters)
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(self.indices(group))} {group}" for group in self.groups)
-        return f"GeometricErrors({self.mechanism.name}: {len(self)} parameters: {counts})"
+        return f"GeometricErrors({self.robot.name}: {len(self)} parameters: {counts})"
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (self.mechanism, self.parameters, np.array(self.command_offsets))
+        return _rebuild, (self.robot, self.parameters, np.array(self.fixed_bearings))
 
     @cached_property
     def groups(self) -> tuple[str, ...]:
@@ -147,7 +151,7 @@ class GeometricErrors:
 
     @property
     def zeros(self) -> Vector:
-        """The p of the mechanism as described, shape=(number of parameters,)."""
+        """The p of the robot as described, shape=(number of parameters,)."""
         return np.zeros(len(self))
 
     def indices(self, group: str) -> NDArray[np.intp]:
@@ -168,7 +172,7 @@ class GeometricErrors:
             InvalidValueError: there is no parameter of this name.
         """
         chosen = [self.parameters[self._parameter(name)] for name in names]
-        return GeometricErrors(self.mechanism, chosen, command_offsets=self.command_offsets)
+        return GeometricErrors(self.robot, chosen, fixed_bearings=self.fixed_bearings)
 
     def without(self, names: Iterable[str]) -> GeometricErrors:
         """Return the errors without these parameters.
@@ -242,7 +246,7 @@ class GeometricErrors:
         return columns
 
     def apply(self, values: ArrayLike | Mapping[str, float]) -> Robot:
-        """Build the mechanism with these errors, as a new one.
+        """Build the robot with these errors, as a new one.
 
         Args:
             values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
@@ -250,7 +254,7 @@ class GeometricErrors:
         Raises:
             InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
         """
-        nominal = self.mechanism
+        nominal = self.robot
         model = nominal.model.copy()
         for place, displacement in self.displacements(values).items():
             if model.existJointName(place):
@@ -267,21 +271,21 @@ class GeometricErrors:
 
 
 def all_parameters(
-    mechanism: Robot, *, length_tolerance: float = LENGTH_TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE
+    robot: Robot, *, length_tolerance: float = LENGTH_TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE
 ) -> tuple[GeometricParameter, ...]:
     """Return everything that can sit wrong: six parameters for each joint and for the tool, and the closure points.
 
     A closure point (3d) has three, a closure frame (6d) six. A frame that is a moving link itself has none of its own,
-    nor has a joint with six freedoms. Classes: "legs" for what does not carry the tool, "tool_chain" for the joints
-    that do, "platform" for closure frames on them, "tool" for the tool frame.
+    nor has a joint with six degrees of freedom. Classes: "legs" for what does not carry the tool, "tool_chain" for the
+    joints that do, "platform" for closure frames on them, "tool" for the tool frame.
 
     Args:
-        mechanism: the mechanism.
+        robot: the robot.
         length_tolerance: tolerance of the translations [m].
         angle_tolerance: tolerance of the rotations [rad].
     """
-    model = mechanism.model
-    carriers = set(model.supports[model.frames[mechanism.tool_frame_id].parentJoint]) if mechanism.tool_frame else set()
+    model = robot.model
+    carriers = set(model.supports[model.frames[robot.tool_frame_id].parentJoint]) if robot.tool_frame else set()
     tolerances = {"translation": length_tolerance, "rotation": angle_tolerance}
     parameters: dict[str, GeometricParameter] = {}
 
@@ -295,19 +299,19 @@ def all_parameters(
         if index > 0 and joint.nv < 6:
             group = "tool_chain" if index in carriers else "legs"
             add(model.names[index], group, ("translation", "rotation"))
-    if mechanism.tool_frame is not None and _is_fixed_to_body(mechanism, mechanism.tool_frame):
-        add(mechanism.tool_frame, "tool", ("translation", "rotation"))
-    for loop in mechanism.closures:
+    if robot.tool_frame is not None and _is_fixed_to_body(robot, robot.tool_frame):
+        add(robot.tool_frame, "tool", ("translation", "rotation"))
+    for loop in robot.closures:
         for frame in (loop.frame_a, loop.frame_b):
-            if _is_fixed_to_body(mechanism, frame):
-                on_tool_chain = model.frames[mechanism.frame_id(frame)].parentJoint in carriers - {0}
+            if _is_fixed_to_body(robot, frame):
+                on_tool_chain = model.frames[robot.frame_id(frame)].parentJoint in carriers - {0}
                 motions: Sequence[Motion] = ("translation",) if loop.type == "3d" else ("translation", "rotation")
                 add(frame, "platform" if on_tool_chain else "legs", motions)
     return tuple(parameters.values())
 
 
-def _rebuild(mechanism: Robot, parameters: Sequence[GeometricParameter], offsets: Vector) -> GeometricErrors:
-    return GeometricErrors(mechanism, parameters, command_offsets=offsets)
+def _rebuild(robot: Robot, parameters: Sequence[GeometricParameter], bearings: Vector) -> GeometricErrors:
+    return GeometricErrors(robot, parameters, fixed_bearings=bearings)
 
 
 def _check(parameters: Sequence[GeometricParameter]) -> None:
@@ -333,7 +337,7 @@ def _unit_vector(axis: str) -> tuple[float, float, float]:
     return (x, y, z)
 
 
-def _parameters_of(mechanism: Robot, file: ErrorFile) -> list[GeometricParameter]:
+def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
     parameters = []
     for entry in file.entries:
         words: list[tuple[Motion, str, float]] = [
@@ -342,50 +346,48 @@ def _parameters_of(mechanism: Robot, file: ErrorFile) -> list[GeometricParameter
         ]
         for place in entry.places:
             for motion, word, tolerance in words:
-                for label, axis in _directions(mechanism, place, word, file):
+                for label, axis in _directions(robot, place, word, file):
                     parameters.append(_parameter(place, motion, label, axis, entry.group, tolerance))
     return parameters
 
 
-def _directions(
-    mechanism: Robot, place: str, word: str, file: ErrorFile
-) -> list[tuple[str, tuple[float, float, float]]]:
+def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the directions that a word of the file stands for, with their labels."""
     if word in AXES:
         return [(word, _unit_vector(word))]
-    if not mechanism.model.existJointName(place):
-        raise JointNotFoundError(place, f"{file.path}: '{word}'", list(mechanism.model.names)[1:])
+    if not robot.model.existJointName(place):
+        raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":
-        return [("_along", _as_tuple(joint_axis(mechanism, place)))]
-    return [(f"_across{k}", direction) for k, direction in enumerate(across_directions(mechanism, place), start=1)]
+        return [("_along", _as_tuple(joint_axis(robot, place)))]
+    return [(f"_across{k}", direction) for k, direction in enumerate(across_directions(robot, place), start=1)]
 
 
-def across_directions(mechanism: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return two unit vectors across the axis of a joint with one freedom, in its own axes.
+def across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return two unit vectors across the axis of a single-DoF joint, in its own axes.
 
     The first is horizontal where the joint's frame has z up: turning about it changes a guideway's slope, turning about
     the second its heading.
 
     Raises:
         JointNotFoundError: the model has no such joint.
-        InvalidValueError: the joint has several freedoms.
+        InvalidValueError: the joint has several degrees of freedom.
     """
-    along = joint_axis(mechanism, joint)
+    along = joint_axis(robot, joint)
     reference = np.array([1.0, 0.0, 0.0] if abs(along[2]) > _NEARLY_PARALLEL else [0.0, 0.0, 1.0])
     first = np.cross(reference, along)
     first /= np.linalg.norm(first)
     return _as_tuple(first), _as_tuple(np.cross(along, first))
 
 
-def joint_axis(mechanism: Robot, joint: str) -> Vector:
-    """Return the axis of a joint with one freedom in its own axes, a unit vector, shape=(3,).
+def joint_axis(robot: Robot, joint: str) -> Vector:
+    """Return the axis of a single-DoF joint in its own axes, a unit vector, shape=(3,).
 
     Raises:
         JointNotFoundError: the model has no such joint.
-        InvalidValueError: the joint has several freedoms.
+        InvalidValueError: the joint has several degrees of freedom.
     """
-    column = mechanism.single_joint(joint).v_index
-    model, data = mechanism.model, mechanism.model.createData()
+    column = robot.single_joint(joint).v_index
+    model, data = robot.model, robot.model.createData()
     jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), model.getJointId(joint))
     twist = jacobian.reshape(6, model.nv)[:, column]
     direction = twist[3:] if twist[3:].any() else twist[:3]
@@ -397,24 +399,24 @@ def _as_tuple(vector: Vector) -> tuple[float, float, float]:
     return (x, y, z)
 
 
-def _command_offsets(mechanism: Robot, file: ErrorFile) -> Vector:
-    """Distance along each drive's axis from the frame its command counts from, at joint coordinate 0."""
-    neutral = mechanism.configuration(pin.neutral(mechanism.model))
-    offsets = np.zeros(len(mechanism.actuated_joints))
+def _fixed_bearings(robot: Robot, file: ErrorFile) -> Vector:
+    """Coordinate at which each drive would stand at the frame that the file names for it, along the drive's axis."""
+    neutral = robot.configuration(pin.neutral(robot.model))
+    bearings = np.zeros(len(robot.actuated_joints))
     for joint, frame in file.command_zeros.items():
-        if joint not in mechanism.actuated_joints:
-            raise JointNotFoundError(joint, f"{file.path}: command_zeros", mechanism.actuated_joints)
+        if joint not in robot.actuated_joints:
+            raise JointNotFoundError(joint, f"{file.path}: command_zeros", robot.actuated_joints)
         placement = neutral.frame_placement(joint)
+        axis = placement.rotation @ joint_axis(robot, joint)
         start = neutral.frame_placement(frame).translation
-        axis = placement.rotation @ joint_axis(mechanism, joint)
-        offsets[mechanism.actuated_joints.index(joint)] = axis @ (placement.translation - start)
-    return offsets
+        bearings[robot.actuated_joints.index(joint)] = axis @ (start - placement.translation)
+    return bearings
 
 
-def _is_fixed_to_body(mechanism: Robot, frame: str) -> bool:
+def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
     """Tell whether a frame is fixed to a moving link or the world, and is not such a link itself."""
-    frames = mechanism.model.frames
-    entry = frames[mechanism.frame_id(frame)]
+    frames = robot.model.frames
+    entry = frames[robot.frame_id(frame)]
     if entry.type != pin.FrameType.BODY:
         return bool(entry.type == pin.FrameType.OP_FRAME)
     return bool(frames[entry.parentFrame].type == pin.FrameType.FIXED_JOINT and entry.parentFrame > 0)
@@ -441,12 +443,12 @@ def _displace_frame(model: pin.Model, frame: int, displacement: pin.SE3) -> None
             entry.placement = moved * entry.placement
 
 
-def _places_in_order(mechanism: Robot, places: set[str]) -> tuple[str, ...]:
+def _places_in_order(robot: Robot, places: set[str]) -> tuple[str, ...]:
     """Order places so that each is displaced before what hangs on it."""
-    model = mechanism.model
+    model = robot.model
 
     def key(place: str) -> tuple[bool, int]:
         is_frame = not model.existJointName(place)
-        return is_frame, mechanism.frame_id(place) if is_frame else model.getJointId(place)
+        return is_frame, robot.frame_id(place) if is_frame else model.getJointId(place)
 
     return tuple(sorted(places, key=key))

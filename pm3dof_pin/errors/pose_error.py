@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
+_SMALL_HALF_ANGLE = 1e-3
+
 TIP_LENGTH = 0.1
 """eta where nothing else is said [m/rad]: the distance at which a turn counts as much as the way it makes there."""
 
@@ -102,19 +104,13 @@ def tip_weights(eta: float = TIP_LENGTH) -> Array:
 def rotation_vector(rotation: ArrayLike) -> Array:
     """Return the rotation vectors of rotation matrices, without loss at small angles and at pi, shape=(..., 3) [rad].
 
-    Through the unit quaternion, taken from the largest of its four components (S. Shepperd, J. Guidance and Control 1,
-    1978).
-
     Args:
         rotation: shape=(..., 3, 3).
     """
-    r = np.asarray(rotation, dtype=float)
-    quaternion = _quaternion(r)
-    scalar, vector = quaternion[..., 0], quaternion[..., 1:]
-    sine = np.linalg.norm(vector, axis=-1)
-    angle = 2.0 * np.arctan2(sine, scalar)
-    ratio = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
-    return np.asarray(ratio[..., None] * vector)
+    from scipy.spatial.transform import Rotation  # takes longer to load than all else that commands with one pose need
+
+    matrices = np.asarray(rotation, dtype=float)
+    return np.asarray(Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()).reshape(matrices.shape[:-1])
 
 
 def rotation_matrix(vector: ArrayLike) -> Array:
@@ -123,14 +119,56 @@ def rotation_matrix(vector: ArrayLike) -> Array:
     Args:
         vector: shape=(..., 3) [rad].
     """
-    turn = np.asarray(vector, dtype=float)
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    from scipy.spatial.transform import Rotation
+
+    turns = np.asarray(vector, dtype=float)
+    return np.asarray(Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()).reshape(*turns.shape, 3)
+
+
+def quaternion(rotation: ArrayLike) -> Array:
+    """Return unit quaternions (w, x, y, z) with w >= 0, shape=(..., 4).
+
+    Args:
+        rotation: shape=(..., 3, 3).
+    """
+    from scipy.spatial.transform import Rotation
+
+    matrices = np.asarray(rotation, dtype=float)
+    found = np.asarray(Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat(canonical=True))
+    return np.roll(found, 1, axis=-1).reshape(*matrices.shape[:-2], 4)
+
+
+def rotation_of_quaternion(quaternions: ArrayLike) -> Array:
+    """Return the rotation matrices of quaternions (w, x, y, z) of any length but zero, shape=(..., 3, 3).
+
+    Args:
+        quaternions: shape=(..., 4).
+    """
+    from scipy.spatial.transform import Rotation
+
+    numbers = np.asarray(quaternions, dtype=float)
+    rows = np.roll(numbers.reshape(-1, 4), -1, axis=-1)
+    return np.asarray(Rotation.from_quat(rows).as_matrix()).reshape(*numbers.shape[:-1], 3, 3)
+
+
+def rotation_vector_rates(rotation: ArrayLike) -> Array:
+    """Return the derivative of the rotation vector by a further turn in the rotated axes, shape=(..., 3, 3).
+
+    log(R exp(w)) = log(R) + J w + ..., J = 1 + [a]/2 + (1 - (|a|/2) cot(|a|/2)) / |a|^2 [a]^2 with a = log(R) (F. Bullo
+    and R. Murray, 1995).
+
+    Args:
+        rotation: R, shape=(..., 3, 3).
+    """
+    turn = rotation_vector(rotation)
+    half = 0.5 * np.linalg.norm(turn, axis=-1)[..., None, None]
+    small = half < _SMALL_HALF_ANGLE
+    safe = np.where(small, 1.0, half)
+    second = np.where(small, 1.0 / 12.0 + half**2 / 180.0, (1.0 - safe / np.tan(safe)) / (4.0 * safe**2))
     cross = np.zeros((*turn.shape[:-1], 3, 3))
     cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -turn[..., 2], turn[..., 1], -turn[..., 0]
     cross -= np.swapaxes(cross, -1, -2)
-    # sin(a) / a and (1 - cos a) / a^2, in forms that keep every digit near zero
-    first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+    return np.asarray(np.eye(3) + 0.5 * cross + second * cross @ cross)
 
 
 def chapter_angles(rotation: ArrayLike) -> Array:
@@ -156,39 +194,10 @@ def chapter_rotation(angles: ArrayLike) -> Array:
     Args:
         angles: (psi, theta, phi), shape=(..., 3) [rad].
     """
-    psi, theta, phi = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
-    zero = np.zeros_like(psi)
-    turns = [np.stack(parts, axis=-1) for parts in ((zero, zero, psi), (zero, theta, zero), (phi, zero, zero))]
-    about_z, about_y, about_x = (rotation_matrix(turn) for turn in turns)
-    return np.asarray(about_z @ about_y @ about_x)
+    from scipy.spatial.transform import Rotation
 
-
-def quaternion(rotation: ArrayLike) -> Array:
-    """Return unit quaternions (w, x, y, z) with w >= 0, shape=(..., 4).
-
-    Args:
-        rotation: shape=(..., 3, 3).
-    """
-    return _quaternion(np.asarray(rotation, dtype=float))
-
-
-def _quaternion(r: Array) -> Array:
-    trace = np.trace(r, axis1=-2, axis2=-1)
-    d = np.einsum("...ii->...i", r)
-    squares = np.concatenate([trace[..., None], 2.0 * d - trace[..., None]], axis=-1) + 1.0  # 4 w^2, 4 x^2 ...
-    antisymmetric = r - np.swapaxes(r, -1, -2)
-    symmetric = r + np.swapaxes(r, -1, -2)
-    products = np.zeros((*r.shape[:-2], 4, 4))  # 4 q q^T
-    products[..., 0, 1], products[..., 0, 2] = antisymmetric[..., 2, 1], antisymmetric[..., 0, 2]
-    products[..., 0, 3] = antisymmetric[..., 1, 0]
-    products[..., 1, 2], products[..., 1, 3] = symmetric[..., 0, 1], symmetric[..., 0, 2]
-    products[..., 2, 3] = symmetric[..., 1, 2]
-    products += np.swapaxes(products, -1, -2)
-    np.einsum("...ii->...i", products)[...] = squares
-    largest = np.argmax(squares, axis=-1)[..., None, None]
-    column = np.take_along_axis(products, largest, axis=-1)[..., 0]
-    unit = column / np.linalg.norm(column, axis=-1, keepdims=True)
-    return np.asarray(np.where(unit[..., :1] < 0.0, -unit, unit))
+    numbers = np.asarray(angles, dtype=float)
+    return np.asarray(Rotation.from_euler("ZYX", numbers.reshape(-1, 3)).as_matrix()).reshape(*numbers.shape, 3)
 
 
 def _checked(pose: ArrayLike) -> Array:

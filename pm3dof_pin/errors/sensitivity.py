@@ -11,6 +11,7 @@ twist of everything beyond its place, like the rate of a joint that stood there,
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,10 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Engine
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ class Sensitivities:
 
     Attributes:
         errors: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1].
-        commands: by the coordinates of the actuated joints, shape=(n, 6, number of actuated joints).
+        commands: by the commands, shape=(n, 6, number of commands).
     """
 
     errors: Array
@@ -40,21 +43,49 @@ class Sensitivities:
 
 
 def sensitivities(
-    errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float] | None = None
+    errors: GeometricErrors,
+    poses: Poses,
+    values: ArrayLike | Mapping[str, float] | None = None,
+    *,
+    engine: Engine = "program",
 ) -> Sensitivities:
     """Compute how the tool's pose changes with errors and commands.
 
     Args:
         errors: the parameters.
-        poses: assembled poses of the mechanism as described, or of `errors.apply(values)`.
+        poses: assembled poses of the robot as described, or of `errors.apply(values)`, shape=(n,).
         values: p at which to differentiate, that of the poses; 0 by default.
+        engine: "program", the robot's compiled one, where it is in no doubt; or "pinocchio", pose by pose.
 
     Raises:
-        InvalidValueError: an error would strain the mechanism, since its loops cannot close with it (those of an
-            overconstrained or planar mechanism); see :func:`closable`.
-        SingularConfigurationError: at a pose the tool can move with all commands held.
+        InvalidValueError: an error would strain the robot, since its loops cannot close with it (those of an
+            overconstrained or planar robot); see :func:`closable`.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
-    loops = _Loops(errors, poses, errors.zeros if values is None else values)
+    p = errors.zeros if values is None else errors.values(values)
+    if engine == "program" and len(poses):
+        from pm3dof_pin.errors.sensitivity_program import evaluated
+
+        try:
+            motions, sound = evaluated(poses.robot, poses.q, errors, errors.local_twists(p))
+        except ProgramError as error:
+            logger.debug("%s: sensitivities without a program (%s)", poses.robot.name, error)
+        else:
+            doubtful = np.flatnonzero(~sound)
+            if doubtful.size:
+                motions[doubtful] = _careful_motions(errors, poses[doubtful], p)
+            return _of_motions(errors, poses, motions)
+    return _of_motions(errors, poses, _careful_motions(errors, poses, p))
+
+
+def _of_motions(errors: GeometricErrors, poses: Poses, motions: Array) -> Sensitivities:
+    by_commands = motions[:, :, len(errors) :] / [command.scale for command in poses.robot.commands]
+    return Sensitivities(frozen(np.array(motions[:, :, : len(errors)])), frozen(by_commands))
+
+
+def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
+    """Return the tool's motion by one unit of each error, then of each drive's coordinate, shape=(n, 6, k + u)."""
+    loops = _Loops(errors, poses, p)
     rates, strain = loops.followed_rates()
     strained = np.flatnonzero(strain.max(axis=0, initial=0.0) > RANK_TOLERANCE)
     if strained.size:
@@ -75,7 +106,7 @@ def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
 
     Args:
         errors: the parameters.
-        poses: assembled poses of the mechanism as described.
+        poses: assembled poses of the robot as described.
     """
     _, strain = _Loops(errors, poses, errors.zeros).followed_rates()
     strains = strain[:, len(poses.robot.actuated_joints) :].max(axis=0, initial=0.0)
@@ -91,33 +122,34 @@ class _Loops:
 
     def __init__(self, errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float]) -> None:
         self._errors = errors
-        self._mechanism = poses.robot
+        self._robot = poses.robot
         self._model = poses.robot.model
         self._joints, twists = _tree(self._model, poses.q)
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
         self._beyond = {place: self._carried(place) for place in dict.fromkeys(p.place for p in errors.parameters)}
 
     def followed_rates(self) -> tuple[Array, Array]:
-        """Return the velocities that follow one unit of each command and error, and what the loops cannot follow.
+        """Return the velocities that follow one unit of each drive's coordinate and of each error.
+
+        And what the loops cannot follow of them.
 
         Returns:
-            Velocities, shape=(n, nv, commands + errors); scaled closure velocities left open, shape=(n, commands +
-            errors).
+            Velocities, shape=(n, nv, drives + errors); scaled closure velocities left open, shape=(n, drives + errors).
 
         Raises:
             SingularConfigurationError: the tool can move with all commands held.
         """
-        mechanism, nv = self._mechanism, self._model.nv
-        driven = mechanism.actuated_indices
+        robot, nv = self._robot, self._model.nv
+        driven = robot.actuated_indices
         free = np.setdiff1d(np.arange(nv), driven)
         inputs = np.concatenate([driven, np.arange(nv, self._columns.shape[2])])
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
-        if not mechanism.closures:
+        if not robot.closures:
             self._require_driven(free)
             return rates, np.zeros((len(rates), len(inputs)))
-        closures = self._closures() / mechanism.closure_scale[:, None]
-        velocity_scale = mechanism.velocity_scale[free]
+        closures = self._closures() / robot.closure_scale[:, None]
+        velocity_scale = robot.velocity_scale[free]
         left, values, right = np.linalg.svd(closures[:, :, free] * velocity_scale, full_matrices=False)
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
@@ -131,12 +163,11 @@ class _Loops:
         unit = np.abs(pushed).max(axis=1) + 1.0
         return rates, np.abs(strain).max(axis=1) / unit
 
-    def tool_motions(self, rates: Array) -> Sensitivities:
-        """Return the tool's motion for velocities and the errors that go with them."""
-        driven, tool = len(self._mechanism.actuated_indices), self._tool()
+    def tool_motions(self, rates: Array) -> Array:
+        """Return the tool's motion by errors, then by drives, for the velocities that follow them."""
+        driven, tool = len(self._robot.actuated_indices), self._tool()
         motions = tool[:, :, : self._model.nv] @ rates
-        motions[:, :, driven:] += tool[:, :, self._model.nv :]
-        return Sensitivities(frozen(motions[:, :, driven:]), frozen(motions[:, :, :driven]))
+        return np.concatenate([motions[:, :, driven:] + tool[:, :, self._model.nv :], motions[:, :, :driven]], axis=2)
 
     def _error_twists(self, local: Array) -> Array:
         twists = np.zeros((len(self._joints), 6, len(self._errors)))
@@ -155,7 +186,7 @@ class _Loops:
         if model.existJointName(place):
             joint = model.getJointId(place)
             return np.asarray(self._joints[:, model.parents[joint]] @ model.jointPlacements[joint].homogeneous)
-        return self._frame(self._mechanism.frame_id(place))
+        return self._frame(self._robot.frame_id(place))
 
     def _frame(self, frame: int) -> Array:
         entry = self._model.frames[frame]
@@ -168,7 +199,7 @@ class _Loops:
         if model.existJointName(place):
             roots = [model.getJointId(place)]
         else:
-            frames = frame_and_descendants(model, self._mechanism.frame_id(place))
+            frames = frame_and_descendants(model, self._robot.frame_id(place))
             roots = [model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT]
         joints = [j for j in range(1, model.njoints) if any(root in list(model.supports[j]) for root in roots)]
         return np.array(joints, dtype=np.intp), np.array(frames, dtype=np.intp)
@@ -189,8 +220,8 @@ class _Loops:
     def _closures(self) -> Array:
         """Return the closures' velocities for all columns, as Configuration.constraint_jacobian has them."""
         blocks = []
-        for loop in self._mechanism.closures:
-            a, b = (self._mechanism.frame_id(name) for name in (loop.frame_a, loop.frame_b))
+        for loop in self._robot.closures:
+            a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
             relative = self._columns * (self._carriers(b) - self._carriers(a))
             point, axes = self._frame(b)[:, :3, 3], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
             angular = relative[:, 3:]
@@ -200,7 +231,7 @@ class _Loops:
 
     def _tool(self) -> Array:
         """Return the tool's twist for all columns, linear part at the tool point, shape=(n, 6, nv + errors)."""
-        tool = self._mechanism.tool_frame_id
+        tool = self._robot.tool_frame_id
         columns = self._columns * self._carriers(tool)
         point = self._frame(tool)[:, None, :3, 3]
         linear = columns[:, :3] + np.cross(columns[:, 3:], point, axisa=1, axisc=1)
@@ -211,13 +242,13 @@ class _Loops:
 
     def _require_held(self, free: NDArray[np.intp], idle: Array) -> None:
         """Check that the velocities which held commands leave possible do not move the tool."""
-        length = self._mechanism.characteristic_length
-        tool = self._tool()[:, :, free] * self._mechanism.velocity_scale[free]
+        length = self._robot.characteristic_length
+        tool = self._tool()[:, :, free] * self._robot.velocity_scale[free]
         tool[:, :3] /= length
         loose = np.flatnonzero(np.abs(tool @ idle).max(axis=(1, 2), initial=0.0) > RANK_TOLERANCE)
         if loose.size:
             raise SingularConfigurationError(
-                f"{self._mechanism.name}: the tool can move with all commands held at pose "
+                f"{self._robot.name}: the tool can move with all commands held at pose "
                 f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
             )
 

@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 
-from pm3dof_pin.calibration.calibrate import HeldOut
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
+from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
 from pm3dof_pin.typing import Array
 
@@ -106,7 +105,7 @@ def workspace_picture(errors: WorkspaceErrors) -> Figure:
     """Draw the maps of the tip error before and after, and of the floor if it is known; these two have one scale.
 
     Args:
-        errors: errors over two motion coordinates.
+        errors: errors over two coordinates.
     """
     after = (errors.after,) if errors.floor is None else (errors.after, errors.floor)
     levels = [_levels(errors.before), *[_levels(*after)] * len(after)]

@@ -9,11 +9,10 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from pm3dof_pin.calibration.calibrate import Calibration, HeldOut
+from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.measurements import command_units
+from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.calibration.results import statistics
-from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.calibration import (
     held_out_picture,
     parameters_picture,
@@ -53,12 +52,12 @@ def report_as_html(
         held_out: errors on poses it was not shown.
         maps: errors over the workspace.
     """
-    how, found = calibration.options, calibration.identification
+    options, found = calibration.options, calibration.identification
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
-        f"<b>{how.method}</b>: {_METHODS[how.method]}. Tip errors weigh a turn with {how.eta:g} m/rad. "
-        f"Seed {how.seed}.</p>",
+        f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh a turn with {options.eta:g} m/rad. "
+        f"Seed {options.seed}.</p>",
         *_data(calibration),
         *_accuracy(calibration, held_out),
     ]
@@ -66,7 +65,7 @@ def report_as_html(
         floor = "The floor is what no command corrects." if maps.floor is not None else _NO_FLOOR
         parts += [
             "<h2>Over the workspace</h2>",
-            "<p>As the calibration knows the machine, the other motion coordinates in the middle of their ranges. "
+            "<p>As the calibration knows the machine, the other coordinates in the middle of their ranges. "
             f"{floor}</p>",
             _image(workspace_picture(maps), "maps of the tip error before and after"),
         ]
@@ -105,7 +104,7 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     heading = "<h2>Accuracy on poses it was not shown</h2>"
     if held_out is None:
         return [heading, "<p>Not known: too few poses for a cross-validation.</p>"]
-    units = sorted(set(command_units(calibration.compensation.errors.mechanism)))
+    units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
     joint_unit = ", ".join(f"µ{unit}" for unit in units)
     rows = [
         ("as described", held_out.before),
@@ -136,7 +135,7 @@ def _parameters(found: Identification) -> list[str]:
     ]
     silent = [
         ("Combinations that the measurements say nothing about", found.identifiability.unidentifiable),
-        ("Parameters that they say little about by themselves", found.untold),
+        ("Parameters that they say little about by themselves", found.prior_dominated),
     ]
     remarks = "".join(f"<li>{text}: {escape('; '.join(names) or 'none')}.</li>" for text, names in silent)
     return [

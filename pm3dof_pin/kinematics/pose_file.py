@@ -5,18 +5,22 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.typing import Array, Matrix
 
+QUATERNION = ("qw", "qx", "qy", "qz")
+"""Headings of a unit quaternion, the orientation of the tool."""
+
+_UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
 _UNITS = {"m": {"m": 1.0}, "rad": {"deg": math.pi / 180.0, "rad": 1.0}}
 
 
@@ -30,6 +34,7 @@ class PoseFile:
         written: the numbers of these columns, shape=(n, number of coordinates) [units of the columns].
         values: the same, shape=(n, number of coordinates) [m, rad].
         unused: columns of the file that were not needed.
+        numbers: further columns of numbers that were asked for and are there, by their headings, shape=(n,) each.
     """
 
     path: Path
@@ -37,6 +42,7 @@ class PoseFile:
     written: Matrix
     values: Matrix
     unused: tuple[str, ...]
+    numbers: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def columns_as_written(self) -> dict[str, Array]:
@@ -44,7 +50,9 @@ class PoseFile:
         return dict(zip(self.columns, self.written.T, strict=True))
 
 
-def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known: Sequence[str] = ()) -> PoseFile:
+def read_pose_file(
+    path: Path | str, coordinates: Sequence[Coordinate], *, known: Sequence[str] = (), numbers: Sequence[str] = ()
+) -> PoseFile:
     """Read a file of poses.
 
     Args:
@@ -52,6 +60,7 @@ def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known
         coordinates: what the file gives: each in one column, `name_deg` or `name_rad` of an angle, `name_m` of a
             length.
         known: headings of columns that may stand there and are not needed.
+        numbers: headings of further columns of numbers, read where they are there.
 
     Raises:
         DescriptionError: the file cannot be read, a column is missing, unknown or there twice, or an entry is not a
@@ -69,8 +78,9 @@ def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known
         raise DescriptionError(path, "file", f"is empty, expected a heading such as {example_heading(coordinates)}")
     rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
     heading = rows[0]
-    _require_known(path, heading, coordinates, known)
+    _require_known(path, heading, coordinates, (*known, *numbers))
     columns = [_column(path, heading, coordinate, coordinates) for coordinate in coordinates]
+    columns += [name for name in numbers if name in heading]
     written = np.empty((len(rows) - 1, len(columns)))
     for row, (cells, (number, _)) in enumerate(zip(rows[1:], lines[1:], strict=True)):
         if len(cells) != len(heading):
@@ -79,10 +89,60 @@ def read_pose_file(path: Path | str, coordinates: Sequence[Coordinate], *, known
             written[row, k] = _number(path, number, column, cells[heading.index(column)])
     factors = [
         _UNITS[coordinate.unit][column.rpartition("_")[2]]
-        for column, coordinate in zip(columns, coordinates, strict=True)
+        for column, coordinate in zip(columns, coordinates, strict=False)
     ]
+    count = len(coordinates)
     unused = tuple(name for name in heading if name not in columns)
-    return PoseFile(path, tuple(columns), frozen(written), frozen(written * factors), unused)
+    values = written[:, :count] * factors
+    further = dict(zip(columns[count:], written[:, count:].T, strict=True))
+    return PoseFile(path, tuple(columns[:count]), frozen(written[:, :count]), frozen(values), unused, further)
+
+
+def has_placements(path: Path | str) -> bool:
+    """Tell whether a file gives placements of the tool, with quaternions; False for one that cannot be read."""
+    try:
+        with Path(path).open(encoding="utf-8-sig") as file:
+            heading = next((line for line in file if line.strip() and not line.lstrip().startswith("#")), "")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return QUATERNION[0] in (name.strip() for name in heading.split(","))
+
+
+def read_placements(
+    path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
+) -> tuple[PoseFile, Array]:
+    """Read a file of placements of the tool: columns x_m, y_m, z_m, qw, qx, qy, qz.
+
+    Args:
+        path: see :func:`read_pose_file`.
+        known: see there.
+        numbers: see there.
+
+    Returns:
+        The file, the quaternions among its columns; and homogeneous transforms, shape=(n, 4, 4).
+
+    Raises:
+        DescriptionError: see there; or a quaternion is missing or not of length 1.
+    """
+    position = [Coordinate(name, "m", tool=name) for name in TOOL_COMPONENTS[:3]]
+    file = read_pose_file(path, position, known=known, numbers=(*QUATERNION, *numbers))
+    if missing := [name for name in QUATERNION if name not in file.numbers]:
+        raise DescriptionError(path, f"column {', '.join(missing)}", f"is missing, expected {', '.join(QUATERNION)}")
+    quaternions = np.stack([file.numbers[name] for name in QUATERNION], axis=-1)
+    lengths = np.linalg.norm(quaternions, axis=-1)
+    if not np.all(np.abs(lengths - 1.0) < _UNIT_QUATERNION):
+        worst = lengths[np.abs(lengths - 1.0).argmax()]
+        raise DescriptionError(path, ", ".join(QUATERNION), f"a quaternion of length {worst:.6g}, expected 1")
+    w, x, y, z = (quaternions / lengths[:, None]).T
+    transforms = np.zeros((len(quaternions), 4, 4))
+    transforms[:, 0, :3] = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1)
+    transforms[:, 1, :3] = np.stack([2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)], axis=-1)
+    transforms[:, 2, :3] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z], axis=-1)
+    transforms[:, :3, 3] = file.values
+    transforms[:, 3, 3] = 1.0
+    written = np.concatenate([file.written, quaternions], axis=1)
+    others = {name: values for name, values in file.numbers.items() if name not in QUATERNION}
+    return replace(file, columns=(*file.columns, *QUATERNION), written=frozen(written), numbers=others), transforms
 
 
 def possible_headings(coordinate: Coordinate) -> list[str]:

@@ -50,10 +50,6 @@ class GeometricSource:
         """
         self.errors.values(self.values)
 
-    def applied(self) -> Robot:
-        """Return the mechanism with these errors."""
-        return self.errors.apply(self.values)
-
 
 @dataclass(frozen=True)
 class Wave:
@@ -62,7 +58,7 @@ class Wave:
     Attributes:
         amplitude: half of its height [m].
         length: its wavelength [m].
-        phase: its phase at command 0 [rad].
+        phase: its phase where the drive's joint has coordinate 0 [rad].
     """
 
     amplitude: float
@@ -78,7 +74,7 @@ class Wave:
 class GuideWaviness:
     """Errors of each drive that change along its travel: of the screw's pitch, and of the guideway's straightness.
 
-    No constant parameter of a mechanism describes them.
+    No constant parameter of a robot describes them.
 
     Attributes:
         pitch: waves along the drive, for each actuated joint.
@@ -89,23 +85,30 @@ class GuideWaviness:
     pitch: tuple[tuple[Wave, ...], ...]
     straightness: tuple[tuple[tuple[Wave, ...], tuple[Wave, ...]], ...] = ()
 
-    def command_errors(self, commands: Array) -> Array:
-        """Return how far each drive stands off its command, shape=(n, number of actuated joints) [m]."""
-        _check_count("pitch", self.pitch, commands.shape[1])
-        errors = np.zeros_like(commands)
+    def travel_errors(self, travels: Array) -> Array:
+        """Return how much farther each drive stands than its command says, shape=(n, number of actuated joints) [m].
+
+        Args:
+            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
+        """
+        _check_count("pitch", self.pitch, travels.shape[1])
+        errors = np.zeros_like(travels)
         for drive, waves in enumerate(self.pitch):
-            errors[:, drive] = sum((wave.at(commands[:, drive]) for wave in waves), np.zeros(len(commands)))
+            errors[:, drive] = sum((wave.at(travels[:, drive]) for wave in waves), np.zeros(len(travels)))
         return errors
 
-    def offsets(self, commands: Array) -> Array:
-        """Return how far each carriage stands beside its line, shape=(n, number of actuated joints, 2) [m]."""
-        _check_count("straightness", self.straightness, commands.shape[1])
-        offsets = np.zeros((*commands.shape, 2))
+    def offsets(self, travels: Array) -> Array:
+        """Return how far each carriage stands beside its line, shape=(n, number of actuated joints, 2) [m].
+
+        Args:
+            travels: see :meth:`travel_errors`.
+        """
+        offsets = np.zeros((*travels.shape, 2))
+        if self.straightness:
+            _check_count("straightness", self.straightness, travels.shape[1])
         for drive, directions in enumerate(self.straightness):
             for across, waves in enumerate(directions):
-                offsets[:, drive, across] = sum(
-                    (wave.at(commands[:, drive]) for wave in waves), np.zeros(len(commands))
-                )
+                offsets[:, drive, across] = sum((wave.at(travels[:, drive]) for wave in waves), np.zeros(len(travels)))
         return offsets
 
     @classmethod
@@ -148,8 +151,8 @@ class ThermalGrowth:
     du = a * integral of the temperature rise from the bearing to u.
 
     Attributes:
-        bearings: command at which the fixed bearing of each screw stands, shape=(number of actuated joints,) [m]; in
-            joint coordinates: minus the command offset, where commands count from the bearing.
+        bearings: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated
+            joints,) [m].
         profile: temperature along each screw as multiples of the rise that is measured, at growing distances from the
             bearing [m]: linear between these, constant beyond the ends. The same everywhere by default.
         members: joints or frames whose distance from the joint before grows, by their temperature's share of the rise
@@ -162,45 +165,32 @@ class ThermalGrowth:
     members: Mapping[str, float] = field(default_factory=dict)
     expansion: float = STEEL_EXPANSION
 
-    @classmethod
-    def from_command_zeros(
-        cls, errors: GeometricErrors, members: Mapping[str, float] | None = None, expansion: float = STEEL_EXPANSION
-    ) -> ThermalGrowth:
-        """Make the growth of a machine whose commands count from the fixed bearings of its screws.
-
-        Args:
-            errors: the machine's error parameters, with its command offsets.
-            members: see :class:`ThermalGrowth`.
-            expansion: a [1/K].
-        """
-        return cls(-errors.command_offsets, members=members or {}, expansion=expansion)
-
-    def command_errors(self, commands: Array, temperature_rises: Array) -> Array:
+    def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
         """Return how much too far each drive goes, shape=(n, number of actuated joints) [m].
 
         Args:
-            commands: shape=(n, number of actuated joints) [m].
+            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
             temperature_rises: of each screw, shape=(n, number of actuated joints) [K].
         """
-        distance = commands - finite_array("bearings", self.bearings, (commands.shape[1],))
+        distance = travels - finite_array("bearings", self.bearings, (travels.shape[1],))
         return self.expansion * temperature_rises * self._integral(distance)
 
-    def grown(self, mechanism: Robot, temperature_rise: float) -> Robot:
-        """Return a mechanism with grown members.
+    def grown(self, robot: Robot, temperature_rise: float) -> Robot:
+        """Return a robot with grown members.
 
         Args:
-            mechanism: the mechanism.
+            robot: the robot.
             temperature_rise: mean rise [K].
         """
         if not self.members or temperature_rise == 0.0:
-            return mechanism
+            return robot
         parameters = [_translation(place, axis) for place in self.members for axis in range(3)]
         growth: dict[str, float] = {}
         for place, share in self.members.items():
-            placement = _placement_on_body(mechanism, place)
+            placement = _placement_on_body(robot, place)
             longer = self.expansion * share * temperature_rise * (placement.rotation.T @ placement.translation)
             growth |= {_translation(place, axis).name: float(longer[axis]) for axis in range(3)}
-        return GeometricErrors(mechanism, parameters).apply(growth)
+        return GeometricErrors(robot, parameters).apply(growth)
 
     def _integral(self, distance: Array) -> Array:
         """Integrate the profile from the bearing to a distance."""
@@ -213,8 +203,8 @@ class ThermalGrowth:
         def from_first(x: Array) -> Array:
             inner = np.clip(x, places[0], places[-1])
             k = np.clip(np.searchsorted(places, inner, side="right") - 1, 0, max(len(places) - 2, 0))
-            here = np.interp(inner, places, shares)
-            within = knots[k] + 0.5 * (shares[k] + here) * (inner - places[k])
+            share = np.interp(inner, places, shares)
+            within = knots[k] + 0.5 * (shares[k] + share) * (inner - places[k])
             return np.asarray(within + (x - inner) * np.where(x < places[0], shares[0], shares[-1]))
 
         return from_first(distance) - from_first(np.zeros(1))
@@ -238,11 +228,11 @@ class ElasticDeflection:
         """Return how far the tool gives at each pose, commands held, world axes, shape=(n, 6) [m, rad].
 
         Args:
-            poses: poses of a mechanism with springs.
+            poses: poses of a robot with springs.
             wrenches: dead wrenches [f; m] on the tool, world axes, shape=(n, 6) [N, N m].
 
         Raises:
-            DescriptionError: the mechanism has no springs, or no tool frame.
+            DescriptionError: the robot has no springs, or no tool frame.
         """
         tool = poses.robot.model.frames[poses.robot.tool_frame_id].name
         model = ElasticModel(poses.robot)
@@ -298,7 +288,7 @@ class Vibration:
         """Draw displacements of the tool, shape=(count, 6) [m, rad]."""
         return correlated_normal(self.tool_covariance, count, generator)
 
-    def command_errors(self, count: int, drives: int, generator: np.random.Generator) -> Matrix:
+    def travel_errors(self, count: int, drives: int, generator: np.random.Generator) -> Matrix:
         """Draw displacements of the drives, shape=(count, drives) [m, rad]."""
         return self.drive_sigma * generator.standard_normal((count, drives))
 
@@ -330,8 +320,8 @@ def _translation(place: str, axis: int) -> GeometricParameter:
     return GeometricParameter(f"{place}.t{'xyz'[axis]}", place, "translation", (x, y, z), "thermal", 1.0)
 
 
-def _placement_on_body(mechanism: Robot, place: str) -> pin.SE3:
-    model = mechanism.model
+def _placement_on_body(robot: Robot, place: str) -> pin.SE3:
+    model = robot.model
     if model.existJointName(place):
         return model.jointPlacements[model.getJointId(place)]
-    return model.frames[mechanism.frame_id(place)].placement
+    return model.frames[robot.frame_id(place)].placement

@@ -1,4 +1,4 @@
-"""A simulated real machine: the closed-chain mechanism with all its errors, richer than any model fitted to it."""
+"""A simulated real machine: the closed-chain mechanism with more errors than any model fitted to it has."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.error_sources import (
     ElasticDeflection,
     GeometricSource,
@@ -30,7 +31,6 @@ from pm3dof_pin.simulation.error_sources import (
     Vibration,
     correlated_normal,
 )
-from pm3dof_pin.simulation.instrument import Instrument
 from pm3dof_pin.typing import Array
 
 _POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
@@ -55,7 +55,7 @@ class SimulatedMachine:
     """A machine with errors of every class, each of which may be left out.
 
     Attributes:
-        nominal: the mechanism as described, which is what its controller knows.
+        nominal: the robot as described, which is what its controller knows.
         geometric: joints and frames that sit wrong.
         waviness: errors of the drives along their travel.
         thermal: growth of screws and members.
@@ -88,7 +88,7 @@ class SimulatedMachine:
         Args:
             errors: the parameters somebody means to identify, with their tolerances.
             generator: source of the random numbers.
-            everything: whether all six freedoms of every joint and frame are wrong, not only what `errors` lists; the
+            everything: whether all six errors of every joint and frame are wrong, not only what `errors` lists; the
                 others within the smallest tolerances that `errors` has.
             distribution: of the errors.
             waviness: see :class:`SimulatedMachine`.
@@ -96,9 +96,9 @@ class SimulatedMachine:
             elastic: see there.
             vibration: see there.
         """
-        truth = richer(errors) if everything else errors
+        truth = with_all_parameters(errors) if everything else errors
         source = GeometricSource(truth, truth.sample(generator, distribution))
-        return cls(errors.mechanism, source, waviness, thermal, elastic, vibration)
+        return cls(errors.robot, source, waviness, thermal, elastic, vibration)
 
     def only(self, source: str) -> SimulatedMachine:
         """Return the machine with one of its sources of error alone.
@@ -124,7 +124,7 @@ class SimulatedMachine:
         """Return where the tool really is, without any scatter.
 
         Args:
-            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             conditions: temperatures and loads; the same for all commands or one each.
 
         Returns:
@@ -147,7 +147,7 @@ class SimulatedMachine:
         """Return what an instrument sees: the poses with vibration and its own noise.
 
         Args:
-            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             generator: source of the random numbers.
             conditions: temperatures and loads.
             instrument: whose noise is added; poses come out whole even of one that sees positions only.
@@ -162,37 +162,41 @@ class SimulatedMachine:
         noise = correlated_normal((instrument or Instrument()).covariance, len(wanted), generator)
         if self.vibration is not None:
             noise = noise + self.vibration.tool_displacements(len(wanted), generator)
-            wanted = wanted + self.vibration.command_errors(len(wanted), wanted.shape[1], generator)
+            wanted = wanted + self._scales * self.vibration.travel_errors(len(wanted), wanted.shape[1], generator)
         return moved_pose(self._carried_out(wanted, conditions or Conditions()), noise)
 
+    @property
+    def _scales(self) -> Array:
+        return np.array([command.scale for command in self.nominal.commands])
+
     def _carried_out(self, commands: Array, conditions: Conditions) -> Array:
-        drives = len(self.nominal.actuated_joints)
         guesses = self.nominal.forward(commands).q
         rises = _rows("temperature_rises", conditions.temperature_rises, commands.shape)
-        reached = np.array(commands)
+        travels = (commands - [command.offset for command in self.nominal.commands]) / self._scales
+        too_far, offsets = np.zeros_like(commands), np.zeros((*commands.shape, 2))
         if self.waviness is not None:
-            reached += self.waviness.command_errors(commands)
+            too_far += self.waviness.travel_errors(travels)
+            offsets = self.waviness.offsets(travels)
         if self.thermal is not None:
-            reached += self.thermal.command_errors(commands, rises)
-        offsets = np.zeros((len(commands), drives, 2))
-        if self.waviness is not None and self.waviness.straightness:
-            offsets = self.waviness.offsets(commands)
+            too_far += self.thermal.travel_errors(travels, rises)
         wrenches = None
         if conditions.wrenches is not None:
             wrenches = _rows("wrenches", conditions.wrenches, (len(commands), 6))
-        return self._at(reached, guesses, rises.mean(axis=1), offsets, wrenches)
+        return self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
 
     def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
         """Return the poses; rows that share one geometry are done together."""
-        crooked = self.geometric.applied() if self.geometric is not None else self.nominal
+        crooked = self.nominal
+        if self.geometric is not None:
+            crooked = self.geometric.errors.apply(self.geometric.values)
         states = np.column_stack([rises if self.thermal is not None else 0.0 * rises, offsets.reshape(len(rises), -1)])
         transforms = np.empty((len(commands), 4, 4))
         for state in np.unique(states, axis=0):
             rows = np.flatnonzero((states == state).all(axis=1))
-            mechanism = _beside_their_lines(crooked, state[1:].reshape(-1, 2))
+            robot = _beside_their_lines(crooked, state[1:].reshape(-1, 2))
             if self.thermal is not None:
-                mechanism = self.thermal.grown(mechanism, float(state[0]))
-            poses = mechanism.forward(commands[rows], guess=guesses[rows])
+                robot = self.thermal.grown(robot, float(state[0]))
+            poses = robot.forward(commands[rows], guess=guesses[rows])
             transforms[rows] = self._deflected(poses, None if wrenches is None else wrenches[rows])
         return transforms
 
@@ -202,8 +206,8 @@ class SimulatedMachine:
         return moved_pose(poses.transforms, self.elastic.displacements(poses, wrenches))
 
 
-def richer(errors: GeometricErrors) -> GeometricErrors:
-    """Return the errors of every joint and frame of a mechanism, with the tolerances of those that are listed.
+def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
+    """Return the errors of every joint and frame of a robot, with the tolerances of those that are listed.
 
     What is not listed gets the smallest tolerance of its kind that is, or the usual one where none of its kind is.
     Errors with which the loops cannot close are left out.
@@ -211,30 +215,28 @@ def richer(errors: GeometricErrors) -> GeometricErrors:
     Args:
         errors: parameters that are to be identified.
     """
-    mechanism = errors.mechanism
+    robot = errors.robot
     least = {
         motion: min((p.tolerance for p in errors.parameters if p.motion == motion), default=usual)
         for motion, usual in (("translation", LENGTH_TOLERANCE), ("rotation", ANGLE_TOLERANCE))
     }
     listed = {(p.place, p.motion): p.tolerance for p in errors.parameters}
-    everything = [
-        replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(mechanism)
-    ]
-    poses = reachable_poses(mechanism, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
-    return closable(GeometricErrors(mechanism, everything), poses)
+    everything = [replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(robot)]
+    poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+    return closable(GeometricErrors(robot, everything), poses)
 
 
-def _beside_their_lines(mechanism: Robot, offsets: Array) -> Robot:
-    """Return a mechanism whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
+def _beside_their_lines(robot: Robot, offsets: Array) -> Robot:
+    """Return a robot whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
     if not offsets.any():
-        return mechanism
+        return robot
     parameters, values = [], {}
-    for joint, distances in zip(mechanism.actuated_joints, offsets, strict=True):
-        for k, (direction, distance) in enumerate(zip(across_directions(mechanism, joint), distances, strict=True)):
+    for joint, distances in zip(robot.actuated_joints, offsets, strict=True):
+        for k, (direction, distance) in enumerate(zip(across_directions(robot, joint), distances, strict=True)):
             name = f"{joint}.beside{k}"
             parameters.append(GeometricParameter(name, joint, "translation", direction, "waviness", 1.0))
             values[name] = float(distance)
-    return GeometricErrors(mechanism, parameters).apply(values)
+    return GeometricErrors(robot, parameters).apply(values)
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

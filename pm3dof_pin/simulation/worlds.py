@@ -8,12 +8,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pm3dof_pin.calibration.measurements import Measurements, command_units
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
-from pm3dof_pin.simulation.instrument import Instrument
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, richer
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, with_all_parameters
 from pm3dof_pin.typing import Array
 
 WorldName = Literal["everything", "geometry"]
@@ -49,7 +49,7 @@ class World:
         """Draw a world.
 
         Args:
-            name: "everything": all six freedoms of all joints and frames are wrong, drives are wavy, screws and links
+            name: "everything": all six errors of all joints and frames are wrong, drives are wavy, screws and links
                 warm up, bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only
                 for machines all of whose drives slide. "geometry": only the listed parameters are wrong.
             errors: the parameters that are to be identified, with their tolerances.
@@ -62,22 +62,22 @@ class World:
             raise InvalidValueError("world", name, f"one of {', '.join(WORLDS)}")
         if name == "geometry":
             return cls(SimulatedMachine.random(errors, generator, everything=False))
-        truth = richer(errors)
+        truth = with_all_parameters(errors)
         machine = SimulatedMachine.random(truth, generator, everything=False)
-        mechanism = errors.mechanism
+        robot = errors.robot
         position, angle = _VIBRATION
         machine = replace(machine, vibration=Vibration(np.diag(np.repeat([position, angle], 3) ** 2)))
-        if mechanism.springs:
+        if robot.springs:
             machine = replace(machine, elastic=ElasticDeflection())
-        if set(command_units(mechanism)) != {"m"}:
+        if any(command.unit != "m" for command in robot.commands):
             return cls(machine)
         # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
         lengths = {p.place for p in truth.parameters if p.motion == "translation"}
-        links = {loop.frame_a: _LINKS_SHARE for loop in mechanism.closures if loop.frame_a in lengths}
+        links = {loop.frame_a: _LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
-            waviness=GuideWaviness.random(len(mechanism.actuated_joints), generator),
-            thermal=ThermalGrowth.from_command_zeros(errors, links),
+            waviness=GuideWaviness.random(len(robot.actuated_joints), generator),
+            thermal=ThermalGrowth(errors.fixed_bearings, members=links),
         )
         return cls(machine, _WARMEST)
 
@@ -123,7 +123,7 @@ class World:
         """Return where the tool really is, shape=(n, 4, 4).
 
         Args:
-            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             conditions: see :meth:`conditions`.
 
         Raises:
@@ -137,7 +137,7 @@ class World:
         """Measure the machine at commands, each at its own temperature and load.
 
         Args:
-            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             generator: source of the random numbers.
             instrument: what it is measured with.
 

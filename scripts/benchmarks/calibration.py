@@ -21,7 +21,7 @@ POSES = 60
 def main() -> None:
     errors = GeometricErrors.load("pm3dof")
     generator = np.random.default_rng(0)
-    commands = reachable_poses(errors.mechanism, POSES, generator).commands
+    commands = reachable_poses(errors.robot, POSES, generator).commands
     for name in WORLDS:
         measurements = World.random(name, errors, generator).measure(commands, generator)
         start = time.perf_counter()

@@ -25,7 +25,7 @@ def main() -> None:
     errors = GeometricErrors.load("pm3dof")
     generator = np.random.default_rng(0)
     start = time.perf_counter()
-    candidates = reachable_poses(errors.mechanism, CANDIDATES, generator)
+    candidates = reachable_poses(errors.robot, CANDIDATES, generator)
     print(f"{CANDIDATES} random poses within all limits: {time.perf_counter() - start:.2f} s")
     machine = errors.apply(errors.sample(generator))
     each = seconds(lambda: machine.forward(candidates.commands, guess=candidates.q)) / CANDIDATES

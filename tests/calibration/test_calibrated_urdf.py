@@ -20,11 +20,11 @@ def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
     errors = GeometricErrors(Robot.load(robot))
     values = 10.0 * errors.sample(np.random.default_rng(3))
     written = Robot.load(write_calibrated_robot(errors, values, robot, tmp_path))
-    home = errors.mechanism.home.actuated_positions
+    home = errors.robot.home.actuated_positions
     commands = home + np.random.default_rng(4).uniform(-0.002, 0.002, (5, len(home)))
-    expected = errors.apply(values).forward(commands, guess=errors.mechanism.home.q)
+    expected = errors.apply(values).forward(commands, guess=errors.robot.home.q)
     np.testing.assert_allclose(written.forward(commands).transforms, expected.transforms, atol=1e-12)
-    assert written.closures == errors.mechanism.closures
+    assert written.closures == errors.robot.closures
     assert GeometricErrors.load(tmp_path / f"{robot}.urdf").names == GeometricErrors.load(robot).names
 
 
@@ -32,10 +32,10 @@ def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Pa
     errors = GeometricErrors.load("pm3dof")
     written = Robot.load(write_calibrated_robot(errors, errors.sample(np.random.default_rng(5)), "pm3dof", tmp_path))
     assert written.home.closure_residual < 1e-12
-    assert set(written.named_configurations) == set(errors.mechanism.named_configurations)
+    assert set(written.named_configurations) == set(errors.robot.named_configurations)
     for name, q in written.named_configurations.items():
         configuration = written.configuration(q)
-        described = errors.mechanism.configuration(errors.mechanism.named_configurations[name])
+        described = errors.robot.configuration(errors.robot.named_configurations[name])
         assert configuration.closure_residual < 1e-12
         np.testing.assert_array_equal(configuration.actuated_positions, described.actuated_positions)
         assert 1e-6 < np.abs(q - described.q).max() < 1e-2
@@ -54,7 +54,7 @@ def test_gimbal_lock_loses_nothing(tmp_path: Path) -> None:
     values = errors.values({"O_e.rx": 1e-9, "O_e.ry": 2e-9, "O_e.rz": -3e-9})
     written = Robot.load(write_calibrated_robot(errors, values, path, tmp_path / "out"))
     expected = errors.apply(values).home.tool_placement.rotation
-    assert not np.allclose(expected, errors.mechanism.home.tool_placement.rotation, atol=1e-9)
+    assert not np.allclose(expected, errors.robot.home.tool_placement.rotation, atol=1e-9)
     np.testing.assert_allclose(written.home.tool_placement.rotation, expected, atol=1e-15)
 
 
@@ -63,7 +63,7 @@ def test_nothing_else_changes() -> None:
     source = find_robot("pm3dof").urdf
     text = calibrated_urdf(errors, errors.zeros, source)
     assert text.count("<link") == source.read_text().count("<link")
-    nominal = {place: errors.mechanism.home.frame_placement(place) for place in ("E1", "link3_tip", "O_e")}
+    nominal = {place: errors.robot.home.frame_placement(place) for place in ("E1", "link3_tip", "O_e")}
     assert 'xyz="0.0 0.0 0.353"' in text
     assert nominal["O_e"].translation[2] == pytest.approx(0.49299, abs=1e-5)
 

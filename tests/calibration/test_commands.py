@@ -1,30 +1,29 @@
-"""`pm3dof measure`, `calibrate` and `compensate` from outside, one after the other."""
+"""`pm3dof measure`, `calibrate` and `compensate`, one after the other, for every kind of robot."""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.kinematics.robot import Robot
+
+MACHINES = Path(__file__).parents[1] / "machines"
 
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "error", "-c", "from pm3dof_pin.cli.app import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
-
-
-def answer(*arguments: str, cwd: Path, status: int = 0) -> dict:
-    result = run(*arguments, "--json", cwd=cwd)
-    assert result.returncode == status, result.stderr
-    return json.loads(result.stdout)
+Run = Callable[..., Any]
+Answer = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     """A folder with measurements m.csv and their calibration."""
     folder = tmp_path_factory.mktemp("calibration")
     measured = answer("measure", "--out", "m.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=folder)
@@ -35,14 +34,14 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_same_seed_gives_the_same_file(place: Path) -> None:
+def test_the_same_seed_gives_the_same_file(place: Path, answer: Answer) -> None:
     answer("measure", "--out", "again.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=place)
     assert (place / "again.csv").read_bytes() == (place / "m.csv").read_bytes()
     answer("measure", "--out", "other.csv", "--poses", "30", "--seed", "5", "--machine", "2", cwd=place)
     assert (place / "other.csv").read_bytes() != (place / "m.csv").read_bytes()
 
 
-def test_one_source_of_errors_and_loads(place: Path) -> None:
+def test_one_source_of_errors_and_loads(place: Path, run: Run, answer: Answer) -> None:
     answer("measure", "--out", "soft.csv", "--poses", "4", "--only", "elastic", "--load", "50", cwd=place)
     header, first, *_ = (place / "soft.csv").read_text().splitlines()
     assert header.endswith(",sigma_rz_rad,load_tool_N")
@@ -52,7 +51,7 @@ def test_one_source_of_errors_and_loads(place: Path) -> None:
     assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
 
 
-def test_a_frame_of_the_instruments_own(place: Path) -> None:
+def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -> None:
     """The tracker stands upside down, two metres away."""
     header, *rows = (place / "m.csv").read_text().splitlines()
     names = header.split(",")
@@ -76,7 +75,7 @@ def test_a_frame_of_the_instruments_own(place: Path) -> None:
     assert tips[1] < 1.05 * tips[0]
 
 
-def test_compensate(place: Path) -> None:
+def test_compensate(place: Path, answer: Answer) -> None:
     result = answer("compensate", "10", "-15", "0.5", "--calibration", "calibration", cwd=place)
     np.testing.assert_allclose(result["u_nominal_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)
     difference = np.abs(np.array(result["u_m"]) - result["u_nominal_m"])
@@ -84,7 +83,7 @@ def test_compensate(place: Path) -> None:
     assert 1e-6 < result["predicted_error_m"] < 1e-3
 
 
-def test_conditions(place: Path) -> None:
+def test_conditions(place: Path, run: Run, answer: Answer) -> None:
     pose = ("0", "5", "0.49", "--calibration", "calibration")
     cold, warm = (
         answer("compensate", *pose, "--condition", f"temperature_screws_K={rise}", cwd=place)["u_m"] for rise in (0, 8)
@@ -102,7 +101,7 @@ def test_conditions(place: Path) -> None:
     assert run("compensate", *pose, "--condition", "warm", cwd=place).returncode == 2
 
 
-def test_poses_beyond_limits_and_reach(place: Path) -> None:
+def test_poses_beyond_limits_and_reach(place: Path, run: Run) -> None:
     tilted = run("compensate", "50", "0", "0.5", "--calibration", "calibration", "--json", cwd=place)
     assert tilted.returncode == 1
     assert "joint limit broken" in tilted.stderr
@@ -113,7 +112,7 @@ def test_poses_beyond_limits_and_reach(place: Path) -> None:
     assert "Traceback" not in far.stderr
 
 
-def test_a_plan_is_measured_and_a_network_trained(place: Path) -> None:
+def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer: Answer) -> None:
     pytest.importorskip("sklearn")
     plan = ("calibration-plan", "--poses", "12", "--candidates", "200", "--out", "plan.csv")
     assert run(*plan, cwd=place).returncode == 0
@@ -127,7 +126,7 @@ def test_a_plan_is_measured_and_a_network_trained(place: Path) -> None:
     assert not (place / "positions" / "calibrated").exists()
 
 
-def test_bad_files_and_folders(place: Path) -> None:
+def test_bad_files_and_folders(place: Path, run: Run) -> None:
     text = (place / "m.csv").read_text().splitlines()
     cells = text[3].split(",")
     cells[3] = "nan"
@@ -150,17 +149,72 @@ def test_bad_files_and_folders(place: Path) -> None:
     assert run("calibrate", "m.csv", "--method", "svm", "--out", "none", cwd=place).returncode == 2
 
 
-def test_another_robot(place: Path) -> None:
-    measured = answer("measure", "--robot", "hexapod", "--poses", "40", "--out", "hexapod.csv", cwd=place)
-    assert measured["poses"] == 40
-    result = answer("calibrate", "hexapod.csv", "--robot", "hexapod", "--out", "hexapod", cwd=place)
+ROBOTS = {
+    "hexapod": ("hexapod", "lm+gp", 40),
+    "three_rps": ("three_rps", "lm", 30),
+    "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 30),
+    "ur5": ("ur5", "lm", 40),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> None:
+    """Measured, calibrated and commanded: at the coordinates of home, and at a file of poses."""
+    robot, method, count = ROBOTS[name]
+    options = ("--robot", robot, *(("--tool-frame", "tool0") if name == "ur5" else ()))
+    measured = answer("measure", *options, "--poses", str(count), "--out", "m.csv", cwd=tmp_path)
+    assert measured["poses"] == count
+    result = answer("calibrate", "m.csv", *options, "--method", method, "--out", "c", cwd=tmp_path)
     held_out = result["held_out"]
-    assert held_out["tip_error_after_m"]["mean"] < 0.3 * held_out["tip_error_before_m"]["mean"]
+    if name == "hexapod":
+        assert held_out["tip_error_after_m"]["mean"] < 0.3 * held_out["tip_error_before_m"]["mean"]
+    assert held_out["tip_error_after_m"]["mean"] < held_out["tip_error_before_m"]["mean"]
     assert math.isfinite(result["noise_factor"])
-    assert run("compensate", "0", "0", "0.1", "--calibration", "hexapod", cwd=place).returncode == 1
+    commanded = answer("compensate", "--calibration", "c", "--configuration", "home", cwd=tmp_path)
+    assert len(commanded["u"]) == len(commanded["commands"]) > 0
+    difference = np.abs(np.array(commanded["u"]) - commanded["u_nominal"])
+    assert 1e-8 < difference.max() < 1e-2
+    poses = Robot.load(robot, tool_frame="tool0" if name == "ur5" else None)
+    near_home = poses.home.commands + 1e-3 * np.arange(3)[:, None]
+    columns = poses.forward(near_home).coordinates
+    text = [",".join(f"{c.name}_{c.unit}" for c in poses.coordinates)]
+    text += [",".join(map(repr, row)) for row in columns.tolist()]
+    (tmp_path / "poses.csv").write_text("\n".join(text) + "\n")
+    done = run("compensate", "--calibration", "c", "--poses", "poses.csv", "--out", "u.csv", cwd=tmp_path)
+    assert (tmp_path / "u.csv").is_file(), done.stderr
+    assert len((tmp_path / "u.csv").read_text().splitlines()) == 4
 
 
-def test_parameters_with_which_loops_cannot_close_are_named(place: Path) -> None:
+def test_a_batch_is_its_poses_one_by_one(place: Path, run: Run, answer: Answer) -> None:
+    """By coordinates and by placements; a pose out of reach is NaN and named."""
+    pose = ("5", "-8", "0.49", "--condition", "temperature_screws_K=3")
+    alone = answer("compensate", *pose, "--calibration", "calibration", cwd=place)
+    (place / "p.csv").write_text("theta_x_deg,theta_y_deg,z_e_m,temperature_screws_K\n5,-8,0.49,3\n0,0,1.5,3\n")
+    done = run("compensate", "--calibration", "calibration", "--poses", "p.csv", "--out", "u.csv", cwd=place)
+    assert done.returncode == 1
+    assert "1 of 2 poses break a limit" in done.stderr
+    first, second = csv.DictReader((place / "u.csv").read_text().splitlines())
+    np.testing.assert_allclose([float(first[f"u{k}_m"]) for k in (1, 2, 3)], alone["u_m"], atol=1e-12)
+    assert float(first["predicted_error_m"]) == pytest.approx(alone["predicted_error_m"], rel=1e-9)
+    assert (second["u1_m"], second["broken_limits"]) == ("nan", "reach")
+
+    wanted = Robot.load("pm3dof").solve([np.radians(5.0), np.radians(-8.0), 0.49])
+    x, y, z, w = Rotation.from_matrix(wanted.rotations).as_quat()
+    row = ",".join(repr(float(number)) for number in (*wanted.positions, w, x, y, z, 3.0))
+    (place / "q.csv").write_text(f"x_m,y_m,z_m,qw,qx,qy,qz,temperature_screws_K\n{row}\n")
+    placed = answer("compensate", "--calibration", "calibration", "--poses", "q.csv", cwd=place)["columns"]
+    np.testing.assert_allclose([placed[f"u{k}_m"][0] for k in (1, 2, 3)], alone["u_m"], atol=1e-9)
+
+
+def test_the_robot_may_be_named(place: Path, run: Run) -> None:
+    pose = ("5", "-8", "0.49", "--calibration", "calibration", "--robot")
+    assert run("compensate", *pose, "pm3dof", cwd=place).returncode == 0
+    other = run("compensate", *pose, "hexapod", cwd=place)
+    assert other.returncode == 1
+    assert "expected one of hexapod, it is of pm3dof" in other.stderr
+
+
+def test_parameters_with_which_loops_cannot_close_are_named(place: Path, run: Run) -> None:
     plan = ("--robot", "three_rps", "--poses", "4", "--candidates", "30", "--strategy", "random", "--out", "three.csv")
     planned = run("calibration-plan", *plan, cwd=place)
     assert planned.returncode == 0, planned.stderr

@@ -7,17 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate, can_be_judged, held_out_errors
+from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.measurements import Measurements
-from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands
+from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors
+from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
+from pm3dof_pin.errors.command_correction import nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.worlds import World
 
 METHODS = ("lm", "gp", "nn", "lm+gp", "lm+nn")
@@ -49,7 +51,7 @@ def test_sixty_poses_bring_the_tip_to_its_floor(
     best = wanted.commands
     for _ in range(2):
         reached = world.poses(best, conditions)
-        nearest = nearest_commands(wanted, reached).commands
+        nearest = nearest_poses(wanted, reached).commands
         best = best - (nearest - wanted.commands)
     floor = tip_error(pose_difference(wanted.transforms, world.poses(best, conditions)))
     commands = calibrated(measured, tripod_errors, method).corrected(wanted, conditions)
@@ -74,22 +76,20 @@ def test_the_flow_of_the_figure(tripod_errors: GeometricErrors, tripod_nominal: 
         def as_data(self) -> dict[str, object]:
             return {}
 
-    scale = InputScale((), np.zeros(3), np.full(3, 0.085))
-    compensation = Compensation(tripod_errors, learned=Linear(), inputs=scale)
+    scale = InputScale((), np.full(3, 0.24), np.full(3, 0.085))
+    compensation = Compensation(tripod_errors, learned=LearnedPart(Linear(), scale))
     pose = np.array([0.1, -0.2, 0.5])
     answer = compensation.compensate(placement(pose))
     nominal = inverse_kinematics(tripod, pose)
     np.testing.assert_allclose(answer.nominal_commands[0], nominal, atol=1e-9)
-    joints = answer.commands[0] - tripod_errors.command_offsets
-    wanted = nominal - tripod_errors.command_offsets
-    np.testing.assert_allclose(joints + Linear().deviations(joints[None] / 0.085)[0], wanted, atol=1e-9)
-    np.testing.assert_allclose(answer.deviations[0], Linear().deviations(wanted[None] / 0.085)[0], atol=1e-9)
+    at_corrected, at_nominal = (Linear().deviations((u - 0.24) / 0.085) for u in (answer.commands, nominal[None]))
+    np.testing.assert_allclose(answer.commands + at_corrected, nominal[None], atol=1e-9)
+    np.testing.assert_allclose(answer.deviations, at_nominal, atol=1e-9)
     assert answer.predicted_error[0] > 0.0
 
 
 def test_without_anything_known_the_nominal_commands_come_out(tripod_errors: GeometricErrors, tripod: Tripod) -> None:
-    home = tripod_errors.mechanism.home.tool_placement.translation[2]
-    answer = Compensation(tripod_errors).compensate_coordinates([[0.1, -0.2, 0.5 - home]])
+    answer = Compensation(tripod_errors).compensate(tripod_errors.robot.solve([[0.1, -0.2, 0.5]]))
     np.testing.assert_array_equal(answer.commands, answer.nominal_commands)
     np.testing.assert_allclose(answer.commands[0], inverse_kinematics(tripod, [0.1, -0.2, 0.5]), atol=1e-13)
     np.testing.assert_array_equal(answer.predicted_error, 0.0)
@@ -108,7 +108,7 @@ def test_the_inverse_of_the_true_model_has_only_the_floor(
         return tip_error(pose_difference(poses.transforms, machine.forward(u, guess=poses.q).transforms))
 
     least = missed(commands)
-    np.testing.assert_allclose(compensation.predicted_error(poses), least, rtol=1e-6)
+    np.testing.assert_allclose(compensation.compensate(poses).predicted_error, least, rtol=1e-6)
     for step in 2e-6 * np.concatenate([np.eye(3), -np.eye(3)]):
         assert np.all(missed(commands + step) > least)
 
@@ -122,7 +122,7 @@ def test_the_predicted_error_is_about_the_error(
     compensation = calibrated(measured, tripod_errors, method)
     reached = world.poses(compensation.corrected(wanted, conditions), conditions)
     left = np.sqrt(np.mean(tip_error(pose_difference(wanted.transforms, reached)) ** 2))
-    predicted = np.sqrt(np.mean(compensation.predicted_error(wanted, conditions) ** 2))
+    predicted = np.sqrt(np.mean(compensation.compensate(wanted, conditions).predicted_error ** 2))
     assert 0.6 < predicted / left < 1.7
 
 

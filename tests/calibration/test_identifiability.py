@@ -18,7 +18,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
 
 
 def test_the_tripods_34_parameters_and_its_nine_poses(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:

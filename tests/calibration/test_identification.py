@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pm3dof_pin.calibration.identification import Identification, identify, measured_residuals, measured_rows
-from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -18,7 +17,8 @@ from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.simulated_machine import SimulatedMachine
 
 REDUNDANT = "platform_x_joint.rx"
@@ -49,7 +49,7 @@ def test_exact_without_noise(tripod_errors: GeometricErrors, truth: np.ndarray, 
     np.testing.assert_allclose(found.values, values, atol=1e-9)
     assert np.abs(found.residuals).max() < 1e-12
     assert found.identifiability.rank == 34
-    assert found.untold == ()
+    assert found.prior_dominated == ()
 
 
 def test_a_redundant_parameter_is_reported_and_harmless(
@@ -57,7 +57,7 @@ def test_a_redundant_parameter_is_reported_and_harmless(
 ) -> None:
     found = identify(simulated(tripod_errors, truth, tripod_nominal[:60]), tripod_errors, prior=np.inf)
     assert found.identifiability.unidentifiable == (REDUNDANT,)
-    assert found.untold == (REDUNDANT,)
+    assert found.prior_dominated == (REDUNDANT,)
     reached = tripod_errors.apply(found.values).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
     expected = tripod_errors.apply(truth).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-9)
@@ -86,13 +86,13 @@ def test_the_derivatives_are_those_of_finite_differences(
     if kind != "pose":
         points = np.zeros((5, 3)) if kind == "position" else np.tile([0.05, -0.1, 0.02], (5, 1))
         measurements = replace(measurements, rotations=None, sigmas=measurements.sigmas[:, :3], points=points)
-    rows = measured_rows(measurements, poses, sensitivities(tripod_errors, poses).errors)
+    rows = measurements.derivatives(poses, sensitivities(tripod_errors, poses).errors)
     step = 1e-6
     for k in range(0, len(tripod_errors), 3):
         values = tripod_errors.zeros
         values[k] = step
-        ahead = measured_residuals(measurements, tripod_errors.apply(values).forward(poses.commands, guess=poses.q))
-        back = measured_residuals(measurements, tripod_errors.apply(-values).forward(poses.commands, guess=poses.q))
+        ahead = measurements.residuals(tripod_errors.apply(values).forward(poses.commands, guess=poses.q))
+        back = measurements.residuals(tripod_errors.apply(-values).forward(poses.commands, guess=poses.q))
         np.testing.assert_allclose(rows[:, :, k], -(ahead - back) / (2.0 * step), atol=2e-8)
 
 

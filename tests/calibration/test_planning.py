@@ -15,7 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.simulated_machine import GeometricSource, SimulatedMachine
 
 SEEDS = range(10)
@@ -86,7 +86,7 @@ def test_the_prediction_is_what_a_calibration_attains(
     squares = []
     for _ in range(60):
         truth = 0.1 * tripod_errors.sample(rng)  # small, so that one linear step is the whole estimate
-        machine = SimulatedMachine(tripod_errors.mechanism, GeometricSource(tripod_errors, truth))
+        machine = SimulatedMachine(tripod_errors.robot, GeometricSource(tripod_errors, truth))
         measured = machine.measure(plan.poses.commands, rng, instrument=finer)
         rows = (10.0 * pose_difference(plan.poses.transforms, measured) / instrument.sigmas).ravel()
         found = 0.1 * tripod_errors.tolerances * np.linalg.solve(problem.information(plan.indices), blocks.T @ rows)

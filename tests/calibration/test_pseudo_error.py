@@ -11,15 +11,17 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.measurements import Measurements
+from pm3dof_pin.calibration.learned_part import InputScale
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pseudo_error import InputScale, nearest_commands, pseudo_errors
+from pm3dof_pin.calibration.pseudo_error import pseudo_errors
+from pm3dof_pin.errors.command_correction import nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
 
 NOISE = 5e-6
 
@@ -66,7 +68,7 @@ def test_steps_near_a_singularity_lead_nowhere_else(serial_arm: Robot) -> None:
     machine = errors.apply(errors.sample(generator))
     wanted = machine.forward(nominal.commands, guess=nominal.q).transforms
     before = tip_error(pose_difference(wanted, nominal.transforms))
-    nearest = nearest_commands(nominal, wanted)
+    nearest = nearest_poses(nominal, wanted)
     after = tip_error(pose_difference(wanted, nearest.transforms))
     assert np.all(after <= before)
     assert np.median(after) < 1e-12
@@ -81,7 +83,7 @@ def test_no_other_deviation_comes_nearer(eta: float, tripod_nominal: Poses) -> N
     moved[:, :3, 3] += generator.normal(0.0, 1e-4, (10, 3))
     moved[:, :3, :3] = Rotation.from_rotvec(generator.normal(0.0, 1e-3, (10, 3))).as_matrix() @ moved[:, :3, :3]
     best = poses.commands + pseudo_errors(Measurements.of_poses(poses.commands, moved), poses, eta).deviations
-    np.testing.assert_allclose(nearest_commands(poses, moved, eta).commands, best, atol=1e-9)
+    np.testing.assert_allclose(nearest_poses(poses, moved, eta).commands, best, atol=1e-9)
 
     def distance(commands: np.ndarray) -> np.ndarray:
         reached = poses.robot.forward(commands, guess=poses.q).transforms
@@ -96,7 +98,7 @@ def test_the_noise_of_a_deviation_is_that_of_the_measurement(tripod_nominal: Pos
     """Against 2000 noisy measurements of one pose."""
     pose, generator = tripod_nominal[:1], np.random.default_rng(0)
     commands = np.repeat(pose.commands, 2000, axis=0)
-    nominal = Poses(pose.mechanism, np.repeat(pose.q, 2000, axis=0))
+    nominal = Poses(pose.robot, np.repeat(pose.q, 2000, axis=0))
     sigmas = Instrument().sigmas
     noise = generator.standard_normal((2000, 6)) * sigmas
     seen = np.array(nominal.transforms)
@@ -111,10 +113,10 @@ def test_inputs_are_scaled_by_the_limits(tripod_nominal: Poses) -> None:
     """The stroke is 85 mm to either side; temperatures are scaled by what was measured."""
     measurements = Measurements.of_poses(tripod_nominal.commands[:3], tripod_nominal.transforms[:3])
     conditions = {"temperature_a_K": np.array([2.0, 4.0, 6.0]), "load_z_N": np.full(3, 7.0)}
-    scale = InputScale.of(tripod_nominal.mechanism, replace(measurements, conditions=conditions))
+    scale = InputScale.of(tripod_nominal.robot, replace(measurements, conditions=conditions))
     assert scale.conditions == ("temperature_a_K",)
     assert scale.middle() == {"temperature_a_K": 4.0}
-    scaled = scale.scaled(np.array([[0.085, 0.0, -0.085]]), {"temperature_a_K": 6.0})
+    scaled = scale.scaled(0.240272 + np.array([[0.085, 0.0, -0.085]]), {"temperature_a_K": 6.0})
     np.testing.assert_allclose(scaled, [[1.0, 0.0, -1.0, 1.0]], atol=1e-12)
     with pytest.raises(InvalidValueError, match="temperature_a_K among them"):
         scale.scaled(measurements.commands, {})

@@ -12,15 +12,15 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from pm3dof_pin.calibration.calibrate import Calibration, HeldOut, Options, calibrate, held_out_errors
-from pm3dof_pin.calibration.measurements import read_measurements
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
+from pm3dof_pin.calibration.judging import HeldOut, held_out_errors, workspace_errors
 from pm3dof_pin.calibration.results import read_compensation, write_calibration
-from pm3dof_pin.calibration.workspace_errors import workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurement_file import read_measurements
 from pm3dof_pin.simulation.worlds import World
 
 
@@ -53,8 +53,8 @@ def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, 
     again = read_compensation(folder)
     wanted = calibration.compensation.corrected(poses, conditions)
     np.testing.assert_array_equal(again.corrected(poses, conditions), wanted)
-    expected = calibration.compensation.predicted_error(poses, conditions)
-    np.testing.assert_array_equal(again.predicted_error(poses, conditions), expected)
+    expected = calibration.compensation.compensate(poses, conditions).predicted_error
+    np.testing.assert_array_equal(again.compensate(poses, conditions).predicted_error, expected)
 
 
 def test_the_calibrated_urdf_is_the_calibrated_machine(
@@ -88,7 +88,7 @@ def test_the_summary_says_what_was_found(calibration: Calibration, folder: Path)
 
 
 def test_the_measurements_are_kept(calibration: Calibration, folder: Path, tripod_errors: GeometricErrors) -> None:
-    again = read_measurements(folder / "measurements.csv", tripod_errors)
+    again = read_measurements(folder / "measurements.csv", tripod_errors.robot)
     np.testing.assert_allclose(again.commands, calibration.measurements.commands, atol=1e-16)
     np.testing.assert_array_equal(again.positions, calibration.measurements.positions)
 
@@ -117,8 +117,9 @@ def test_the_page_holds_its_pictures_and_numbers(report: str, held_out: HeldOut)
 
 def test_maps_know_before_after_and_the_floor(calibration: Calibration) -> None:
     maps = workspace_errors(calibration, 7)
+    assert maps is not None
     inside = np.isfinite(maps.before)
-    assert maps.names == ("platform_x_joint", "platform_y_joint")
+    assert maps.names == ("theta_x", "theta_y")
     assert 5 < inside.sum() < 49
     np.testing.assert_array_equal(inside, np.isfinite(maps.after))
     assert maps.floor is not None
@@ -156,6 +157,7 @@ def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration,
 def test_without_parameters_no_floor_is_drawn(calibration: Calibration, tripod_errors: GeometricErrors) -> None:
     learned = calibrate(calibration.measurements, tripod_errors, Options("gp"))
     maps = workspace_errors(learned, 7)
+    assert maps is not None
     assert maps.floor is None
     page = report_as_html(learned, "pm3dof", None, maps)
     assert "What no command corrects is not drawn" in page

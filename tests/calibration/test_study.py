@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration import study
-from pm3dof_pin.calibration.study import (
-    FLOOR,
-    METHODS,
-    NONE,
-    Record,
-    StudyPlan,
-    over_seeds,
-    run_study,
-    select,
-)
-from pm3dof_pin.calibration.study_tables import study_tables
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.calibration_study import excess_picture, tip_picture
 from pm3dof_pin.figures.style import save_figure
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "studies"))
+
+import study
+from study import FLOOR, METHODS, NONE, Record, StudyPlan, over_seeds, run_study, select
+from study_pictures import excess_picture, tip_picture
+from study_tables import study_tables
 
 pytest.importorskip("sklearn")
 

@@ -8,12 +8,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.calibration.calibrate import Options, calibrate, held_out_errors
-from pm3dof_pin.calibration.measurements import Measurements, read_measurements, write_measurements
-from pm3dof_pin.calibration.registration import register
+from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.simulation.worlds import World
 
 BASE = pin.SE3(pin.exp3(np.array([0.4, -1.9, 0.8])), np.array([2.1, -0.7, 1.3]))
@@ -75,8 +77,8 @@ def test_a_calibration_is_as_good_from_anywhere(
     """What commands can do for the tip, by cross-validation, against a measurement in the frame of the base."""
     world = World.random("geometry", tripod_errors, np.random.default_rng(2))
     at_base = world.measure(tripod_nominal.commands[:40], np.random.default_rng(3))
-    path = write_measurements(seen_from(BASE, at_base), tripod_errors, tmp_path / "tracker.csv")
-    elsewhere = read_measurements(path, tripod_errors, own_frame=True)
+    path = write_measurements(seen_from(BASE, at_base), tripod_errors.robot, tmp_path / "tracker.csv")
+    elsewhere = read_measurements(path, tripod_errors.robot, own_frame=True)
     assert elsewhere.registration is not None
     # the base is where it is, but for what errors that move everything alike make of it
     np.testing.assert_allclose(elsewhere.registration.base, BASE.homogeneous, atol=5e-3)
@@ -91,9 +93,9 @@ def test_millimetres_and_the_frame_of_the_base_are_still_told(
     described: Measurements, tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:
     seen = seen_from(BASE, described)
-    path = write_measurements(seen, tripod_errors, tmp_path / "file.csv")
-    assert "other axes" in read_measurements(path, tripod_errors).warnings[0]
+    path = write_measurements(seen, tripod_errors.robot, tmp_path / "file.csv")
+    assert "other axes" in read_measurements(path, tripod_errors.robot).warnings[0]
     seen.positions[:] *= 1000.0
-    path = write_measurements(seen, tripod_errors, tmp_path / "file.csv")
+    path = write_measurements(seen, tripod_errors.robot, tmp_path / "file.csv")
     with pytest.raises(MeasurementError, match="look like millimetres"):
-        read_measurements(path, tripod_errors, own_frame=True)
+        read_measurements(path, tripod_errors.robot, own_frame=True)

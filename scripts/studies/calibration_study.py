@@ -12,14 +12,15 @@ from pathlib import Path
 # the matrices are small: threads inside each process would only get in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from pm3dof_pin.calibration.study import StudyPlan, run_study
-from pm3dof_pin.calibration.study_tables import study_tables
+from study import StudyPlan, run_study
+from study_pictures import excess_picture, tip_picture
+from study_tables import study_tables
+
 from pm3dof_pin.cli.progress import progress_bar
-from pm3dof_pin.figures.calibration_study import excess_picture, tip_picture
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.files import write_text_atomically
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def main(plan: StudyPlan | None = None, results: Path = ROOT / "results", docs: Path = ROOT / "docs") -> None:

@@ -40,9 +40,9 @@ def test_what_is_known_stands_in_columns(world: World, tripod_nominal: Poses) ->
     assert set(measured.conditions) == {TEMPERATURE, LOAD}
     assert 0.0 <= measured.conditions[LOAD].min() < 10.0
     assert 50.0 < measured.conditions[LOAD].max() <= 60.0
-    calibration = calibrate(measured, GeometricErrors(tripod_nominal.mechanism), Options("gp"))
-    assert calibration.compensation.inputs is not None
-    assert set(calibration.compensation.inputs.conditions) == {TEMPERATURE, LOAD}
+    calibration = calibrate(measured, GeometricErrors(tripod_nominal.robot), Options("gp"))
+    assert calibration.compensation.learned is not None
+    assert set(calibration.compensation.learned.inputs.conditions) == {TEMPERATURE, LOAD}
 
 
 def test_one_source_alone(world: World, tripod_nominal: Poses) -> None:
@@ -69,7 +69,7 @@ def test_what_is_not_there(tripod_errors: GeometricErrors, serial_arm: Robot, wo
 def test_the_loops_of_every_robot_close(robot: str) -> None:
     """Also those of the overconstrained machine, with everything wrong that may be, at any pose and temperature."""
     errors = GeometricErrors.load(robot)
-    poses = reachable_poses(errors.mechanism, 20, np.random.default_rng(0))
+    poses = reachable_poses(errors.robot, 20, np.random.default_rng(0))
     world = World.random("everything", closable(errors, poses), np.random.default_rng(1))
     measured = world.measure(poses.commands, np.random.default_rng(2))
     offsets = np.linalg.norm(measured.positions - poses.positions, axis=1)

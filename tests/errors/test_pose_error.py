@@ -60,6 +60,16 @@ def test_quaternions_are_pinocchios() -> None:
     for turn in rng.normal(size=(100, 3)) * 3.0:
         x, y, z, w = pin.Quaternion(pin.exp3(turn)).coeffs() * np.sign(pin.Quaternion(pin.exp3(turn)).w)
         np.testing.assert_allclose(pose_error.quaternion(pin.exp3(turn)), [w, x, y, z], atol=1e-14)
+        many = 3.0 * np.array([[[w, x, y, z]], [[-w, -x, -y, -z]]])
+        np.testing.assert_allclose(pose_error.rotation_of_quaternion(many)[:, 0], [pin.exp3(turn)] * 2, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1.999e-3, 2.001e-3, 0.5, 3.0])
+def test_the_derivative_of_the_rotation_vector_is_pinocchios(angle: float) -> None:
+    axes = np.random.default_rng(4).normal(size=(9, 3))
+    turns = np.array([pin.exp3(angle * axis / np.linalg.norm(axis)) for axis in axes])
+    rates = pose_error.rotation_vector_rates(turns.reshape(3, 3, 3, 3)).reshape(9, 3, 3)
+    np.testing.assert_allclose(rates, [pin.Jlog3(turn) for turn in turns], atol=1e-10)
 
 
 def test_the_matrix_of_8_12_with_its_erratum() -> None:

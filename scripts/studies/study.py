@@ -21,15 +21,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
-from pm3dof_pin.calibration.pseudo_error import command_jacobians
-from pm3dof_pin.errors.error_map import best_commands
+from pm3dof_pin.errors.command_correction import best_commands, command_jacobians
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.worlds import World
 from pm3dof_pin.typing import Array
 
@@ -229,9 +228,9 @@ def _spread(values: Array) -> tuple[float, float, float]:
 
 
 def _test_poses(errors: GeometricErrors, plan: StudyPlan, generator: np.random.Generator) -> dict[str, Poses]:
-    mechanism = errors.mechanism
-    everywhere = reachable_poses(mechanism, plan.test_poses, generator)
-    pool = reachable_poses(mechanism, _POOL * plan.shell_poses, generator)
+    robot = errors.robot
+    everywhere = reachable_poses(robot, plan.test_poses, generator)
+    pool = reachable_poses(robot, _POOL * plan.shell_poses, generator)
     distances = _distances(pool)
     shell = np.flatnonzero(distances >= np.quantile(distances, _SHELL))[: plan.shell_poses]
     return dict(zip(TESTS, (everywhere, pool[shell]), strict=True))
@@ -240,16 +239,16 @@ def _test_poses(errors: GeometricErrors, plan: StudyPlan, generator: np.random.G
 def _training(errors: GeometricErrors, plan: StudyPlan, world: str, generator: np.random.Generator) -> Array:
     count = max(plan.counts)
     if world != "inner half":
-        return reachable_poses(errors.mechanism, count, generator).commands
-    pool = reachable_poses(errors.mechanism, 4 * count, generator)
+        return reachable_poses(errors.robot, count, generator).commands
+    pool = reachable_poses(errors.robot, 4 * count, generator)
     distances = _distances(pool)
     return pool.commands[np.flatnonzero(distances <= np.quantile(distances, _INNER))[:count]]
 
 
 def _distances(poses: Poses) -> Array:
     """Return how far poses are from the middle of the workspace: root mean square over the motions' ranges."""
-    mechanism = poses.robot
-    lower, upper = coordinate_ranges(mechanism, mechanism.coordinates)
+    robot = poses.robot
+    lower, upper = coordinate_ranges(robot, robot.coordinates)
     middle = 0.5 * (lower + upper)
     return np.asarray(np.sqrt(np.mean(((poses.coordinates - middle) / (upper - lower)) ** 2, axis=1)))
 

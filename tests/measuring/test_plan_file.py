@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.plan_file import write_plan
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
@@ -20,13 +19,12 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.plan_accuracy import plan_accuracy
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurement_file import write_plan
 
 FEW = ("--candidates", "150", "--seed", "3")
 
 
-def _run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+Run = Callable[..., Any]
 
 
 def test_commands_are_slider_travels(
@@ -35,12 +33,12 @@ def test_commands_are_slider_travels(
     """As `pm3dof ik` prints them, to the last digits."""
     problem = PlanningProblem(tripod_errors, tripod_nominal[:50])
     plan = problem.plan(9, "random", np.random.default_rng(0))
-    rows = list(csv.DictReader(write_plan(tripod_errors, plan, tmp_path / "plan.csv").read_text().splitlines()))
+    rows = list(csv.DictReader(write_plan(plan.poses, tmp_path / "plan.csv").read_text().splitlines()))
     assert list(rows[0]) == [
         "u1_m", "u2_m", "u3_m", "nominal_x_m", "nominal_y_m", "nominal_z_m",
         "nominal_qw", "nominal_qx", "nominal_qy", "nominal_qz",
     ]  # fmt: skip
-    poses = plan.poses.coordinates(plan.poses.robot.motion_coordinates) + np.array([0.0, 0.0, tripod.height_home])
+    poses = plan.poses.coordinates
     written = np.array([[float(row[f"u{leg}_m"]) for leg in (1, 2, 3)] for row in rows])
     np.testing.assert_allclose(written, inverse_kinematics(tripod, poses), atol=1e-12)
     heights = [float(row["nominal_z_m"]) for row in rows]
@@ -55,9 +53,9 @@ def test_the_picture(tmp_path: Path) -> None:
         plan_accuracy([9], {"random": curves["random"]})
 
 
-def test_the_command(tmp_path: Path) -> None:
-    first = _run("calibration-plan", "--poses", "9", "--out", "a.csv", "--json", *FEW, cwd=tmp_path)
-    again = _run("calibration-plan", "--poses", "9", "--out", "b.csv", *FEW, cwd=tmp_path)
+def test_the_command(tmp_path: Path, run: Run) -> None:
+    first = run("calibration-plan", "--poses", "9", "--out", "a.csv", "--json", *FEW, cwd=tmp_path)
+    again = run("calibration-plan", "--poses", "9", "--out", "b.csv", *FEW, cwd=tmp_path)
     assert first.returncode == again.returncode == 0, first.stderr + again.stderr
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     result = json.loads(first.stdout)
@@ -69,9 +67,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert "34 of 35 parameters identified" in again.stdout
 
 
-def test_too_few_poses_are_reported(tmp_path: Path) -> None:
-    done = _run("calibration-plan", "--poses", "4", "--strategy", "random", *FEW, cwd=tmp_path)
+def test_too_few_poses_are_reported(tmp_path: Path, run: Run) -> None:
+    done = run("calibration-plan", "--poses", "4", "--strategy", "random", *FEW, cwd=tmp_path)
     assert done.returncode == 0
     assert "19 of 35" in done.stdout
     assert "13 more" in done.stdout
-    assert _run("calibration-plan", "--poses", "149", "--strategy", "random", *FEW, cwd=tmp_path).returncode == 1
+    assert run("calibration-plan", "--poses", "149", "--strategy", "random", *FEW, cwd=tmp_path).returncode == 1

@@ -6,21 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.measurements import (
-    Measurements,
-    command_columns,
-    read_commands,
-    read_measurements,
-    rotations_of,
-    write_measurements,
-)
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurement_file import (
+    command_columns,
+    read_commands,
+    read_measurements,
+    write_measurements,
+)
+from pm3dof_pin.measuring.measurements import Measurements
 
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 
@@ -33,14 +31,14 @@ def measurements(tripod_nominal: Poses) -> Measurements:
 @pytest.fixture
 def lines(measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path) -> list[list[str]]:
     """Cells of a good file, header first, without sigmas."""
-    path = write_measurements(measurements, tripod_errors, tmp_path / "good.csv")
+    path = write_measurements(measurements, tripod_errors.robot, tmp_path / "good.csv")
     return [line.split(",")[:10] for line in path.read_text().splitlines()]
 
 
 def read(lines: list[list[str]], errors: GeometricErrors, tmp_path: Path) -> Measurements:
     path = tmp_path / "file.csv"
     path.write_text("\n".join(",".join(line) for line in lines) + "\n")
-    return read_measurements(path, errors)
+    return read_measurements(path, errors.robot)
 
 
 def scaled(lines: list[list[str]], columns: slice, factor: float) -> list[list[str]]:
@@ -54,8 +52,8 @@ def scaled(lines: list[list[str]], columns: slice, factor: float) -> list[list[s
 def test_every_digit_survives(
     measurements: Measurements, tripod_errors: GeometricErrors, tmp_path: Path, tripod_nominal: Poses
 ) -> None:
-    path = write_measurements(measurements, tripod_errors, tmp_path / "file.csv")
-    again = read_measurements(path, tripod_errors)
+    path = write_measurements(measurements, tripod_errors.robot, tmp_path / "file.csv")
+    again = read_measurements(path, tripod_errors.robot)
     np.testing.assert_allclose(again.commands, tripod_nominal.commands[:12], atol=1e-16)
     np.testing.assert_array_equal(again.positions, tripod_nominal.positions[:12])
     assert again.rotations is not None
@@ -64,21 +62,16 @@ def test_every_digit_survives(
     assert again.lines == tuple(range(2, 14))
 
 
-def test_commands_count_from_the_bottom_of_the_guideways(lines: list[list[str]], tripod_nominal: Poses) -> None:
+def test_commands_are_what_the_counters_show(lines: list[list[str]], tripod_nominal: Poses) -> None:
     """u = 0.240272 m is joint coordinate 0."""
     assert ",".join(lines[0]) == HEADER
-    np.testing.assert_allclose(np.array(lines[1][:3], dtype=float), tripod_nominal.commands[0] + 0.240272, atol=1e-15)
+    joints = [tripod_nominal.robot.single_joint(f"slider{leg}_joint").q_index for leg in (1, 2, 3)]
+    np.testing.assert_allclose(np.array(lines[1][:3], dtype=float), tripod_nominal.q[0, joints] + 0.240272, atol=1e-15)
 
 
 def test_columns_of_other_robots(serial_arm: Robot) -> None:
     assert command_columns(serial_arm) == tuple(f"u{k}_rad" for k in range(1, 7))
     assert command_columns(Robot.load("hexapod")) == tuple(f"u{k}_m" for k in range(1, 7))
-
-
-def test_quaternions_turn_into_the_rotations_of_scipy() -> None:
-    quaternions = np.random.default_rng(0).standard_normal((20, 4))
-    expected = Rotation.from_quat(np.roll(quaternions, -1, axis=1)).as_matrix()
-    np.testing.assert_allclose(rotations_of(quaternions), expected, atol=1e-14)
 
 
 def test_positions_alone(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
@@ -121,7 +114,7 @@ def test_degrees_are_suspected(four_bar: Path, tmp_path: Path) -> None:
     path = tmp_path / "file.csv"
     path.write_text("u1_rad,x_m,y_m,z_m\n" + "\n".join(f"{angle},0.3,0.4,0" for angle in (20.0, 30.0, -25.0)) + "\n")
     with pytest.raises(MeasurementError, match=r"lines 2, 3, 4: u1_rad .*look like degrees") as caught:
-        read_measurements(path, errors)
+        read_measurements(path, errors.robot)
     assert caught.value.rows == (2, 3, 4)
 
 
@@ -238,15 +231,15 @@ def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, t
     path = tmp_path / "file.csv"
     path.write_text(text)
     with pytest.raises(MeasurementError, match=problem):
-        read_measurements(path, tripod_errors)
+        read_measurements(path, tripod_errors.robot)
     with pytest.raises(MeasurementError, match="expected a readable CSV file"):
-        read_measurements(tmp_path / "missing.csv", tripod_errors)
+        read_measurements(tmp_path / "missing.csv", tripod_errors.robot)
 
 
 def test_commands_of_a_plan(tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text("u1_m,u2_m,u3_m,nominal_x_m\n0.25,0.24,0.23,\n")
-    np.testing.assert_allclose(read_commands(path, tripod_errors), [[0.009728, -0.000272, -0.010272]], atol=1e-12)
+    np.testing.assert_allclose(read_commands(path, tripod_errors.robot), [[0.25, 0.24, 0.23]], atol=1e-12)
 
 
 def test_arrays_that_do_not_fit() -> None:

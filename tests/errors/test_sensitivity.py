@@ -33,7 +33,7 @@ def _differences(errors: GeometricErrors, poses: Poses, values: np.ndarray) -> n
 
 
 def test_errors_against_finite_differences(case: Poses) -> None:
-    errors = closable(GeometricErrors(case.mechanism), case)
+    errors = closable(GeometricErrors(case.robot), case)
     np.testing.assert_allclose(
         sensitivities(errors, case).errors, _differences(errors, case, errors.zeros), atol=AGREEMENT
     )
@@ -41,7 +41,7 @@ def test_errors_against_finite_differences(case: Poses) -> None:
 
 def test_errors_against_finite_differences_far_from_nominal(case: Poses) -> None:
     """At errors of centimetres and tenths of a radian the derivative of the displacement itself counts."""
-    errors = closable(GeometricErrors(case.mechanism), case)
+    errors = closable(GeometricErrors(case.robot), case)
     values = 20.0 * errors.sample(np.random.default_rng(2))
     poses = errors.apply(values).forward(case.commands, guess=case.q)
     analytic = sensitivities(errors, poses, values).errors
@@ -49,10 +49,10 @@ def test_errors_against_finite_differences_far_from_nominal(case: Poses) -> None
 
 
 def test_commands_against_finite_differences(case: Poses) -> None:
-    analytic = sensitivities(GeometricErrors(case.mechanism, []), case).commands
+    analytic = sensitivities(GeometricErrors(case.robot, []), case).commands
     for index in range(analytic.shape[2]):
         step = STEP * np.eye(analytic.shape[2])[index]
-        first, second = (case.mechanism.forward(case.commands + s, guess=case.q) for s in (-step, step))
+        first, second = (case.robot.forward(case.commands + s, guess=case.q) for s in (-step, step))
         np.testing.assert_allclose(analytic[:, :, index], _motion(first, second), atol=AGREEMENT)
 
 
@@ -96,7 +96,7 @@ def test_frames_inside_frames_move_together() -> None:
     parameters = [p for p in all_parameters(mechanism) if p.place.startswith("slider")]
     middle = [type(p)(**{**p.__dict__, "name": f"m.{p.name[-2:]}", "place": "middle_platform"}) for p in parameters[:6]]
     errors = GeometricErrors(mechanism, [*parameters, *middle])
-    poses = mechanism.forward([[0.01, -0.02, 0.03]])
+    poses = mechanism.forward([[0.25, 0.22, 0.27]])
     values = errors.sample(np.random.default_rng(0)) * 10.0
     moved = errors.apply(values).forward(poses.commands, guess=poses.q)
     np.testing.assert_allclose(

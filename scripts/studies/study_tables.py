@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
+
 from pm3dof_pin.calibration.calibrate import METHODS
-from pm3dof_pin.calibration.study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
 PUBLISHED = (
     ("redundant parallel module, max", 0.192, 0.075, 0.014, "doi 10.1177/0954405420911299; interpolated residuals"),

@@ -16,6 +16,7 @@ from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.error_sources import (
     ElasticDeflection,
     GeometricSource,
@@ -25,13 +26,14 @@ from pm3dof_pin.simulation.error_sources import (
     Wave,
     correlated_normal,
 )
-from pm3dof_pin.simulation.instrument import Instrument
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, richer
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, with_all_parameters
+
+HOME = [0.240272] * 3
 
 
 def test_ten_kelvin_lengthen_a_screw_of_240_mm_by_28_um(tripod_errors: GeometricErrors) -> None:
-    growth = ThermalGrowth.from_command_zeros(tripod_errors)
-    np.testing.assert_allclose(growth.command_errors(np.zeros((1, 3)), np.full((1, 3), 10.0)), 11.5e-5 * 0.240272)
+    growth = ThermalGrowth(tripod_errors.fixed_bearings)
+    np.testing.assert_allclose(growth.travel_errors(np.zeros((1, 3)), np.full((1, 3), 10.0)), 11.5e-5 * 0.240272)
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.15, 0.5, -0.1])
@@ -43,7 +45,7 @@ def test_the_growth_is_the_integral_of_the_temperature(bearing: float) -> None:
         distances = np.linspace(0.0, travel - bearing, 200_001)
         shares = np.interp(distances, *np.transpose(profile))
         expected = np.sum(0.5 * (shares[1:] + shares[:-1]) * np.diff(distances))
-        computed = growth.command_errors(np.array([[travel]]), np.array([[1.0]]))
+        computed = growth.travel_errors(np.array([[travel]]), np.array([[1.0]]))
         assert computed[0, 0] == pytest.approx(expected, abs=1e-8)
 
 
@@ -60,9 +62,7 @@ def test_members_grow_with_their_length(mechanism: Robot) -> None:
 def test_the_deflection_is_that_of_the_closed_form(tripod: Tripod, tripod_nominal: Poses) -> None:
     poses, wrench = tripod_nominal[:20], np.array([100.0, -50.0, 200.0, 3.0, 4.0, -5.0])
     deflections = ElasticDeflection(own_weight=False).displacements(poses, np.tile(wrench, (20, 1)))
-    coordinates = poses.coordinates(poses.robot.motion_coordinates)
-    tool = coordinates + np.array([0.0, 0.0, tripod.height_home])
-    expected = np.linalg.solve(elastic_stiffness(tripod, tool), wrench)
+    expected = np.linalg.solve(elastic_stiffness(tripod, poses.coordinates), wrench)
     np.testing.assert_allclose(deflections, expected, rtol=1e-8, atol=1e-15)
 
 
@@ -95,22 +95,22 @@ def _machine(errors: GeometricErrors, seed: int = 7) -> SimulatedMachine:
         errors,
         rng,
         waviness=GuideWaviness.random(3, rng),
-        thermal=ThermalGrowth.from_command_zeros(errors, {"link1_tip": 0.3, "link2_tip": 0.3, "link3_tip": 0.3}),
+        thermal=ThermalGrowth(errors.fixed_bearings, members={"link1_tip": 0.3, "link2_tip": 0.3, "link3_tip": 0.3}),
         elastic=ElasticDeflection(payload=2.0),
         vibration=Vibration(np.diag([1e-6] * 3 + [1e-5] * 3) ** 2, drive_sigma=1e-6),
     )
 
 
 def test_the_truth_has_six_errors_at_every_joint(tripod_errors: GeometricErrors) -> None:
-    truth = richer(tripod_errors)
-    assert len(truth) == len(GeometricErrors(tripod_errors.mechanism))
+    truth = with_all_parameters(tripod_errors)
+    assert len(truth) == len(GeometricErrors(tripod_errors.robot))
     assert set(truth.tolerances) == {1e-4, 5e-4}
 
 
 def test_sources_alone_and_together(tripod_errors: GeometricErrors) -> None:
     """Small errors add up; what is left over is their product."""
     machine, rng = _machine(tripod_errors), np.random.default_rng(1)
-    commands = rng.uniform(-0.04, 0.04, (12, 3))
+    commands = 0.240272 + rng.uniform(-0.04, 0.04, (12, 3))
     conditions = Conditions(rng.uniform(0.0, 10.0, (12, 3)), [50.0, 0.0, -30.0, 0.0, 1.0, 0.0])
     ideal = machine.nominal.forward(commands).transforms
     parts = {
@@ -130,32 +130,32 @@ def test_straightness_moves_the_carriage_beside_its_line(mechanism: Robot) -> No
     """A constant wave across, horizontally, is a parallel guideway."""
     flat = Wave(2e-5, 1.0, np.pi / 2.0)
     waves = GuideWaviness(((), (), ()), (((flat,), ()), ((), ()), ((), ())))
-    crooked = SimulatedMachine(mechanism, waviness=waves).poses(np.zeros((1, 3)))
+    crooked = SimulatedMachine(mechanism, waviness=waves).poses([HOME])
     errors = GeometricErrors.load("pm3dof")
     heading = np.radians(-30.0 - 90.0)  # at right angles to the plan of the guideway of leg 1
     shift = {"slider1_joint.tx": 2e-5 * np.cos(heading), "slider1_joint.ty": 2e-5 * np.sin(heading)}
-    expected = errors.apply(shift).forward(np.zeros((1, 3))).transforms
+    expected = errors.apply(shift).forward([HOME]).transforms
     np.testing.assert_allclose(crooked, expected, atol=1e-12)
 
 
 def test_measurements_scatter_by_their_covariance_and_repeat_with_their_seed(tripod_errors: GeometricErrors) -> None:
     machine = _machine(tripod_errors)
-    commands = np.tile([[0.01, 0.0, -0.01]], (300, 1))
+    commands = np.tile([[0.25, 0.24, 0.23]], (300, 1))
     measured, again = (machine.measure(commands, np.random.default_rng(3)) for _ in range(2))
     assert measured.tobytes() == again.tobytes()
     scatter = pose_difference(machine.poses(commands[:1])[0], measured)
     np.testing.assert_allclose(scatter[:, :3].std(axis=0), 7.5e-6, rtol=0.25)
     np.testing.assert_allclose(scatter[:, 3:].std(axis=0), 15e-6 / (0.15 * np.sqrt(2.0)), rtol=0.25)
     assert np.abs(scatter.mean(axis=0)[:3]).max() < 4e-6
-    one = SimulatedMachine(tripod_errors.mechanism, GeometricSource(tripod_errors, tripod_errors.zeros))
+    one = SimulatedMachine(tripod_errors.robot, GeometricSource(tripod_errors, tripod_errors.zeros))
     exact = one.measure(commands[:2], np.random.default_rng(0), instrument=Instrument("pose", 1e-15, 1e-15))
-    np.testing.assert_allclose(exact, tripod_errors.mechanism.forward(commands[:2]).transforms, atol=1e-12)
+    np.testing.assert_allclose(exact, tripod_errors.robot.forward(commands[:2]).transforms, atol=1e-12)
     assert np.linalg.norm(pin.log3(exact[0, :3, :3].T @ exact[1, :3, :3])) < 1e-12
 
 
 def test_conditions_are_checked(tripod_errors: GeometricErrors) -> None:
     machine = _machine(tripod_errors)
     with pytest.raises(InvalidValueError, match="temperature_rises"):
-        machine.poses(np.zeros((2, 3)), Conditions([1.0, 2.0]))
+        machine.poses([HOME, HOME], Conditions([1.0, 2.0]))
     with pytest.raises(InvalidValueError, match="finite"):
-        machine.poses(np.zeros((2, 3)), Conditions(np.nan))
+        machine.poses([HOME, HOME], Conditions(np.nan))

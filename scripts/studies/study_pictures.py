@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
 from pm3dof_pin.calibration.calibrate import METHODS
-from pm3dof_pin.calibration.study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 from pm3dof_pin.figures.style import house_style, new_figure
 
 # Okabe and Ito's colours

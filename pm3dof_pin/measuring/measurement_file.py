@@ -1,26 +1,25 @@
-"""Measurements of a real machine: which commands were given, and where the tool was seen."""
+"""Files of measurements: reading them with every check, and writing them."""
 
 from __future__ import annotations
 
 import csv
 import io
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.calibration.registration import Registration, register
-from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import quaternion, rotation_vector
-from pm3dof_pin.exceptions import InvalidValueError, MeasurementError, UnreachablePoseError, lines_in_words
+from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rotation_vector
+from pm3dof_pin.exceptions import MeasurementError, UnreachablePoseError, lines_in_words
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.instrument import Instrument, Measured
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
@@ -28,6 +27,7 @@ logger = logging.getLogger(__name__)
 
 POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in (*POSITION_COLUMNS, *QUATERNION_COLUMNS))
 POINT_COLUMNS = ("px_m", "py_m", "pz_m")
 SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 
@@ -41,147 +41,71 @@ _THOUSANDFOLD = 300.0
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """Commands and the poses, positions or points that were seen, row after row.
-
-    Attributes:
-        commands: coordinates of the actuated joints, 0 where the description has its zero, shape=(n, number of
-            actuated joints) [m, rad].
-        positions: what was seen of the tool point, or of `points`, in the world, shape=(n, 3) [m].
-        rotations: orientation of the tool, shape=(n, 3, 3); None if positions only were measured.
-        sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3) [m, rad].
-        points: the points seen, in the tool's axes from the tool point, shape=(n, 3) [m]; zeros for the tool point.
-        conditions: temperatures and loads by the name of their column, shape=(n,) each.
-        lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
-        warnings: what is odd about them.
-        registration: how they came into the axes of the base; None if they were measured in them.
-    """
-
-    commands: Array
-    positions: Array
-    rotations: Array | None
-    sigmas: Array
-    points: Array
-    conditions: dict[str, Array] = field(default_factory=dict)
-    lines: tuple[int, ...] = ()
-    warnings: tuple[str, ...] = ()
-    registration: Registration | None = None
-
-    def __post_init__(self) -> None:
-        """Check shapes and numbers.
-
-        Raises:
-            InvalidValueError: arrays that do not fit each other, numbers that are not finite, noise that is not
-                positive.
-        """
-        n = len(self.commands)
-        if not self.lines:
-            object.__setattr__(self, "lines", tuple(range(2, n + 2)))
-        shapes: dict[str, tuple[Array, tuple[int, ...]]] = {
-            "commands": (self.commands, (n, self.commands.shape[-1])),
-            "positions": (self.positions, (n, 3)),
-            "sigmas": (self.sigmas, (n, 3 if self.rotations is None else 6)),
-            "points": (self.points, (n, 3)),
-        }
-        if self.rotations is not None:
-            shapes["rotations"] = (self.rotations, (n, 3, 3))
-        shapes |= {name: (values, (n,)) for name, values in self.conditions.items()}
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape or not np.isfinite(array).all():
-                raise InvalidValueError(
-                    name, f"an array of shape {array.shape}", f"finite numbers of shape {shape}, one row a measurement"
-                )
-        if not np.all(self.sigmas > 0.0):
-            raise InvalidValueError("sigmas", float(self.sigmas.min()), "positive numbers")
-
-    def __len__(self) -> int:
-        return len(self.commands)
-
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp] | Sequence[int] | slice) -> Measurements:
-        """Return some of the rows."""
-        chosen = np.arange(len(self))[rows]
-        return replace(
-            self,
-            commands=self.commands[chosen],
-            positions=self.positions[chosen],
-            rotations=None if self.rotations is None else self.rotations[chosen],
-            sigmas=self.sigmas[chosen],
-            points=self.points[chosen],
-            conditions={name: values[chosen] for name, values in self.conditions.items()},
-            lines=tuple(self.lines[k] for k in chosen),
-        )
-
-    @property
-    def measured(self) -> Measured:
-        """What was seen: "pose" or "position"."""
-        return "position" if self.rotations is None else "pose"
-
-    @classmethod
-    def of_poses(cls, commands: Array, transforms: Array, instrument: Instrument | None = None) -> Measurements:
-        """Make measurements of whole poses, or of what an instrument sees of them.
-
-        Args:
-            commands: coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
-            transforms: poses seen, shape=(n, 4, 4).
-            instrument: whose noise they have.
-        """
-        seen_by = instrument or Instrument()
-        poses = np.asarray(transforms, dtype=float)
-        return cls(
-            np.array(commands, dtype=float),
-            poses[:, :3, 3],
-            poses[:, :3, :3] if seen_by.measured == "pose" else None,
-            np.tile(seen_by.sigmas, (len(poses), 1)),
-            np.zeros((len(poses), 3)),
-        )
-
-
-def command_columns(mechanism: Robot) -> tuple[str, ...]:
+def command_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the commands: u1_m, u2_m ... for drives that slide, u1_rad ... for those that turn."""
-    return tuple(f"u{k}_{unit}" for k, unit in enumerate(command_units(mechanism), start=1))
+    return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
 
 
-def command_units(mechanism: Robot) -> tuple[str, ...]:
-    """Return the unit of each actuated joint, "m" or "rad"."""
-    return tuple(command.unit for command in mechanism.commands)
-
-
-def measurements_as_text(measurements: Measurements, errors: GeometricErrors) -> str:
+def measurements_as_text(measurements: Measurements, robot: Robot) -> str:
     """Return measurements as CSV, every digit kept; see :func:`read_measurements`."""
-    n, columns = len(measurements), dict[str, Array]()
-    columns |= dict(zip(command_columns(errors.mechanism), measurements.commands.T, strict=True))
-    columns |= dict(zip(POSITION_COLUMNS, measurements.positions.T, strict=True))
+    columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
+    columns |= zip(POSITION_COLUMNS, measurements.positions.T, strict=True)
     if measurements.rotations is not None:
-        columns |= dict(zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True))
+        columns |= zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True)
     if measurements.points.any():
-        columns |= dict(zip(POINT_COLUMNS, measurements.points.T, strict=True))
-    columns |= dict(zip(SIGMA_COLUMNS, measurements.sigmas.T, strict=False))
-    columns |= measurements.conditions
+        columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
+    columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T, strict=False)
+    return columns_as_text(columns | measurements.conditions)
+
+
+def columns_as_text(columns: Mapping[str, Array]) -> str:
+    """Return columns of numbers as CSV, every digit kept.
+
+    Args:
+        columns: by name, shape=(n,) each.
+    """
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([repr(float(column[row])) for column in columns.values()] for row in range(n))
+    writer.writerows(map(repr, row) for row in np.column_stack(list(columns.values())).tolist())
     return text.getvalue()
 
 
-def write_measurements(measurements: Measurements, errors: GeometricErrors, path: Path | str) -> Path:
+def write_measurements(measurements: Measurements, robot: Robot, path: Path | str) -> Path:
     """Write measurements as CSV, whole or not at all.
 
     Args:
         measurements: what to write.
-        errors: the robot, for the names of the columns and the zeros of its commands.
+        robot: the robot, for the names of the columns.
         path: file to write.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    return write_text_atomically(path, measurements_as_text(measurements, errors))
+    return write_text_atomically(path, measurements_as_text(measurements, robot))
+
+
+def write_plan(poses: Poses, path: Path | str) -> Path:
+    """Write a plan of measurements as CSV, every digit kept: commands to drive to, and where the tool should then be.
+
+    The nominal pose is that of the robot as described; its columns are no measurement, and named so.
+
+    Args:
+        poses: poses of the robot as described.
+        path: file to write.
+
+    Raises:
+        OutputError: the file cannot be written; nothing is left of it.
+    """
+    columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
+    seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
+    columns |= zip(NOMINAL_COLUMNS, seen.T, strict=True)
+    return write_text_atomically(path, columns_as_text(columns))
 
 
 def read_measurements(
     path: Path | str,
-    errors: GeometricErrors,
+    robot: Robot,
     instrument: Instrument | None = None,
     *,
     own_frame: bool = False,
@@ -194,41 +118,41 @@ def read_measurements(
 
     Args:
         path: the file.
-        errors: the robot; commands count from where its error file says.
+        robot: the robot as described.
         instrument: its noise is taken where the file has no sigmas.
         own_frame: whether the instrument measured in a frame of its own, from which the base has to be found first; see
-            :mod:`pm3dof_pin.calibration.registration`.
+            :mod:`pm3dof_pin.measuring.registration`.
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing, a cell is no number, a quaternion is no rotation,
             numbers are most likely in another unit, or no row is left.
         InvalidValueError: the base cannot be found: positions alone, on one line.
     """
-    return _Reader(Path(path), errors).measurements(instrument or Instrument(), own_frame)
+    return _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)
 
 
-def read_commands(path: Path | str, errors: GeometricErrors) -> Array:
-    """Read the commands of a CSV file, such as a plan of measurements; its other columns are not looked at.
+def read_commands(path: Path | str, robot: Robot) -> Array:
+    """Read the commands of a CSV file, such as a plan of measurements; its other columns are ignored.
 
     Args:
         path: the file, with the columns `u1_m,u2_m,u3_m` or what the robot's drives need.
-        errors: the robot.
+        robot: the robot.
 
     Returns:
-        Coordinates of the actuated joints, shape=(n, number of actuated joints) [m, rad].
+        shape=(n, number of commands) [m, rad].
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing, a cell is no number, or no row is left.
     """
-    return _Reader(Path(path), errors, commands_only=True).commands()
+    return _Reader(Path(path), robot, commands_only=True).commands()
 
 
 class _Reader:
     """One file on its way to Measurements."""
 
-    def __init__(self, path: Path, errors: GeometricErrors, *, commands_only: bool = False) -> None:
-        self._path, self._errors = path, errors
-        self._own = command_columns(errors.mechanism)
+    def __init__(self, path: Path, robot: Robot, *, commands_only: bool = False) -> None:
+        self._path, self._robot = path, robot
+        self._own = command_columns(robot)
         self._commands_only = commands_only
         self._warnings: list[str] = []
         self._lines, self._table = self._numbers()
@@ -351,8 +275,8 @@ class _Reader:
             self._warn(f"{len(rows)} rows at {distinct} different commands: the others repeat one")
 
     def _check_commands(self, commands: Array) -> None:
-        mechanism = self._errors.mechanism
-        lower, upper = np.array([mechanism.range_of(command) for command in mechanism.command_coordinates]).T
+        robot = self._robot
+        lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
         slack = np.where(np.isfinite(upper - lower), _BEYOND_LIMITS * (upper - lower), 0.0)
         for k, name in enumerate(self._own):
             unit = name.rsplit("_", 1)[1]
@@ -374,7 +298,7 @@ class _Reader:
 
     def _nominal_poses(self, commands: Array) -> Poses:
         try:
-            return self._errors.mechanism.forward(commands)
+            return self._robot.forward(commands)
         except UnreachablePoseError as error:
             raise MeasurementError(self._path, f"commands that the machine cannot take: {error}") from error
 
@@ -418,7 +342,7 @@ class _Reader:
                 self._warn(f"orientations are more than {_TURNED:g} rad from where the machine can be", lines)
             return
         columns = ",".join(QUATERNION_COLUMNS)
-        scalar_last = rotations_of(np.roll(self._columns(QUATERNION_COLUMNS), 1, axis=1))
+        scalar_last = rotation_of_quaternion(np.roll(self._columns(QUATERNION_COLUMNS), 1, axis=1))
         inverse = np.swapaxes(rotations, 1, 2)
         for seen, problem in (
             (scalar_last, "hold the numbers in the order x, y, z, w"),
@@ -447,7 +371,7 @@ class _Reader:
                 f"{','.join(QUATERNION_COLUMNS)} is no rotation: its length is {norms[bad][0]:.6g}, expected 1",
                 lines,
             )
-        return rotations_of(quaternions)
+        return rotation_of_quaternion(quaternions)
 
     def _sigmas(self, instrument: Instrument, poses: bool) -> Array:
         count = 6 if poses else 3
@@ -477,18 +401,3 @@ class _Reader:
     def _warn(self, text: str, lines: Sequence[int] = ()) -> None:
         self._warnings.append(f"{lines_in_words(lines)}{text}")
         logger.warning("%s: %s", self._path, self._warnings[-1])
-
-
-def rotations_of(quaternions: Array) -> Array:
-    """Return the rotation matrices of quaternions (w, x, y, z) of any length, shape=(..., 3, 3).
-
-    Args:
-        quaternions: shape=(..., 4).
-    """
-    w, x, y, z = np.moveaxis(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -73,7 +73,7 @@ def test_machines_made_to_the_tolerances_are_as_good_as_wanted(tripod_map: Error
         GeometricParameter(p.name, p.place, p.motion, p.axis, p.group, best.tolerances[f"{p.group} [{p.unit}]"])
         for p in tripod_map.errors.parameters
     ]
-    errors = GeometricErrors(tripod_map.errors.mechanism, made)
+    errors = GeometricErrors(tripod_map.errors.robot, made)
     worst = tripod_map.poses[best.worst_pose : best.worst_pose + 1]
     drawn = monte_carlo(errors, worst, 400, np.random.default_rng(1))
     assert drawn.tip_rms()[0] == pytest.approx(TARGET, rel=0.1)

@@ -24,8 +24,8 @@ def test_the_tripod_has_27_parameters_in_its_legs_and_8_in_the_middle(tripod_err
     assert len(tripod_errors.indices("passive_leg")) + len(tripod_errors.indices("tool")) == 8
 
 
-def test_commands_count_from_the_base_joints(tripod_errors: GeometricErrors, tripod: Tripod) -> None:
-    np.testing.assert_allclose(tripod_errors.command_offsets, tripod.parameters.slider_home, atol=1e-15)
+def test_screws_are_held_at_the_base_joints(tripod_errors: GeometricErrors, tripod: Tripod) -> None:
+    np.testing.assert_allclose(tripod_errors.fixed_bearings, -tripod.parameters.slider_home, atol=1e-15)
 
 
 def test_everything_can_be_wrong(mechanism: Robot) -> None:
@@ -39,7 +39,7 @@ def test_everything_can_be_wrong(mechanism: Robot) -> None:
 def test_each_place_moves_by_its_displacement(tripod_errors: GeometricErrors) -> None:
     values = 50.0 * tripod_errors.sample(np.random.default_rng(0))
     p = tripod_errors.named(values)
-    nominal, moved = tripod_errors.mechanism.home, tripod_errors.apply(values).home
+    nominal, moved = tripod_errors.robot.home, tripod_errors.apply(values).home
     length = moved.frame_placement("universal1_second_joint").actInv(moved.frame_placement("link1_tip"))
     np.testing.assert_allclose(length.translation, [0.0, 0.0, 0.353 + p["link1_tip.tz"]], atol=1e-15)
     np.testing.assert_allclose(
@@ -48,14 +48,12 @@ def test_each_place_moves_by_its_displacement(tripod_errors: GeometricErrors) ->
         atol=1e-15,
     )
     turn = pin.log3(moved.frame_placement("slider2_joint").rotation)
-    assert turn @ joint_axis(tripod_errors.mechanism, "slider2_joint") == pytest.approx(0.0, abs=1e-15)
+    assert turn @ joint_axis(tripod_errors.robot, "slider2_joint") == pytest.approx(0.0, abs=1e-15)
     assert np.linalg.norm(turn) == pytest.approx(np.hypot(p["slider2_joint.r_across1"], p["slider2_joint.r_across2"]))
 
 
 def test_turning_about_across1_changes_the_slope_and_about_across2_the_heading(tripod_errors: GeometricErrors) -> None:
-    guide = tripod_errors.mechanism.model.jointPlacements[4].rotation @ joint_axis(
-        tripod_errors.mechanism, "slider1_joint"
-    )
+    guide = tripod_errors.robot.model.jointPlacements[4].rotation @ joint_axis(tripod_errors.robot, "slider1_joint")
     for name, unchanged in (("slider1_joint.r_across1", np.arctan2), ("slider1_joint.r_across2", np.arctan2)):
         model = tripod_errors.apply({name: 1e-3}).model
         moved = model.jointPlacements[model.getJointId("slider1_joint")].rotation @ guide
@@ -94,7 +92,7 @@ def test_samples_keep_their_tolerances(tripod_errors: GeometricErrors) -> None:
 def test_they_travel_to_other_processes(tripod_errors: GeometricErrors) -> None:
     copy = pickle.loads(pickle.dumps(tripod_errors))
     assert copy.parameters == tripod_errors.parameters
-    np.testing.assert_array_equal(copy.command_offsets, tripod_errors.command_offsets)
+    np.testing.assert_array_equal(copy.fixed_bearings, tripod_errors.fixed_bearings)
 
 
 def test_bad_parameters_are_refused(mechanism: Robot) -> None:

@@ -1,0 +1,134 @@
+"""What is learned from measurements: deviations of the commands as functions of commands, temperatures and loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array
+
+_SAME = 1e-9
+
+
+class LearnedModel(Protocol):
+    """Deviations of the commands as functions of scaled inputs."""
+
+    def deviations(self, inputs: Array) -> Array:
+        """Return du, shape=(n, number of commands) [m, rad].
+
+        Args:
+            inputs: shape=(n, number of inputs), from :class:`InputScale`.
+        """
+        ...
+
+    def uncertainties(self, inputs: Array) -> Array:
+        """Return the standard deviation of du, shape=(n, number of commands) [m, rad]."""
+        ...
+
+    def as_data(self) -> dict[str, object]:
+        """Return the model as numbers and lists, for JSON."""
+        ...
+
+
+def learned_model_from_data(data: Mapping[str, Any]) -> LearnedModel:
+    """Return the model that :meth:`LearnedModel.as_data` was called on."""
+    readers: dict[str, Callable[[Mapping[str, Any]], LearnedModel]] = {
+        "gaussian process": GaussianProcess.from_data,
+        "neural network": NeuralNetwork.from_data,
+    }
+    return readers[data["kind"]](data)
+
+
+@dataclass(frozen=True, eq=False)
+class InputScale:
+    """Inputs of a learned model: the commands, then temperatures and loads, each scaled to about -1 .. 1.
+
+    Attributes:
+        conditions: names of the columns used beside the commands.
+        centre: shape=(number of inputs,).
+        half_range: shape=(number of inputs,).
+    """
+
+    conditions: tuple[str, ...]
+    centre: Array
+    half_range: Array
+
+    @classmethod
+    def of(cls, robot: Robot, measurements: Measurements) -> InputScale:
+        """Scale commands by the joints' limits, conditions by what was measured; constant conditions are left out."""
+        lower, upper = coordinate_ranges(robot, robot.command_coordinates)
+        varied = {name: values for name, values in measurements.conditions.items() if np.ptp(values) > 0.0}
+        least = np.array([*lower, *(values.min() for values in varied.values())])
+        most = np.array([*upper, *(values.max() for values in varied.values())])
+        return cls(tuple(varied), 0.5 * (least + most), 0.5 * (most - least))
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Least and greatest value measured of each condition, by name."""
+        first = len(self.centre) - len(self.conditions)
+        pairs = zip(self.centre[first:].tolist(), self.half_range[first:].tolist(), strict=True)
+        return {name: (c - half, c + half) for name, (c, half) in zip(self.conditions, pairs, strict=True)}
+
+    def middle(self) -> dict[str, float]:
+        """Return the middle of each condition's range, by name."""
+        return {name: 0.5 * (least + most) for name, (least, most) in self.ranges.items()}
+
+    def beyond(self, conditions: Mapping[str, Array | float]) -> dict[str, tuple[float, float]]:
+        """Return the range measured of each condition of which a value is outside it, by name.
+
+        Args:
+            conditions: numbers by name.
+        """
+        found = {}
+        for name, (least, most) in self.ranges.items():
+            slack = _SAME * (most - least)
+            if name in conditions and np.any((conditions[name] < least - slack) | (conditions[name] > most + slack)):
+                found[name] = (least, most)
+        return found
+
+    def scaled(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
+        """Return inputs, shape=(n, number of inputs).
+
+        Args:
+            commands: shape=(n, number of commands) [m, rad].
+            conditions: temperatures and loads by name, shape=(n,) or one number each.
+
+        Raises:
+            InvalidValueError: a condition is missing.
+        """
+        columns = [*commands.T]
+        for name in self.conditions:
+            if name not in conditions:
+                raise InvalidValueError("conditions", ", ".join(conditions) or "none", f"{name} among them")
+            columns.append(np.broadcast_to(np.asarray(conditions[name], dtype=float), (len(commands),)))
+        return np.asarray((np.column_stack(columns) - self.centre) / self.half_range)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPart:
+    """A learned model with the scale of its inputs.
+
+    Attributes:
+        model: the model.
+        inputs: the scale.
+    """
+
+    model: LearnedModel
+    inputs: InputScale
+
+    def deviations(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
+        """Return du at commands, shape=(n, number of commands) [m, rad]; see :meth:`InputScale.scaled`."""
+        return self.model.deviations(self.inputs.scaled(commands, conditions))
+
+    def uncertainties(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
+        """Return the standard deviation of du at commands, shape=(n, number of commands) [m, rad]."""
+        return self.model.uncertainties(self.inputs.scaled(commands, conditions))

@@ -1,0 +1,103 @@
+"""Commands that bring a robot nearest to where it is wanted, in the tip-weighted sense.
+
+With fewer drives than a pose has degrees of freedom no commands give the whole pose: the ones taken make
+|translation|^2 + eta^2 |rotation|^2 least. What is left is what no command corrects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array, OnFailure
+
+_CONTROL_TOLERANCE = 1e-9
+_STEPS = 3  # each leaves about a thousandth of the error
+_SHORTER = (0.25, 0.25, 0.25, 0.0, 1.0)  # what a step that leads away is multiplied by, one trial after the other
+_ROUNDING = 1e-12  # [m]
+
+
+def command_jacobians(poses: Poses) -> Array:
+    """Return how commands move the tool, shape=(n, 6, number of commands)."""
+    return sensitivities(GeometricErrors(poses.robot, ()), poses).commands
+
+
+def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
+    """Return the change of commands that undoes most of small pose errors, shape=(n, number of commands).
+
+    Args:
+        commands: the tool's motion by the commands, shape=(n, 6, number of commands).
+        differences: pose errors, shape=(n, 6) [m, rad].
+        eta: weight of the orientation [m/rad].
+    """
+    weights = tip_weights(eta)
+    control = np.asarray(commands, dtype=float) * weights[:, None]
+    wanted = np.asarray(differences, dtype=float) * weights
+    return np.asarray(-np.einsum("nij,nj->ni", np.linalg.pinv(control, rcond=_CONTROL_TOLERANCE), wanted))
+
+
+def nearest_poses(poses: Poses, wanted: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
+    """Return the poses of a robot that come nearest to wanted ones, in the tip-weighted sense.
+
+    Args:
+        poses: poses of the robot near to the wanted ones.
+        wanted: homogeneous transforms, shape=(n, 4, 4).
+        eta: weight of the orientation [m/rad].
+        on_failure: see :func:`descend`.
+
+    Raises:
+        UnreachablePoseError: see there.
+    """
+
+    def residuals(poses: Poses) -> Array:
+        return pose_difference(wanted, poses.transforms) * tip_weights(eta)
+
+    def step(poses: Poses) -> Array:
+        return best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
+
+    return descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]
+
+
+def descend(
+    poses: Poses,
+    commands: Array,
+    step: Callable[[Poses], Array],
+    residuals: Callable[[Poses], Array],
+    *,
+    on_failure: OnFailure = "raise",
+) -> tuple[Array, Poses]:
+    """Take Gauss-Newton steps in the commands; where one leads away, as near a singularity, a shorter one or none.
+
+    Args:
+        poses: where to start, the poses at `commands`.
+        commands: shape=(n, number of commands) [m, rad].
+        step: changes of the commands, shape as theirs.
+        residuals: what is to become small, shape=(n, anything).
+        on_failure: whether a step after which the loops do not close is an error ("raise"), or one that leads away.
+
+    Returns:
+        The change of the commands, and the poses there.
+
+    Raises:
+        UnreachablePoseError: the loops do not close after a step, and `on_failure` is "raise".
+    """
+    deviations, left = np.zeros_like(commands), np.linalg.norm(residuals(poses), axis=1)
+    for _ in range(_STEPS):
+        move = step(poses)
+        for factor in _SHORTER:
+            tried = poses.robot.forward(commands + deviations + move, guess=poses.q, on_failure=on_failure)
+            closed = tried.solved
+            trial = tried if closed.all() else poses.robot.at(np.where(closed[:, None], tried.q, poses.q))
+            found = np.where(closed, np.linalg.norm(residuals(trial), axis=1), np.inf)
+            farther = found > left + _ROUNDING
+            if not farther.any():
+                break
+            move[farther] *= factor
+        poses, left, deviations = trial, np.where(closed, found, left), deviations + move
+    return deviations, poses

@@ -1,0 +1,1 @@
+"""What is seen of a machine: instruments, measurements, their files, and where the base stands in the instrument."""
