@@ -40,7 +40,7 @@ COMMANDS = {
 }
 """Module of pm3dof_pin.cli that each command is in, a function named after it, in the order of the help."""
 
-_OF_MAPS = {"stiffness-map", "workspace", "atlas"}
+_OF_MAPS = {"stiffness-map", "workspace", "atlas", "error-map"}
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
 

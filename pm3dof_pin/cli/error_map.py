@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.map_options import Over, Values, robot_grid
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame, check_units
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -30,20 +31,8 @@ SAMPLES = 300
 def error_map(
     robot: RobotName = THE_TRIPOD,
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
-    over: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=FIRST:LAST:COUNT",
-            help="A coordinate of the map [deg, m]; may be repeated. By default the first two that have ranges.",
-        ),
-    ] = None,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Value of another coordinate [deg, m]; may be repeated. By default the middle of its range, or home.",
-        ),
-    ] = None,
+    over: Over = None,
+    at: Values = None,
     points: Annotated[int, typer.Option(min=2, help="Number of values of each coordinate without --over.")] = 41,
     samples: Annotated[
         int | None, typer.Option(min=1, help="Instead of a section: so many random poses of the whole workspace.")
@@ -66,23 +55,22 @@ def error_map(
 
     Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its description; a robot
     without one has 0.1 mm and 0.5 mrad at every joint. Robots whose coordinates have no ranges are judged at random
-    poses.
+    poses. Coordinates that are neither named nor mapped over stay in the middle of their ranges.
     """
     import numpy as np
 
     from pm3dof_pin.errors.error_map import error_map as error_map_at
-    from pm3dof_pin.errors.error_map import error_section, section_grid
+    from pm3dof_pin.errors.error_map import section_grid
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.maps.error_section import error_section
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
     if samples is not None and (over or at):
         raise typer.BadParameter("expected --samples, or --over and --at, not both")
     errors = load_errors(robot, tool_frame, package_path)
-    fixed = {name: value for name, (value,) in _named_numbers(errors.robot, "--at", at or [], 1)}
-    ranges = {
-        name: (first, last, int(count))
-        for name, (first, last, count) in _named_numbers(errors.robot, "--over", over or [], 3)
-    }
+    named = robot_grid(errors.robot, over or [], at or [])
+    ranges = {name: (float(values[0]), float(values[-1]), len(values)) for name, values in named.axes.items()}
+    fixed = {entry.name: named.fixed[entry.name] for entry in at or []}
     grid = None
     if samples is None:
         grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points)
@@ -122,24 +110,6 @@ def error_map(
     print_result(result | {"files": [str(file) for file in files]}, _lines(result, place), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
-
-
-def _named_numbers(robot: Robot, option: str, words: list[str], count: int) -> list[tuple[str, list[float]]]:
-    """Read NAME=NUMBER:NUMBER ... into SI units; a third number is a count."""
-    found = []
-    for word in words:
-        name, _, text = word.partition("=")
-        coordinate = robot.coordinate(name.strip())
-        try:
-            numbers = [float(number) for number in text.split(":")]
-        except ValueError:
-            numbers = []
-        if len(numbers) != count or not all(map(math.isfinite, numbers)):
-            raise typer.BadParameter(f"{option} {word}: expected a name, = and {count} number{'s' * (count > 1)}")
-        check_units(robot, [coordinate], [[number] for number in numbers[:2]])
-        factor = 1.0 if coordinate.unit == "m" else math.radians(1.0)
-        found.append((coordinate.name, [factor * number for number in numbers[:2]] + numbers[2:]))
-    return found
 
 
 def _in_words(robot: Robot, fixed: Any) -> str:

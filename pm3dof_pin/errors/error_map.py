@@ -10,34 +10,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-import pm3dof_pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.poses import REACH, Poses
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-QUANTITIES = {
-    "tip_rms": ("m", "tip error, root mean square over machines within their tolerances"),
-    "compensable_rms": ("m", "tip error that commands can undo, root mean square"),
-    "uncompensable_rms": ("m", "tip error that no command can undo, root mean square"),
-    "worst_tip": ("m", "bound of the tip error, for all machines within their tolerances"),
-    "position_rms": ("m", "position error, root mean square"),
-    "orientation_rms": ("rad", "orientation error, root mean square"),
-}
-BROKEN_LIMITS = "broken_limits"
 
 _CONTROL_TOLERANCE = 1e-9
 _NOTHING = 1e-20  # of the squared error: what rounding leaves of errors that commands undo altogether
@@ -228,66 +213,6 @@ def section_grid(
         free = [name for name in limited if name not in (fixed or {})][:2]
         ranges = {name: (*limited[name], points) for name in free}
     return robot.grid(**{**values, **ranges}) if ranges else None
-
-
-def error_section(
-    errors: GeometricErrors, grid: Grid, *, eta: float = TIP_LENGTH, distribution: Distribution = "normal"
-) -> tuple[xr.Dataset, ErrorMap]:
-    """Compute the errors of the tool over a grid of the robot's coordinates.
-
-    Args:
-        errors: the parameters, with their tolerances.
-        grid: poses of the robot as described; see :func:`section_grid`.
-        eta: weight of the orientation in the tip error [m/rad].
-        distribution: what the tolerances are.
-
-    Returns:
-        A dataset over the dimensions of the grid with the variables of :data:`QUANTITIES`, NaN where a pose breaks a
-        limit, and `broken_limits`; and the error map over the poses within the limits, in the order of the grid.
-
-    Raises:
-        UnreachablePoseError: no pose of the grid is within the limits.
-        InvalidValueError: the loops cannot close with an error.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
-    """
-    import xarray as xr
-
-    robot = errors.robot
-    poses = robot.solve(grid, on_failure="nan")
-    within = np.nonzero(poses.within_limits)
-    if not within[0].size:
-        fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
-        raise UnreachablePoseError(f"no pose of the section{' ' if fixed else ''}{fixed} is within the limits")
-    result = error_map(errors, poses[within], eta=eta, distribution=distribution)
-    variables = {}
-    for name, (unit, long_name) in QUANTITIES.items():
-        field = np.full(grid.shape, np.nan)
-        field[within] = getattr(result, name)
-        variables[name] = (grid.dims, field, {"units": unit, "long_name": long_name})
-    kinds = {"reach": REACH} | {group.name: 1 << bit for bit, group in enumerate(robot.limit_groups, start=1)}
-    flags = {
-        "long_name": "limits that the pose breaks",
-        "flag_masks": np.array(list(kinds.values()), dtype=np.uint32),
-        "flag_meanings": " ".join(kinds),
-        "comment": "sum of the flags; zero within all limits",
-    }
-    labels = {c.name: {"units": c.unit, "long_name": f"coordinate {c.name}"} for c in robot.coordinates}
-    dataset = xr.Dataset(
-        variables | {BROKEN_LIMITS: (grid.dims, poses.broken_limits, flags)},
-        coords={name: (name, values, labels[name]) for name, values in grid.axes.items()}
-        | {name: ((), value, labels[name]) for name, value in grid.fixed.items()},
-        attrs={
-            "Conventions": "CF-1.8",
-            "title": f"First-order errors of {robot.name} over a section of its workspace",
-            "machine": robot.name,
-            "model": "error",
-            "eta_m_per_rad": eta,
-            "distribution": distribution,
-            "source": f"pm3dof-pin {pm3dof_pin.__version__}",
-            "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3",
-        },
-    )
-    return dataset, result
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import broken_limits
-from pm3dof_pin.errors.error_map import QUANTITIES, error_map, error_section, section_grid
+from pm3dof_pin.errors.error_map import error_map, section_grid
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.figures.error_ranking import error_ranking
@@ -22,6 +22,7 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.error_section import QUANTITIES, error_section
 
 Run = Callable[..., Any]
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -127,7 +128,7 @@ def test_other_robots(tmp_path: Path, run: Run) -> None:
     assert "left out, as the loops cannot close with them" in done.stderr
     assert "no command can undo" in done.stdout
     assert run("error-map", "--robot", "nonsense", *options).returncode == 1
-    done = run("error-map", "--robot", "hexapod", "--over", "rz=-2:2:3", "--at", "z=0.13", *options)
+    done = run("error-map", "--robot", "hexapod", "--over", "rz", "-2", "2", "3", "--at", "z", "0.13", *options)
     assert done.returncode == 0, done.stderr
     section = xr.load_dataset(tmp_path / "error_map.nc")
     np.testing.assert_allclose(section.rz, np.radians([-2.0, 0.0, 2.0]))

@@ -1,0 +1,70 @@
+"""Errors of the tool over a grid of any robot's coordinates, as a labelled dataset."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pm3dof_pin.errors.error_map import ErrorMap, error_map
+from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.maps.grid_map import grid_dataset
+from pm3dof_pin.typing import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+QUANTITIES = {
+    "tip_rms": ("m", "tip error, root mean square over machines within their tolerances"),
+    "compensable_rms": ("m", "tip error that commands can undo, root mean square"),
+    "uncompensable_rms": ("m", "tip error that no command can undo, root mean square"),
+    "worst_tip": ("m", "bound of the tip error, for all machines within their tolerances"),
+    "position_rms": ("m", "position error, root mean square"),
+    "orientation_rms": ("rad", "orientation error, root mean square"),
+}
+
+
+def error_section(
+    errors: GeometricErrors, grid: Grid, *, eta: float = TIP_LENGTH, distribution: Distribution = "normal"
+) -> tuple[xr.Dataset, ErrorMap]:
+    """Compute the first-order errors of the tool over a grid of the robot's coordinates.
+
+    Args:
+        errors: the parameters, with their tolerances.
+        grid: poses of the robot as described; see :func:`~pm3dof_pin.errors.error_map.section_grid`.
+        eta: weight of the orientation in the tip error [m/rad].
+        distribution: what the tolerances are.
+
+    Returns:
+        A dataset over the dimensions of the grid with the variables of :data:`QUANTITIES`, NaN where a pose breaks a
+        limit, and `broken_limits`; and the error map over the poses within the limits, in the order of the grid.
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within the limits.
+        InvalidValueError: the loops cannot close with an error.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+    """
+    robot = errors.robot
+    poses = robot.solve(grid, on_failure="nan")
+    within = np.nonzero(poses.within_limits)
+    if not within[0].size:
+        fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
+        raise UnreachablePoseError(f"no pose of the section{' ' if fixed else ''}{fixed} is within the limits")
+    result = error_map(errors, poses[within], eta=eta, distribution=distribution)
+    variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
+    for name, (unit, long_name) in QUANTITIES.items():
+        field = np.full(grid.shape, np.nan)
+        field[within] = getattr(result, name)
+        variables[name] = (grid.dims, field, {"units": unit, "long_name": long_name})
+    dataset = grid_dataset(
+        grid, poses, variables, f"First-order errors of {robot.name} over a section of its workspace"
+    )
+    return dataset.assign_attrs(
+        model="error",
+        eta_m_per_rad=eta,
+        distribution=distribution,
+        references="D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3",
+    ), result
