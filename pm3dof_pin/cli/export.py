@@ -10,6 +10,7 @@ import typer
 
 from pm3dof_pin.cli.options import THE_TRIPOD
 from pm3dof_pin.cli.output import message
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, description_path
 
 
 class Format(StrEnum):
@@ -25,21 +26,24 @@ class Format(StrEnum):
 
 def export(
     format_name: Annotated[Format, typer.Argument(metavar="FORMAT", help="What to write.")],
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME|URDF", help="A robot by name, or by the path of its URDF.")
-    ] = THE_TRIPOD,
+    robot: RobotName = THE_TRIPOD,
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Folder to write to; made if it is not there. By default results/FORMAT."),
     ] = None,
+    meshes: Annotated[bool, typer.Option(help="Shapes that are meshes, and their files.")] = True,
+    package_path: PackagePath = None,
+    config: Config = None,
 ) -> None:
     """A robot's description for another tool, its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
 
     mjcf for MuJoCo, sdf for SDFormat, drake a URDF for Drake, gepetto the layout of example-parallel-robots, ros a ROS
-    2 package, urdf the URDF with its closures file, error file and SRDF. Meshes are put beside it.
+    2 package, urdf the URDF with its closures file, error file and SRDF. Meshes are put beside it, or left out with
+    --no-meshes.
     """
     from pm3dof_pin.export.formats import export_robot
 
     folder = out if out is not None else Path("results") / format_name.value
-    for file in export_robot(robot, format_name.value, folder):
+    described = description_path(robot, config)
+    for file in export_robot(described, format_name.value, folder, meshes=meshes, package_paths=package_path or ()):
         message(f"wrote {file}")

@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
-from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Matrix, Vector
 
 _CONSISTENT = 1e-9
@@ -68,8 +67,8 @@ def inverse_dynamics(
     """Compute the actuator forces of a motion, given by some joints' rates and accelerations.
 
     The motion of all joints follows from the loops, :func:`loop_motion`; the recursive Newton-Euler algorithm gives the
-    forces of the open tree, and virtual work on the freedoms gives those of the actuators. Rigid bodies, no friction.
-    Idle freedoms are not driven: they accelerate as the forces make them.
+    forces of the open tree, and virtual work on the motions of the closed loops gives those of the actuators. Rigid
+    bodies, no friction. Idle degrees of freedom are not driven: they accelerate as the forces make them.
 
     Example:
         All drives at 0.1 m/s, without acceleration:
@@ -83,16 +82,16 @@ def inverse_dynamics(
         configuration: an assembled configuration.
         rates: of the given joints, shape=(number of them,) [m/s, rad/s].
         accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
-        joints: joints, each with one freedom, that tell the motion, such as the mechanism's `motion_coordinates`; the
+        joints: single-DoF joints that determine the motion, such as the mechanism's `motion_coordinates`; the
             actuated joints by default.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
         wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        SingularConfigurationError: the joints do not tell the motion here, or no actuator forces drive it.
-        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is no
-            good number.
+        SingularConfigurationError: the joints do not determine the motion, or no actuator forces drive it.
+        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is not
+            finite or has the wrong shape.
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
         JointNotFoundError: the model has no such joint.
         DescriptionError: the mechanism has no tool frame.
@@ -128,32 +127,32 @@ def loop_motion(
         configuration: an assembled configuration.
         rates: of the given joints, shape=(number of them,) [m/s, rad/s].
         accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
-        joints: joints, each with one freedom; the actuated joints by default.
+        joints: single-DoF joints; the actuated joints by default.
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: actuated joints or the tool can move while the given joints are at rest.
-        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is no
-            good number.
+        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is not
+            finite or has the wrong shape.
         JointNotFoundError: the model has no such joint.
         DescriptionError: the mechanism has no tool frame.
     """
     mechanism = configuration.mechanism
     names = mechanism.actuated_joints if joints is None else tuple(joints)
     indices = mechanism.velocity_indices(names)
-    here = DegreesOfFreedom(configuration, tolerance)
-    given = here.over(np.eye(len(here.scale))[indices])
-    if Restriction(here.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
+    dof = DegreesOfFreedom(configuration, tolerance)
+    given = dof.over(np.eye(len(dof.scale))[indices])
+    if Restriction(dof.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
         raise SingularConfigurationError(
             f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
             f"are at rest; at q = {listed(configuration.q)}"
         )
-    start = finite_array("rates", rates, indices.shape) / here.scale[indices]
-    wanted = finite_array("accelerations", accelerations, indices.shape) / here.scale[indices]
-    v = _reached("rates", given, start, np.zeros_like(here.scale))
-    drift = closure_acceleration(configuration, here.scale * v)
-    a = _reached("accelerations", given, wanted, -here.closures.inverse @ (drift / mechanism.closure_scale))
-    return JointMotion(frozen(here.scale * v), frozen(here.scale * a), frozen(here.scale[:, None] * given.motions))
+    start = finite_array("rates", rates, indices.shape) / dof.scale[indices]
+    wanted = finite_array("accelerations", accelerations, indices.shape) / dof.scale[indices]
+    v = _reached("rates", given, start, np.zeros_like(dof.scale))
+    drift = closure_acceleration(configuration, dof.scale * v)
+    a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale))
+    return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
 def closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
@@ -184,7 +183,7 @@ def closure_acceleration(configuration: Configuration, velocity: Vector) -> Vect
 
 
 def _reached(what: str, given: Restriction, wanted: Vector, start: Vector) -> Vector:
-    """Add the shortest freedom to a scaled velocity or acceleration that gives the joints what is wanted of them."""
+    """Add the shortest closed-loop motion to a scaled velocity or acceleration that gives the joints theirs."""
     missing = wanted - given.rows @ start
     motion: Vector = start + given.inverse @ missing
     left = np.linalg.norm(wanted - given.rows @ motion)

@@ -7,10 +7,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen
-from pm3dof_pin.dynamics.loads import model_with_payloads
 from pm3dof_pin.kinematics.degrees_of_freedom import null_space
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Matrix
 
 
@@ -18,7 +17,7 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
     """Compute the mass matrix M of the tree of bodies, loops open, shape=(nv, nv) [kg, kg m, kg m^2].
 
     Args:
-        configuration: where.
+        configuration: the configuration.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
 
     Raises:
@@ -47,7 +46,7 @@ def manifold_mass_matrix(
 
     Raises:
         FrameNotFoundError: a payload names a frame that the model does not have.
-        InvalidValueError: a payload or `motions` is no good number, or the loops are not closed.
+        InvalidValueError: a payload or `motions` is not finite or has the wrong shape, or the loops are not closed.
     """
     z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
     product = z.T @ mass_matrix(configuration, payloads=payloads) @ z

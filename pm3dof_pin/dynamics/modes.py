@@ -24,7 +24,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
 
 _NO_MASS = 1e-13
@@ -36,7 +36,7 @@ class Modes:
     """Natural modes at a configuration.
 
     Attributes:
-        configuration: where, of the mechanism with virtual joints.
+        configuration: the configuration, of the mechanism with virtual joints.
         frequencies: of the modes that strain springs, rising, shape=(k,) [Hz].
         shapes: velocities of all joints in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1.
         twists: twists [v; omega] of the tool in these modes, world axes, shape=(6, k).
@@ -79,27 +79,27 @@ def natural_modes(
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        InvalidValueError: the loops are not closed, a payload or `count` is no good number, or a length that a joint
-            changes is not positive.
+        InvalidValueError: the loops are not closed, a payload or `count` is not a valid number, or a length that a
+            joint changes is not positive.
         FrameNotFoundError: a payload names a frame that the model does not have.
         DescriptionError: the mechanism has no tool frame.
     """
     if count is not None and count < 0:
         raise InvalidValueError("count", count, "a number of modes, not negative")
-    where = model.configuration(configuration)
-    motions = elastic_motions(model, where, tolerance=tolerance)
-    mass = mass_matrix(where, payloads=payloads)
+    elastic = model.configuration(configuration)
+    motions = elastic_motions(model, elastic, tolerance=tolerance)
+    mass = mass_matrix(elastic, payloads=payloads)
     inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
     kept = inverse_squares > _NO_MASS * inverse_squares.max(initial=0.0)
     chosen = np.flatnonzero(kept)[::-1][:count]
-    shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), where)
+    shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), elastic)
     return Modes(
-        configuration=where,
+        configuration=elastic,
         frequencies=frozen(1.0 / (2.0 * np.pi * np.sqrt(inverse_squares[chosen]))),
         shapes=frozen(shapes),
-        twists=frozen(where.tool_jacobian @ shapes),
+        twists=frozen(elastic.tool_jacobian @ shapes),
         free_motions=motions.unstrained,
-        free_twists=frozen(where.tool_jacobian @ motions.unstrained),
+        free_twists=frozen(elastic.tool_jacobian @ motions.unstrained),
         without_mass=int(np.count_nonzero(~kept)),
     )
 

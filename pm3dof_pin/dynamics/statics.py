@@ -6,10 +6,9 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
-from pm3dof_pin.dynamics.loads import Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.payloads import Payloads
+from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Vector
 
 
@@ -39,9 +38,9 @@ def holding_forces(
         tolerance: singular values below this times their reference count as zero.
 
     Raises:
-        SingularConfigurationError: no actuator forces hold the mechanism here, as at a parallel singularity.
+        SingularConfigurationError: no actuator forces hold the mechanism, as at a parallel singularity.
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
-        InvalidValueError: a payload or wrench is no good number, or the loops are not closed.
+        InvalidValueError: a payload or wrench is not finite or has the wrong shape, or the loops are not closed.
     """
     mechanism = configuration.mechanism
     model = model_with_payloads(mechanism, payloads)

@@ -13,7 +13,7 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.payloads import Payloads, add_payloads
+from pm3dof_pin.mechanism.loads import Payloads, add_payloads
 from pm3dof_pin.typing import Matrix, Vector
 
 _WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointModelUniversal")

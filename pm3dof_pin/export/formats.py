@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pm3dof_pin.description.robots import robots_directory
@@ -53,7 +53,14 @@ def exported_files(robot: RobotDocument, format_name: str) -> dict[str, str]:
     return _WRITERS[format_name](robot)
 
 
-def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> list[Path]:
+def export_robot(
+    robot: str | Path,
+    format_name: str,
+    folder: str | Path,
+    *,
+    meshes: bool = True,
+    package_paths: Iterable[str | Path] = (),
+) -> list[Path]:
     """Write a robot's description for another tool, with its mesh files.
 
     Example:
@@ -62,9 +69,11 @@ def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> lis
         ['hexapod.xml']
 
     Args:
-        robot: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+        robot: name or path of a robot, see :func:`~pm3dof_pin.description.robots.find_robot`.
         format_name: one of :data:`FORMATS`.
         folder: where to; made if it is not there. A ROS package becomes a folder of its own in it.
+        meshes: whether shapes that are meshes are exported, and their files written.
+        package_paths: folders that ROS packages are in.
 
     Returns:
         The files written.
@@ -79,11 +88,12 @@ def export_robot(robot: str | Path, format_name: str, folder: str | Path) -> lis
         ConvergenceError: the loops do not close near the home configuration.
         OutputError: a file cannot be written.
     """
-    document = read_robot(robot)
+    document = read_robot(robot, meshes=meshes, package_paths=package_paths)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
-    meshes = document.meshes.for_kinds(_MESH_KINDS[format_name]) if format_name in _MESH_KINDS else document.meshes
-    return [*(write_text_atomically(target / name, text) for name, text in files.items()), *meshes.write(target)]
+    kinds = _MESH_KINDS.get(format_name)
+    copies = document.meshes if kinds is None else document.meshes.for_kinds(kinds)
+    return [*(write_text_atomically(target / name, text) for name, text in files.items()), *copies.write(target)]
 
 
 def _is_ours(robot: RobotDocument) -> bool:

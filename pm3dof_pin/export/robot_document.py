@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -128,11 +128,15 @@ class RobotDocument:
         return replace(self, meshes=self.meshes.for_kinds(kinds))
 
 
-def read_robot(name_or_path: str | Path) -> RobotDocument:
+def read_robot(
+    name_or_path: str | Path, *, meshes: bool = True, package_paths: Iterable[str | Path] = ()
+) -> RobotDocument:
     """Read a robot for export, as a plain URDF where it is written in something else or has joints that URDF lacks.
 
     Args:
-        name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
+        name_or_path: name or path of a robot, see :func:`~pm3dof_pin.description.robots.find_robot`.
+        meshes: whether shapes that are meshes are kept.
+        package_paths: folders that ROS packages are in.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -140,14 +144,15 @@ def read_robot(name_or_path: str | Path) -> RobotDocument:
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    mechanism = Robot.load(name_or_path)
+    mechanism = Robot.load(name_or_path, package_paths=package_paths)
     files = as_urdf(mechanism)
     if files is not mechanism.files:
         mechanism = Robot.load(files.urdf)
-    urdf = read_urdf(files.urdf)
+    urdf = read_urdf(files.urdf, meshes=meshes)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
-    meshes = Meshes.of_urdf(files.urdf, [shape.mesh for shape in shapes if shape.kind == "mesh"], files.package_paths)
-    return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), meshes)
+    names = [shape.mesh for shape in shapes if shape.kind == "mesh"]
+    found = Meshes.of_urdf(files.urdf, names, files.package_paths)
+    return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), found)
 
 
 def _allowed_pairs(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:

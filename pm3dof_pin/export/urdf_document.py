@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.export.xml_text import document_text
 
 WORLD = "world"
 """A root link of this name is the world itself, in MuJoCo, SDFormat and Drake."""
@@ -231,17 +232,34 @@ def quaternion_product(one: Quaternion, other: Quaternion) -> Quaternion:
     )
 
 
-def read_urdf(path: Path) -> UrdfDocument:
+def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:
     """Read a URDF that Pinocchio has read already, so that its tree is known to be one.
 
     Args:
         path: the file.
+        meshes: whether shapes that are meshes are kept.
 
     Raises:
         DescriptionError: a number is none, or a joint or shape is of a kind that the exports do not know.
     """
     text = path.read_text(encoding="utf-8")
-    return _Reader(path, ElementTree.fromstring(text)).document(text)
+    root = ElementTree.fromstring(text)
+    if not meshes and _drop_meshes(root):
+        text = document_text(root, f"The URDF of {root.get('name')} without its meshes.")
+    return _Reader(path, root).document(text)
+
+
+def _drop_meshes(root: ElementTree.Element) -> int:
+    """Take out shapes that are meshes, and count them."""
+    dropped = [
+        (link, shape)
+        for link in root.findall("link")
+        for shape in (*link.findall("visual"), *link.findall("collision"))
+        if shape.find("geometry/mesh") is not None
+    ]
+    for link, shape in dropped:
+        link.remove(shape)
+    return len(dropped)
 
 
 class _Reader:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import joint_positions
@@ -132,7 +133,8 @@ def ten_poses(load: Callable[[str], Robot]) -> Callable[[str], list[Configuratio
         strokes = (mechanism.upper_limits - mechanism.lower_limits)[indices]
         found = [mechanism.home]
         while len(found) < 10:
-            pose = mechanism.forward_geometry(strokes * generator.uniform(-0.3, 0.3, len(strokes)))
+            travels = strokes * generator.uniform(-0.3, 0.3, len(strokes))
+            pose = mechanism.assemble(joints=dict(zip(mechanism.actuated_joints, travels, strict=True)))
             if not pose.violated_limits():
                 found.append(pose)
         return found
@@ -235,12 +237,13 @@ def settle() -> Callable[..., dict[str, Any]]:
 
     def run(
         step: Callable[[Vector], tuple[Vector, Vector, float]],
-        target: Vector,
+        target: ArrayLike,
         *,
         time_step: float,
         duration: float,
         gains: tuple[float, float, float] = (4000.0, 20000.0, 80.0),
     ) -> dict[str, Any]:
+        target = np.asarray(target)
         proportional, integral, derivative = gains
         forces, held, greatest = np.zeros(len(target)), np.zeros(len(target)), 0.0
         for number in range(round(duration / time_step)):

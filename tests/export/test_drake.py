@@ -164,7 +164,13 @@ def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     """Point closures and, in the last robot, welds made of three: 5e-8 m open, moving or at rest."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
-    end = settle(simulator.step, target.actuated_positions, time_step=STEP, duration=4.0, gains=gains)
+    end = settle(
+        simulator.step,
+        [target.joint_position(name) for name in mechanism.actuated_joints],
+        time_step=STEP,
+        duration=4.0,
+        gains=gains,
+    )
     assert end["position_error"] < 1e-8
     assert end["greatest_closure_error"] < 5e-8
     ours = holding_forces(target).actuator_forces

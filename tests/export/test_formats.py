@@ -234,3 +234,23 @@ def test_the_command_refuses_bad_input(arguments: list[str], status: int, said: 
     assert done.returncode == status
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_meshes_can_be_left_out(tmp_path: Path) -> None:
+    """Shapes that are meshes go, the others stay; the tree is the same."""
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    mesh = '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="arm"><link name="base"/><link name="arm">{inertial}{mesh}{box}</link><joint name="hinge" '
+        'type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    with pytest.raises(DescriptionError, match=r"arm\.stl"):
+        export_robot(tmp_path / "arm.urdf", "urdf", tmp_path / "with")
+    for format_name in FORMATS:
+        folder = tmp_path / format_name
+        files = export_robot(tmp_path / "arm.urdf", format_name, folder, meshes=False)
+        assert files
+        assert not any("arm.stl" in file.read_text() for file in files)
+    assert "<box" in (tmp_path / "urdf" / "arm.urdf").read_text()

@@ -202,7 +202,13 @@ def test_a_simulation_from_home_stays_closed_and_settles_on_our_forces(
     """The settings of the file leave 5e-8 m open, moving or at rest."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
-    end = settle(simulator.step, target.actuated_positions, time_step=5e-4, duration=4.0, gains=gains)
+    end = settle(
+        simulator.step,
+        [target.joint_position(name) for name in mechanism.actuated_joints],
+        time_step=5e-4,
+        duration=4.0,
+        gains=gains,
+    )
     assert end["position_error"] < 1e-8
     assert end["greatest_closure_error"] < 5e-8
     ours = holding_forces(target).actuator_forces
@@ -226,7 +232,9 @@ def test_the_closure_error_goes_with_the_square_of_the_time_constant(
     tripod.model.opt.timestep /= 2.0
     tripod.model.eq_solref[:, 0] /= 2.0
     target = mechanism.configuration(mechanism.named_configurations["middle"])
-    end = settle(tripod.step, target.actuated_positions, time_step=2.5e-4, duration=1.5)
+    end = settle(
+        tripod.step, [target.joint_position(name) for name in mechanism.actuated_joints], time_step=2.5e-4, duration=1.5
+    )
     assert end["closure_error"] < 4e-9
 
 

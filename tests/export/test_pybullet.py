@@ -171,7 +171,13 @@ def test_a_simulation_from_home_stays_closed_and_settles_near_our_forces(
     """PyBullet leaves loops open [m, rad] in proportion to their load, which is ten times greater in the last robot."""
     simulator, mechanism = open_robot(robot), load(robot)
     target = mechanism.configuration(mechanism.named_configurations["tilt_x"])
-    end = settle(simulator.step, target.actuated_positions, time_step=STEP, duration=5.0, gains=gains)
+    end = settle(
+        simulator.step,
+        [target.joint_position(name) for name in mechanism.actuated_joints],
+        time_step=STEP,
+        duration=5.0,
+        gains=gains,
+    )
     assert end["position_error"] < 1e-9
     assert end["greatest_closure_error"] < open_by
     ours = holding_forces(target).actuator_forces

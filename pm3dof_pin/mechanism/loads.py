@@ -3,20 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
-from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.mechanism.payloads import Payloads, add_payloads
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.mechanism.configuration import Configuration
+    from pm3dof_pin.mechanism.mechanism import Mechanism
+
+Payloads: TypeAlias = "Mapping[str, float | pin.Inertia]"
+"""By frame: a point mass at the frame's origin [kg], or an inertia in the axes of the frame."""
 
 Wrenches: TypeAlias = Mapping[str, ArrayLike]
 """Wrenches [f; m] on frames, at their origins, world axes, shape=(6,) [N, N m]."""
+
+
+def add_payloads(model: pin.Model, mechanism: Mechanism, payloads: Payloads) -> None:
+    """Fix payloads to the bodies of a model.
+
+    Args:
+        model: a copy of the mechanism's model; changed.
+        mechanism: the mechanism.
+        payloads: see :data:`Payloads`.
+
+    Raises:
+        FrameNotFoundError: the model has no such frame.
+        InvalidValueError: a mass is negative or no finite number.
+    """
+    for name, payload in payloads.items():
+        frame = model.frames[mechanism.frame_id(name)]
+        model.appendBodyToJoint(frame.parentJoint, _inertia(name, payload), frame.placement)
 
 
 def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.Model:
@@ -24,7 +46,7 @@ def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.
 
     Args:
         mechanism: the mechanism; stays as it is.
-        payloads: see :data:`~pm3dof_pin.mechanism.payloads.Payloads`.
+        payloads: see :data:`Payloads`.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
@@ -41,7 +63,7 @@ def generalised_forces(configuration: Configuration, wrenches: Wrenches | None) 
     """Return the generalised forces of wrenches on frames, the sum of J^T w, shape=(nv,) [N, N m].
 
     Args:
-        configuration: where the frames are.
+        configuration: gives the places of the frames.
         wrenches: see :data:`Wrenches`.
 
     Raises:
@@ -52,3 +74,10 @@ def generalised_forces(configuration: Configuration, wrenches: Wrenches | None) 
     for name, wrench in (wrenches or {}).items():
         forces += configuration.frame_jacobian(name).T @ finite_array(f"wrench on {name}", wrench, (6,))
     return forces
+
+
+def _inertia(frame: str, payload: float | pin.Inertia) -> pin.Inertia:
+    mass = float(finite_array(f"payload on {frame}", getattr(payload, "mass", payload), ()))
+    if mass < 0.0:
+        raise InvalidValueError(f"payload on {frame}", mass, "a mass that is not negative [kg]")
+    return payload if isinstance(payload, pin.Inertia) else pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
