@@ -209,3 +209,28 @@ def test_the_weight_of_small_bodies_is_taken_out_of_their_neighbours(
     assert len(platform) == 6
     assert sum(masses) == pytest.approx(total, rel=1e-14)
     assert np.dot(masses, heights) / total == pytest.approx(tool[2] - plate, rel=1e-13)
+
+
+# What drives and people read
+
+
+def test_every_drive_has_a_counter_and_every_number_a_range(robot: RobotFiles) -> None:
+    closures = read_closures(robot.closures)
+    assert [command.name for command in closures.commands] == [
+        f"u{k + 1}" for k in range(len(closures.actuated_joints))
+    ]
+    assert [command.joint for command in closures.commands] == list(closures.actuated_joints)
+    assert [coordinate.joint for coordinate in closures.coordinates] == list(closures.motion_coordinates)
+    for coordinate in closures.coordinates:
+        assert coordinate.lower < coordinate.offset < coordinate.upper, "home is in the range"
+
+
+def test_ranges_go_about_as_far_as_the_drives(mechanism: Robot) -> None:
+    """Along each coordinate alone half of the range breaks no limit, and twice the range breaks one."""
+    home = mechanism.home_coordinates
+    for index, coordinate in enumerate(mechanism.coordinates):
+        for end in (coordinate.lower, coordinate.upper):
+            values = np.repeat(home[None], 2, axis=0)
+            values[:, index] += np.array([0.5, 2.0]) * (end - home[index])
+            within = mechanism.solve(values, on_failure="nan").within_limits
+            assert within.tolist() == [True, False], coordinate.name

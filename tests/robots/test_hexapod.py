@@ -134,17 +134,30 @@ def test_strut_lengths(hexapod: Robot, coordinates: Matrix, base_joints: Matrix,
     for row in coordinates:
         tool = TOOL_AT_HOME + row[:3]
         expected = np.linalg.norm(tool + platform_joints @ _rotation(row).T - base_joints, axis=1)
-        configuration = hexapod.at_motion_coordinates(row)
+        configuration = hexapod.solve(hexapod.home_coordinates + row).configuration()
         assert configuration.closure_residual < 1e-12
         np.testing.assert_allclose(configuration.tool_placement.translation, tool, atol=1e-15)
         np.testing.assert_allclose(configuration.tool_placement.rotation, _rotation(row), atol=1e-14)
-        np.testing.assert_allclose(at_home + configuration.actuated_positions, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(at_home + configuration.commands, expected, rtol=0, atol=1e-12)
+
+
+def test_coordinates_are_the_pose_of_the_tool_in_the_base(hexapod: Robot, coordinates: Matrix) -> None:
+    """x, y, z absolute, and the angles of Rx Ry Rz."""
+    assert [(c.name, c.unit) for c in hexapod.coordinates] == [
+        *((name, "m") for name in ("x", "y", "z")),
+        *((name, "rad") for name in ("rx", "ry", "rz")),
+    ]
+    for row in coordinates:
+        pose = hexapod.solve([*(TOOL_AT_HOME + row[:3]), *row[3:]]).configuration().tool_placement
+        np.testing.assert_allclose(pose.translation, TOOL_AT_HOME + row[:3], atol=1e-15)
+        np.testing.assert_allclose(pose.rotation, _rotation(row), atol=1e-14)
 
 
 def test_lengths_give_the_pose_back(hexapod: Robot, coordinates: Matrix) -> None:
     for row in coordinates[:10]:
-        lengths = hexapod.at_motion_coordinates(row).actuated_positions
-        np.testing.assert_allclose(hexapod.forward_geometry(lengths).motion_coordinates, row, rtol=0, atol=1e-11)
+        lengths = hexapod.solve(hexapod.home_coordinates + row).commands
+        back = hexapod.forward(lengths).coordinates - hexapod.home_coordinates
+        np.testing.assert_allclose(back, row, rtol=0, atol=1e-11)
 
 
 def _classic_rows(configuration: Configuration, base_joints: Matrix, platform_joints: Matrix) -> Matrix:
@@ -158,7 +171,7 @@ def _classic_rows(configuration: Configuration, base_joints: Matrix, platform_jo
 
 def test_actuation_jacobian(hexapod: Robot, coordinates: Matrix, base_joints: Matrix, platform_joints: Matrix) -> None:
     for row in [np.zeros(6), *coordinates]:
-        configuration = hexapod.at_motion_coordinates(row)
+        configuration = hexapod.solve(hexapod.home_coordinates + row).configuration()
         rows = _classic_rows(configuration, base_joints, platform_joints)
         expected = rows @ tool_motions(configuration)
         np.testing.assert_allclose(actuation_jacobian(configuration), expected, rtol=0, atol=1e-12)
@@ -194,7 +207,7 @@ def test_compliance_away_from_home(
     elastic = ElasticModel(hexapod)
     scale = np.repeat([0.1, 1.0], 3)
     for row in coordinates:
-        configuration = hexapod.at_motion_coordinates(row)
+        configuration = hexapod.solve(hexapod.home_coordinates + row).configuration()
         expected = _struts_only(_classic_rows(configuration, base_joints, platform_joints), 2e7)
         computed = cartesian_compliance(elastic, configuration)
         difference = (computed.compliance - expected) / np.outer(scale, scale)

@@ -10,6 +10,7 @@ import pytest
 import yourdfpy
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
@@ -56,7 +57,7 @@ def platform_joints(numbers: Numbers) -> Matrix:
 def configurations(machine: Robot) -> list[Configuration]:
     """Home and random heights and tilts."""
     random = np.random.default_rng(3).uniform(-1.0, 1.0, (12, 3)) * [0.05, 0.25, 0.25]
-    return [machine.home, *(machine.at_motion_coordinates(row) for row in random)]
+    return [machine.home, *(machine.solve(machine.home_coordinates + row).configuration() for row in random)]
 
 
 def _legs(configuration: Configuration, hinges: Matrix, platform_joints: Matrix) -> tuple[Matrix, Matrix]:
@@ -123,6 +124,17 @@ def test_three_freedoms_and_fifteen_redundant_constraints(machine: Robot) -> Non
         assert not singularities(configuration)
 
 
+def test_coordinates_are_height_and_tilts_of_the_tool_in_the_base(configurations: list[Configuration]) -> None:
+    """The height is absolute; R = Rx Ry Rz, where Rz follows from the tilts."""
+    for configuration in configurations:
+        robot = configuration.mechanism
+        coordinates = [configuration.joint_position(c.joint or "") + c.offset for c in robot.declared_coordinates]
+        pose = configuration.tool_placement
+        angles = Rotation.from_matrix(pose.rotation).as_euler("XYZ")
+        np.testing.assert_allclose(coordinates, [pose.translation[2], *angles[:2]], atol=1e-14)
+    assert [c.name for c in robot.declared_coordinates] == ["z", "rx", "ry"]
+
+
 def test_leg_lengths(
     configurations: list[Configuration], hinges: Matrix, platform_joints: Matrix, machine: Robot
 ) -> None:
@@ -131,7 +143,7 @@ def test_leg_lengths(
         _, legs = _legs(configuration, hinges, platform_joints)
         np.testing.assert_allclose(np.sum(legs * TANGENTS, axis=1), 0.0, atol=1e-12)  # no hinge lets a leg go aside
         expected = np.linalg.norm(legs, axis=1) - at_home
-        np.testing.assert_allclose(configuration.actuated_positions, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(configuration.commands, expected, rtol=0, atol=1e-12)
 
 
 def test_actuation_jacobian(configurations: list[Configuration], hinges: Matrix, platform_joints: Matrix) -> None:
