@@ -67,20 +67,21 @@ def sensitivities(
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
         try:
-            motions, sound = evaluated(poses.robot, poses.q, errors, errors.local_twists(p))
+            by_errors, by_drives, sound = evaluated(poses.robot, poses.q, errors, errors.local_twists(p))
         except ProgramError as error:
             logger.debug("%s: sensitivities without a program (%s)", poses.robot.name, error)
         else:
             doubtful = np.flatnonzero(~sound)
             if doubtful.size:
-                motions[doubtful] = _careful_motions(errors, poses[doubtful], p)
-            return _of_motions(errors, poses, motions)
-    return _of_motions(errors, poses, _careful_motions(errors, poses, p))
+                motions = _careful_motions(errors, poses[doubtful], p)
+                by_errors[doubtful], by_drives[doubtful] = np.split(motions, [len(errors)], axis=2)
+            return _of_motions(poses, by_errors, by_drives)
+    return _of_motions(poses, *np.split(_careful_motions(errors, poses, p), [len(errors)], axis=2))
 
 
-def _of_motions(errors: GeometricErrors, poses: Poses, motions: Array) -> Sensitivities:
-    by_commands = motions[:, :, len(errors) :] / [command.scale for command in poses.robot.commands]
-    return Sensitivities(frozen(np.array(motions[:, :, : len(errors)])), frozen(by_commands))
+def _of_motions(poses: Poses, by_errors: Array, by_drives: Array) -> Sensitivities:
+    by_commands = by_drives / [command.scale for command in poses.robot.commands]
+    return Sensitivities(frozen(by_errors), frozen(by_commands))
 
 
 def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:

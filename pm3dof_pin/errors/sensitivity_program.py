@@ -24,7 +24,7 @@ _compiled: dict[str, Compiled | ProgramError] = {}
 """Programs by what they depend on; the error where there is none."""
 
 
-def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Mask]:
+def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Array, Mask]:
     """Evaluate the tool's motion with errors and drives at many poses.
 
     Args:
@@ -34,8 +34,8 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
         local_twists: twist of each place against its parameters, in its axes, shape=(6, number of parameters).
 
     Returns:
-        Twists of the tool for one unit of each error, then of the coordinate of each drive, shape=(n, 6, k + u); and
-        the poses at which nothing is in doubt, shape=(n,).
+        Twists of the tool for one unit of each error, shape=(n, 6, k), and of the coordinate of each drive,
+        shape=(n, 6, u); and the poses at which nothing is in doubt, shape=(n,).
 
     Raises:
         ProgramError: there is no program for this robot, the tool is free, or loops cannot close with an error.
@@ -52,8 +52,8 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
     compiled = _compiled[key]
     if isinstance(compiled, ProgramError):
         raise compiled
-    results = compiled(q, _parameters(robot, compiled.program, local_twists))
-    return results[:, :-1].reshape(len(q), 6, -1), results[:, -1] == 1.0
+    groups = compiled.program.split(compiled(q, _parameters(robot, compiled.program, local_twists)))
+    return groups["errors"], groups["drives"], groups["sound"] == 1.0
 
 
 def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool) -> Program:
@@ -74,7 +74,9 @@ def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_z
     motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
     finite = total([entry * entry for entry in motions.ravel()])
     sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
-    return graph.program("sensitivities", {"motions": motions, "sound": select(sound, 1.0, 0.0)})
+    count = len(sources)
+    outputs = {"errors": motions[:, :count], "drives": motions[:, count:], "sound": select(sound, 1.0, 0.0)}
+    return graph.program("sensitivities", outputs)
 
 
 def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Array, *, at_zero: bool) -> Column:

@@ -12,6 +12,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 
 STEP = 1e-5
@@ -102,3 +103,15 @@ def test_frames_inside_frames_move_together() -> None:
     np.testing.assert_allclose(
         sensitivities(errors, moved, values).errors, _differences(errors, moved, values), atol=AGREEMENT
     )
+
+
+@pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
+def test_the_program_is_the_careful_engine(robot: str) -> None:
+    described = Robot.load(robot)
+    poses = reachable_poses(described, 200, np.random.default_rng(7))
+    errors = closable(GeometricErrors(described), poses)
+    for values in (errors.zeros, errors.sample(np.random.default_rng(8))):
+        at = poses if not values.any() else errors.apply(values).forward(poses.commands, guess=poses.q)
+        found, careful = (sensitivities(errors, at, values, engine=engine) for engine in ("program", "pinocchio"))
+        np.testing.assert_allclose(found.errors, careful.errors, atol=1e-11)
+        np.testing.assert_allclose(found.commands, careful.commands, atol=1e-11)
