@@ -36,6 +36,22 @@ def test_the_closures_of_the_chapters_machine() -> None:
     assert closures.actuated_joints == ("slider1_joint", "slider2_joint", "slider3_joint")
     assert closures.tool_frame == "O_e"
     assert closures.motion_coordinates == ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
+    assert closures.commands == tuple(Command(f"u{leg}", f"slider{leg}_joint", "m", 0.240272) for leg in (1, 2, 3))
+    tilt = math.radians(40.0)
+    assert closures.coordinates[:2] == tuple(
+        Coordinate(f"theta_{axis}", "rad", joint=f"platform_{axis}_joint", lower=-tilt, upper=tilt) for axis in "xy"
+    )
+    # a level platform: the link spans what is left of the radii, 374.25 - 75 - u cos 50 deg, over its height
+    heights = [
+        math.sqrt(0.353**2 - (0.37425 - 0.075 - u * math.cos(math.radians(50.0))) ** 2)
+        + u * math.sin(math.radians(50.0))
+        for u in (0.240272 - 0.085, 0.240272, 0.240272 + 0.085)
+    ]
+    z_e = closures.coordinates[2]
+    assert (z_e.name, z_e.unit, z_e.joint) == ("z_e", "m", "passive_slider_joint")
+    assert [z_e.lower, z_e.offset, z_e.upper] == pytest.approx([height - 0.013 for height in heights], abs=1e-12)
+    assert [group.name for group in closures.limit_groups] == ["stroke", "universal", "spherical", "tilt", "height"]
+    assert closures.limit_groups[2] == LimitGroup("spherical", closures=(0, 1, 2))
 
 
 def test_the_existing_convention_is_read_as_it_is(tmp_path: Path) -> None:
