@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ _logger = logging.getLogger(__name__)
 
 
 ROOT = "/robot"
+
+_DIRECTIONS = 400  # in which the outermost points are looked for
 
 _STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
 _JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
@@ -115,14 +118,13 @@ def bounding_box(bodies: tuple[Body, ...], configuration: Configuration) -> Arra
 
 
 def outermost_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
-    """Return points that have all that is drawn of a mechanism between them, few of them, shape=(n, 3) [m]."""
-    from scipy.spatial import ConvexHull, QhullError
-
+    """Return points that have all that is drawn of a mechanism between them, nearly; few of them, shape=(n, 3) [m]."""
     points = _corner_points(bodies, configuration)
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):  # all in a plane, or too few
-        return points
+    index = np.arange(_DIRECTIONS) + 0.5
+    height, azimuth = 1.0 - 2.0 * index / _DIRECTIONS, (3.0 - math.sqrt(5.0)) * math.pi * index  # evenly on a sphere
+    width = np.sqrt(1.0 - height**2)
+    directions = np.stack([width * np.cos(azimuth), width * np.sin(azimuth), height])
+    return np.asarray(points[np.unique((points @ directions).argmax(axis=0))])
 
 
 def _corner_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:

@@ -5,29 +5,27 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.elastic.compiled import traced_quantity
+from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
-from pm3dof_pin.elastic.traced import spring_parameters
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError
-from pm3dof_pin.kinematics.continuation import samples_near
+from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import geometry
-from pm3dof_pin.programs.closing import Task, closing_program
+from pm3dof_pin.programs.closing import Task
 from pm3dof_pin.programs.elimination import Doubt, Objects, is_zero, least_squares, matrix_of, total, zeros
 from pm3dof_pin.programs.graph import Graph, Scalar, maximum
 from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.loops import closure_equations, swing
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
-from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Vector
 
 _logger = logging.getLogger(__name__)
@@ -76,8 +74,7 @@ class PagePrograms:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._samples = samples_near(robot, robot.home.q)
-        verify(robot, self._samples)
+        self._samples = program_source(robot).samples
         self.place = self._place()
 
     @cached_property
@@ -94,13 +91,12 @@ class PagePrograms:
         robot = self.robot
         if not robot.springs or robot.tool_frame is None:
             return None
-        model = ElasticModel(robot)
         try:
-            program = traced_quantity(model, robot.tool_frame, COMPLIANCE, closed=True)
+            found = elastic_program(ElasticModel(robot), robot.tool_frame, COMPLIANCE, closed=True)
         except ProgramError as error:
             _logger.info("no compliance in the page: %s", error)
             return None
-        return _with_parameters(program, model.mechanism, spring_parameters(model))
+        return PageProgram(found.compiled.program, found.parameters)
 
     @cached_property
     def holding(self) -> PageProgram | None:
@@ -126,8 +122,8 @@ class PagePrograms:
         """Return Newton's step for given coordinates; those that are joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
-        traced = closing_program(self.robot, Task(joints, tool), self._samples)
-        return _with_parameters(dataclasses.replace(traced.program, name=name), self.robot)
+        step = program_source(self.robot).step(self.robot, Task(joints, tool))
+        return PageProgram(dataclasses.replace(step.compiled.program, name=name), step.parameters)
 
     @cached_property
     def source(self) -> str:
@@ -182,11 +178,8 @@ def programs_of(robot: Robot) -> PagePrograms | None:
     return programs
 
 
-def _with_parameters(program: Program, robot: Robot, springs: Mapping[str, float] | None = None) -> PageProgram:
-    known = dict(springs or {})
-    own = [name for name in program.parameters if name not in known]
-    known |= dict(zip(own, geometry.values(robot, own), strict=True))
-    return PageProgram(program, np.array([known[name] for name in program.parameters]))
+def _with_parameters(program: Program, robot: Robot) -> PageProgram:
+    return PageProgram(program, geometry.values(robot, program.parameters))
 
 
 def _closure_rows(tree: Tree) -> Objects:
