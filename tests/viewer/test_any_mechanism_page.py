@@ -42,6 +42,21 @@ def test_other_robots(page: Any, tmp_path: Path, robot: str) -> None:
         first, second = (page.matrix(path.removesuffix("/x_shaft"))[:3, 3] for path in ends)
         np.testing.assert_allclose(first, second, atol=1e-9)
     assert page.picture().std() > 0.05
+    # the second set of sliders: the commands
+    page.ask("document.querySelectorAll('#sets button')[1].click()")
+    name = mechanism.commands[0].name
+    at_home = page.slider(name)
+    assert page.drag_slider(name, 0.6) != at_home
+    commands = page.ask("pm3dof.pose().values(pm3dof.robot().data.sets[1])")
+    assert commands[0] != 0.0
+    np.testing.assert_allclose(commands[1:], where.commands[1:], atol=1e-12)
+    moved = mechanism.forward(commands).configuration()
+    for path in ("/robot/platform", *(end.removesuffix("/x_shaft") for end in ends)):
+        expected = moved.frame_placement(path.split("/")[-1]).homogeneous
+        np.testing.assert_allclose(page.matrix(path), expected, rtol=0, atol=1e-9)
+    block = cartesian_compliance(model, moved).stiffness[:3, :3]
+    linear = page.matrix("/ellipsoids/translation")[:3, :3] / drawn.scale
+    np.testing.assert_allclose(linear @ linear.T, block @ block, rtol=0, atol=1e-8 * np.abs(block @ block).max())
     assert page.browser.errors == []
 
 
