@@ -83,6 +83,7 @@ class Sliders:
         of: Quantity,
         others: OtherMotions,
         scale: float,
+        length: float,
     ) -> Json | None:
         """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own springs.
 
@@ -93,6 +94,7 @@ class Sliders:
             of: see there.
             others: see there.
             scale: length of a semi-axis for a value of 1 [m per unit].
+            length: of semi-axes that suit the robot; far longer ones are drawn to another scale [m].
         """
         compliance = self._compliance(configuration)
         if compliance is None:
@@ -104,10 +106,11 @@ class Sliders:
         if not np.abs(block - own).max() <= _SAME * np.abs(own).max():
             return None
         unit = ellipsoids.UNITS[of, kind]
-        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, "scale": scale, "unit": unit}
+        scaled = {"scale": scale, "length": length, "unit": unit}
+        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, **scaled}
 
     def live_forces(
-        self, forces: Array, configuration: Configuration, *, scale: float, width: float, unit: str
+        self, forces: Array, configuration: Configuration, *, scale: float, length: float, width: float, unit: str
     ) -> Json | None:
         """Return how the page goes on with actuator forces, if they hold the robot's own weight.
 
@@ -115,6 +118,7 @@ class Sliders:
             forces: what is drawn, shape=(number of actuated joints,) [N, N m].
             configuration: where.
             scale: length of an arrow for 1 N or 1 N m [m].
+            length: of arrows that suit the robot, see :meth:`live_ellipsoid` [m].
             width: half width of an arrow [m].
             unit: what is written behind the forces.
         """
@@ -126,7 +130,7 @@ class Sliders:
         reference = np.abs(own).max(initial=weight_scale(self._robot.model, 1e-6))
         if not np.abs(forces - own).max(initial=0.0) <= _SAME * reference:
             return None
-        return {"kind": "forces", "scale": scale, "width": width, "unit": unit}
+        return {"kind": "forces", "scale": scale, "length": length, "width": width, "unit": unit}
 
     def live_shares(
         self,

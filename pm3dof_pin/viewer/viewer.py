@@ -185,7 +185,7 @@ class Viewer(ShownScene):
         live = None
         if self._goes_on and at is None and self._sliders is not None:
             live = self._sliders.live_ellipsoid(
-                block, self._configuration, kind=kind, of=of, others=others, scale=scale
+                block, self._configuration, kind=kind, of=of, others=others, scale=scale, length=self._unit_length
             )
         where = "" if at is None else f" at {at if isinstance(at, str) else 'a point'}"
         self._show(
@@ -235,7 +235,9 @@ class Viewer(ShownScene):
         live = None
         unit = ", ".join(sorted({axis.unit for axis in axes}))
         if self._goes_on and self._sliders is not None:
-            live = self._sliders.live_forces(values, self._configuration, scale=scale, width=width, unit=unit)
+            live = self._sliders.live_forces(
+                values, self._configuration, scale=scale, length=self._unit_length, width=width, unit=unit
+            )
         self._show(
             Entry(
                 key="forces",

@@ -213,7 +213,7 @@ const pm3dof = (() => {
     robot.data.sets[activeSet].numbers.forEach((number, index) => {
       const { least, greatest, step, factor, unit } = number.slider;
       const row = element(sliders, "label");
-      element(row, "span", "name", number.name);
+      element(row, "span", "name", number.name).title = number.name;
       ["range", "number"].forEach((type) => {
         const input = element(row, "input");
         Object.assign(input, { type, min: least, max: greatest, step: type === "range" ? step : "any", name: number.name });
@@ -269,7 +269,7 @@ const pm3dof = (() => {
       const values = pose.values(set);
       return set.numbers.map((number, index) => reading(number, values[index])).join(", ");
     });
-    if (robot.data.has_closures) lines.push(`loops closed to ${pose.residual.toExponential(0)} m, in this page`);
+    if (robot.data.has_closures) lines.push(`loops closed to ${pose.residual ? pose.residual.toExponential(0) : 0} m, in this page`);
     showNote(lines, outsideLimits(pose.brokenLimits()));
   }
 
@@ -304,16 +304,29 @@ const pm3dof = (() => {
     const block = robot.block(compliance, entry.live);
     if (!block.flat().every(Number.isFinite)) throw "not in this pose: some motion is rigid";
     const { values, axes } = Robot.principal(block);
-    const longest = Math.max(...values.map(Math.abs)) * entry.live.scale;
-    const lengths = values.map((value) => Math.max(Math.abs(value) * entry.live.scale, 1e-6 * longest));
+    const greatest = Math.max(...values.map(Math.abs)), scale = fittingScale(entry, greatest, "semi-axis");
+    const lengths = values.map((value) => scale * Math.max(Math.abs(value), 1e-6 * greatest));
     placeNode(entry.nodes[0], Robot.stretched(axes, lengths, pose.tool));
     setValues(entry, values.map(scientific).join(" · ") + ` ${entry.live.unit}`);
   }
 
+  // The scale of an entry, or a tenth, a hundredth of it where the greatest value would be drawn far too long.
+  function fittingScale(entry, greatest, what) {
+    const { length, unit } = entry.live;
+    let { scale } = entry.live;
+    while (greatest * scale > 2 * length) scale /= 10;
+    const [mantissa, exponent] = (length / scale).toExponential(3).split("e");
+    const value = Math.abs(exponent) < 3 ? Number((length / scale).toPrecision(4)) : `${Number(mantissa)}e${Number(exponent)}`;
+    const line = document.querySelector(`.entry[data-key="${entry.key}"] .line`);
+    line.textContent = `${what} of ${Number((1000 * length).toPrecision(6))} mm = ${value} ${unit}`.replaceAll("N m", "N\u00a0m");
+    return scale;
+  }
+
   function followForces(entry) {
-    const { scale, width, unit } = entry.live;
+    const { width, unit } = entry.live;
     const forces = robot.holdingForces(pose);
     if (!forces) throw "no forces hold this singular pose";
+    const scale = fittingScale(entry, Math.max(...forces.map(Math.abs)), "arrow");
     robot.actuatorAxes(pose).forEach(({ origin, direction }, index) => {
       const along = direction.map((part) => part * (forces[index] < 0 ? -1 : 1));
       const length = Math.max(Math.abs(forces[index]) * scale, 1e-6 * width), slim = Math.min(width, 0.5 * length);
