@@ -185,7 +185,7 @@ class Robot(Mechanism):
             engine: what places the tool and checks limits and closures of many poses; of a few Pinocchio does.
         """
         positions = np.asarray(q, dtype=float)
-        rows = positions.reshape(-1, self.model.nq)
+        rows = positions.reshape(math.prod(positions.shape[:-1]), self.model.nq)  # nq may be 0
         if engine == "pinocchio" or len(rows) < _MANY:
             return Poses(self, positions)
         from pm3dof_pin.kinematics.closing_programs import program_source
