@@ -29,7 +29,7 @@ from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.samples import samples_near as samples_near
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs.closing import Task, tool_components
+from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ _AT_REST = 0.99  # of the squared error that is left after a round
 _DAMPING = 0.1  # of the first of them
 _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
-_SINGULAR = 1e-5  # margin below which a pose is left to the careful solver
-_REGULAR = 1e-3  # margin of a configuration away from singular ones
+_SINGULAR = 1e-5  # regularity below which a pose is left to damped steps
+_REGULAR = 1e-3  # regularity of a configuration away from singular ones
 
 
 class Solution(NamedTuple):
@@ -109,14 +109,19 @@ class Continuation:
     def _home(self) -> Vector:
         """The home configuration, or if that is singular the most regular of the samples."""
         home = self._robot.home.q
-        if self._margins(home[None])[0] > _REGULAR:
+        if self._regularity_and_mode(home[None])[0][0] > _REGULAR:
             return home
         rows = np.vstack([home, self._source.samples])
-        start: Vector = rows[np.nanargmax(np.nan_to_num(self._margins(rows)))]
+        start: Vector = rows[np.argmax(np.nan_to_num(self._regularity_and_mode(rows)[0]))]
         return start
 
-    def _margins(self, q: Matrix) -> Vector:
-        return np.asarray(np.abs(self._newton(q, self._given_numbers(self.read(q)), _JUMP)[0][:, -1]))
+    @cached_property
+    def _home_mode(self) -> float:
+        return float(self._regularity_and_mode(self._home[None])[1][0])
+
+    def _regularity_and_mode(self, q: Matrix) -> tuple[Vector, Vector]:
+        outputs = self._step(self._inputs(q, self._given_numbers(self.read(q))))
+        return regularity_and_mode(outputs[:, self._nq])
 
     def read(self, q: Matrix) -> Matrix:
         """Read the coordinates off closed configurations, shape=(n, number of coordinates) [m, rad]."""
@@ -201,6 +206,7 @@ class Continuation:
         way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
         legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / _LEG), 1.0), 1.0)
         shortest, step = _SHORTEST_LEG / legs, 1.0 / legs
+        _, modes = self._regularity_and_mode(q)
         done, last_step = np.zeros(len(q)), np.zeros(len(q))
         before = q.copy()
         active = np.flatnonzero(np.isfinite(way) & np.isfinite(q).all(axis=1))
@@ -212,8 +218,7 @@ class Continuation:
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.where(last_step[active] > 0.0, (reached - done[active]) / last_step[active], 0.0)
             predicted = self._predicted(q[active], before[active], ratio[:, None])
-            states, accepted = self._newton(predicted, self._given_numbers(values), _JUMP)
-            found = states[:, :-1]
+            found, accepted = self._newton(predicted, self._given_numbers(values), _JUMP, _SINGULAR, modes[active])
             good = active[accepted]
             before[good], q[good] = q[good], found[accepted]
             last_step[good] = reached[accepted] - done[good]
@@ -267,9 +272,11 @@ class Continuation:
             predicted = q
             if before is not None and (last := axis[index - direction] - axis[index - 2 * direction]):
                 predicted = self._predicted(q, before, (axis[index] - axis[index - direction]) / last)
-            states, accepted = self._newton(predicted, numbers[..., index, :].reshape(len(q), -1), _MARCH_JUMP)
-            before, q = q, states[:, :-1]
-            q[~(accepted & (np.abs(states[:, -1]) > _REGULAR))] = np.nan
+            before = q
+            q, accepted = self._newton(
+                predicted, numbers[..., index, :].reshape(len(q), -1), _MARCH_JUMP, _REGULAR, self._home_mode
+            )
+            q[~accepted] = np.nan
             lines[..., index, :] = q.reshape(lines[..., index, :].shape)
 
     def _fill(self, q: Array, values: Array) -> None:
@@ -301,18 +308,23 @@ class Continuation:
         numbers: Array = ((values - self._offsets) / self._scales)[..., self._order]
         return numbers
 
-    def _newton(self, q: Matrix, numbers: Matrix, jump: float) -> tuple[Matrix, Mask]:
-        """Close the loops; return q with the margins as its last column, and which poses are accepted.
+    def _newton(
+        self, q: Matrix, numbers: Matrix, jump: float, regular: float, modes: Vector | float
+    ) -> tuple[Matrix, Mask]:
+        """Close the loops; return q, and which poses are accepted.
 
         Args:
             q: where to start, shape=(n, nq).
             numbers: the coordinates as the program takes them, shape=(n, number of coordinates).
             jump: the greatest way of a joint that is accepted [rad, characteristic lengths].
+            regular: the least regularity that is accepted.
+            modes: the assembly mode that is accepted.
         """
         nq = self._nq
         states, residuals, _ = self._step.iterate(self._inputs(q, numbers), _NEARLY_CLOSED, _STEPS)
-        accepted = (residuals <= _NEARLY_CLOSED) & (states[:, nq] > _SINGULAR) & (states[:, nq + 1] <= jump)
-        return states[:, : nq + 1], accepted
+        regularity, found_modes = regularity_and_mode(states[:, nq])
+        accepted = (residuals <= _NEARLY_CLOSED) & (regularity > regular) & (states[:, nq + 1] <= jump)
+        return states[:, :nq], accepted & (found_modes == modes)
 
     def _inputs(self, q: Matrix, numbers: Matrix) -> Matrix:
         nq = self._nq

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -16,19 +16,20 @@ _TRIALS = 10
 
 
 def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
-    """Find closed configurations near home. Home alone would mislead where it is singular.
+    """Find closed configurations near home, and home itself first. Home alone would mislead where it is singular.
 
     Args:
         mechanism: the mechanism.
         home: its home configuration, shape=(nq,).
 
     Returns:
-        shape=(s, nq), s = 8; the same ones every time.
+        shape=(s, nq), s = 9, or 8 if the loops are not closed at home; the same ones every time.
 
     Raises:
         ConvergenceError: the loops do not close there.
     """
     model, generator = mechanism.model, np.random.default_rng(0)
+    first = [home] if np.abs(mechanism.loop_kinematics.closures(home)[0]).max(initial=0.0) <= CLOSURE_TOLERANCE else []
     rows: list[Vector] = []
     distance = _DISTANCE
     for _ in range(_TRIALS):
@@ -38,6 +39,6 @@ def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
             if result.converged:
                 rows.append(np.array(result.configuration.q))
             if len(rows) == _COUNT:
-                return np.array(rows)
+                return np.array([*first, *rows])
         distance /= 2.0
     raise ConvergenceError(f"{mechanism.name}: closing the loops near home", result.residual, "m or rad", result.steps)

@@ -12,7 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
-from pm3dof_pin.programs.graph import Graph, Number, Scalar, absolute, cos, less, maximum, minimum, select, sin, sqrt
+from pm3dof_pin.programs.graph import (
+    Graph,
+    Number,
+    Scalar,
+    Truth,
+    absolute,
+    cos,
+    less,
+    maximum,
+    minimum,
+    select,
+    sin,
+    sqrt,
+)
 from pm3dof_pin.programs.joints import Objects, cross, is_zero, objects
 from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
 from pm3dof_pin.programs.program import Program
@@ -29,6 +42,11 @@ _LEAST_DAMPING = 1e-8
 
 _LONGEST_STEP = 0.5
 """Longest damped step [rad, characteristic lengths]: beyond it the linear model of a rotation is worth little."""
+
+_REGULAR = 1.0 - 2.0**-10
+"""Regularity of what is at least as far from singular configurations as usual."""
+
+_MOST_BITS = 30  # of the mode, so that the regularity keeps seven digits beside it
 
 PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j in range(3)))
 """Components of a task that gives the tool's whole placement."""
@@ -72,9 +90,10 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin`
     and `jump`; and `residual`. The first three are the state of an iteration.
 
-    - `margin`: the least determinant or pivot of the systems before the step, as a part of what is usual at the
-      samples: 0 in a singular configuration, and negative beyond one, in another assembly mode, where the sign of a
-      determinant tells so.
+    - `margin`: how far q is from a singular configuration before the step, and in which assembly mode. In (0, 1) it is
+      the least determinant or pivot of the systems, as a part of what is usual at the samples. 2 c less than that, c
+      positive, it tells by the bits of c which systems' determinants have another sign than at the first sample: a
+      singular configuration lies between. See :func:`regularity_and_mode`.
     - `jump`: the one before plus the longest move of a joint in this step [rad, characteristic lengths].
     - `residual`: the largest error before the step [m, rad].
 
@@ -91,17 +110,24 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
     """
     given = _given(mechanism, task, samples, ("margin", "jump"), dense)
     tree, equations, scale, slides, held, (_, jump) = given
-    margin: Scalar = 1.0
+    regularity: Scalar = _REGULAR
+    mode: Scalar = 0.0
     longest: Scalar = 0.0
     moves: dict[int, Scalar] = {}
-    for system in _systems([_scaled(e, scale, slides) for e in equations], held):
+    for bit, system in enumerate(_systems([_scaled(e, scale, slides) for e in equations], held)):
         matrix, right = system.reduced(moves)
-        solution, system_margin = _solved(matrix, right)
+        solution, size, is_flipped = _solved(matrix, right)
         moves |= dict(zip(system.unknowns, solution, strict=True))
-        margin = _least(margin, system_margin)
+        regularity = minimum(regularity, size)
+        mode = mode + select(is_flipped, 2.0**bit, 0.0) if bit < _MOST_BITS else mode
         longest = maximum(longest, largest(solution))
     velocities = {k: move * (scale if k in slides else 1.0) for k, move in moves.items()}
-    outputs = {"q": tree.step(velocities), "margin": margin, "jump": jump + longest, "residual": _residual(equations)}
+    outputs = {
+        "q": tree.step(velocities),
+        "margin": regularity - 2.0 * mode,
+        "jump": jump + longest,
+        "residual": _residual(equations),
+    }
     return TracedProgram(tree.graph.program("closing", outputs), tree.geometry.constants)
 
 
@@ -189,6 +215,16 @@ def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np
     placements = [mechanism.configuration(q).tool_placement for q in samples]
     rows = np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
     return {name: graph.input(name, rows[:, k]) for k, name in enumerate(task.tool)}
+
+
+def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how regular configurations are, in (0, 1), and numbers for their assembly modes, 0 that of the samples.
+
+    Args:
+        margin: output of :func:`closing_program`, shape=(...).
+    """
+    mode = -np.floor(0.5 * margin)
+    return margin + 2.0 * mode, mode
 
 
 def tool_components(
@@ -311,8 +347,8 @@ def _alone(equation: Equations, found: set[int]) -> tuple[Equations, _System] | 
     return (equation, system) if system.unknowns and system.is_determined else None
 
 
-def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
-    """Return the solution, and the margin."""
+def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
+    """Return the solution, the regularity, and whether the determinant has another sign than at the first sample."""
     direct = matrix.shape[0] == matrix.shape[1] <= 3
     return _solved_directly(matrix, right) if direct else _solved_by_elimination(matrix, right)
 
@@ -325,8 +361,8 @@ def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:
     return _solved_by_elimination(np.vstack([matrix, rows]), extended)[0]
 
 
-def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
-    """Solve a square system of up to three unknowns by Cramer's rule: the margin is the determinant."""
+def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
+    """Solve a square system of up to three unknowns by Cramer's rule; the regularity is the determinant."""
     size = len(matrix)
     if size == 1:
         determinant, adjugate = matrix[0, 0], objects([[1.0]])
@@ -341,25 +377,26 @@ def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
     if usual == 0.0:
         return _solved_by_elimination(matrix, right)
     inverse = 1.0 / determinant
-    return (adjugate @ right) * inverse, _signed(determinant, determinant * (1.0 / usual))
+    return (adjugate @ right) * inverse, absolute(determinant * (1.0 / usual)), _is_flipped(determinant)
 
 
-def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar]:
-    """Solve any system as least squares: the margin is the least pivot, with the sign of their product."""
+def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
+    """Solve any system as least squares; the regularity is the least pivot, and the determinant their product."""
     size = matrix.shape[1]
     result = eliminate(np.hstack([matrix, right[:, None]]), range(size), Doubt())
     columns = list(result.columns)
     solution = objects([0.0] * size)
     if not columns:
-        return solution, 1.0
+        return solution, _REGULAR, np.False_
     triangle = result.pivot_rows[:, columns]
     solution[columns] = solve_upper(triangle, result.pivot_rows[:, size:])[:, 0]
     orientation: Scalar = 1.0
-    least: Scalar = np.inf
+    least: Scalar = _REGULAR
     for pivot in np.diag(triangle):
         orientation = orientation * pivot
         least = minimum(least, absolute(pivot * (1.0 / (_usual(pivot) or 1.0))))
-    return solution, _signed(orientation, least) if len(matrix) == size == len(columns) else least
+    is_square = len(matrix) == size == len(columns)
+    return solution, least, _is_flipped(orientation) if is_square else np.False_
 
 
 def _usual(number: Scalar) -> float:
@@ -368,15 +405,7 @@ def _usual(number: Scalar) -> float:
     return median if median > _ROUNDING else 0.0
 
 
-def _signed(determinant: Scalar, size: Scalar) -> Scalar:
-    """Return the magnitude of a number, negative where a determinant has another sign than at all samples."""
-    signs = np.sign(determinant.samples if isinstance(determinant, Number) else [determinant])
-    magnitude = absolute(size)
-    if abs(signs.sum()) < signs.size:
-        return magnitude  # the samples are on both sides of a singular configuration
-    return select(less(determinant * signs[0], 0.0), -magnitude, magnitude)
-
-
-def _least(a: Scalar, b: Scalar) -> Scalar:
-    """Return the number of least magnitude, negative where one of them is."""
-    return minimum(minimum(a, b), minimum(absolute(a), absolute(b)))
+def _is_flipped(determinant: Scalar) -> Truth:
+    """Return whether a determinant has another sign than at the first sample."""
+    first = determinant.samples[0] if isinstance(determinant, Number) else determinant
+    return less(determinant * float(np.sign(first)), 0.0)
