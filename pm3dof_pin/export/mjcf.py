@@ -34,11 +34,11 @@ def mjcf_text(robot: RobotDocument) -> str:
         robot: the robot.
 
     Raises:
-        DescriptionError: something moves that has no mass, which MuJoCo refuses.
+        DescriptionError: the end of a branch moves and has no mass, which MuJoCo refuses.
         ConvergenceError: the loops do not close near the home configuration.
     """
-    robot.require_moving_mass("MuJoCo")
-    return document_text(_Writer(robot.with_meshes_of(MESH_KINDS)).document(), _BANNER.format(name=robot.name))
+    complete = robot.with_moving_mass("MuJoCo").with_meshes_of(MESH_KINDS)
+    return document_text(_Writer(complete).document(), _BANNER.format(name=robot.name))
 
 
 class _Writer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -13,11 +14,14 @@ from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.meshes import Meshes
-from pm3dof_pin.export.urdf_document import Joint, Link, UrdfDocument, read_urdf
+from pm3dof_pin.export.urdf_document import Inertial, Joint, Link, Origin, UrdfDocument, read_urdf
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.mechanism.as_urdf import as_urdf
+from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
+
+_NEGLIGIBLE = Inertial(NEGLIGIBLE_MASS, Origin(), (*[NEGLIGIBLE_MOMENT] * 3, 0.0, 0.0, 0.0))
+_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -102,22 +106,37 @@ class RobotDocument:
         named = {name: self.mechanism.configuration(q) for name, q in self.mechanism.named_configurations.items()}
         return {"home": self.home} | named | {"home": self.home}
 
-    def require_moving_mass(self, tool: str) -> None:
-        """Check that everything that moves has mass and inertia.
+    def with_moving_mass(self, tool: str) -> RobotDocument:
+        """Return the robot with mass and inertia in everything that moves, for a tool that needs them.
+
+        A link without mass between two joints, such as the cross of a universal joint, gets a negligible one.
 
         Args:
-            tool: who cannot do without, for the message.
+            tool: who cannot do without, for messages.
 
         Raises:
-            DescriptionError: a moving link, with all that is fixed to it, has none.
+            DescriptionError: a moving link that carries nothing, with all that is fixed to it, has none.
         """
+        links, lightened = dict(self.urdf.links), []
         for joint in self.urdf.joints:
-            if not joint.is_fixed and not any(map(_is_massive, self.urdf.fixed_to(joint.child))):
+            rigid = list(self.urdf.fixed_to(joint.child))
+            if joint.is_fixed or any(map(_is_massive, rigid)):
+                continue
+            if not any(not below.is_fixed for link in rigid for below in self.urdf.below(link.name)):
                 raise DescriptionError(
                     self.files.urdf,
                     f"link '{joint.child}'",
                     f"expected mass and inertia, as {tool} needs of all that moves",
                 )
+            links[joint.child] = replace(links[joint.child], inertial=_NEGLIGIBLE)
+            lightened.append(joint.child)
+        if not lightened:
+            return self
+        _logger.warning(
+            "%s: %s kg and %s kg m^2 are given to the links %s, which have no mass: %s needs some of all that moves",
+            *(self.name, NEGLIGIBLE_MASS, NEGLIGIBLE_MOMENT, ", ".join(lightened), tool),
+        )
+        return replace(self, urdf=replace(self.urdf, links=links))
 
     def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
         """Return the robot for a tool that reads mesh files of some kinds only; the others become OBJ files.

@@ -31,10 +31,10 @@ def sdf_text(robot: RobotDocument) -> str:
         robot: the robot.
 
     Raises:
-        DescriptionError: something moves that has no mass, which SDFormat cannot say.
+        DescriptionError: the end of a branch moves and has no mass, which SDFormat cannot say.
         ConvergenceError: the loops do not close near the home configuration.
     """
-    robot.require_moving_mass("SDFormat")
+    robot = robot.with_moving_mass("SDFormat")
     root = Element("sdf", version=_VERSION)
     _Writer(robot, SubElement(root, "model", name=robot.name)).write()
     return document_text(root, _BANNER.format(name=robot.name))

@@ -32,7 +32,9 @@ from pm3dof_pin.typing import Matrix, Vector
 NEGLIGIBLE_MASS = 1e-5
 """Mass of links that move and have none [kg]."""
 
-_NEGLIGIBLE_MOMENT = 1e-9
+NEGLIGIBLE_MOMENT = 1e-9
+"""Moment of inertia of such links about every axis [kg m^2]."""
+
 _logger = logging.getLogger(__name__)
 _NO_LIMITS = {"lower": "-6.283185307179586", "upper": "6.283185307179586", "effort": "0.0", "velocity": "0.0"}
 
@@ -118,7 +120,7 @@ def _add_joint(robot: ElementTree.Element, mechanism: Mechanism, index: int, par
         for suffix, axis, link in zip(("", "_y", "_z"), np.eye(3), carriers, strict=True):
             if link != child:
                 carrier = ElementTree.SubElement(robot, "link", name=link)
-                _add_inertial(carrier, pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), _NEGLIGIBLE_MOMENT * np.eye(3)))
+                _add_inertial(carrier, pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), NEGLIGIBLE_MOMENT * np.eye(3)))
             _add_hinge(robot, f"{name}{suffix}", "revolute", parent, link, placement, axis, _NO_LIMITS)
             parent, placement = link, pin.SE3.Identity()
         return
@@ -169,7 +171,7 @@ def _add_origin(element: ElementTree.Element, placement: pin.SE3) -> None:
 
 def _add_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:
     if inertia.mass == 0.0:
-        inertia = pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), _NEGLIGIBLE_MOMENT * np.eye(3))
+        inertia = pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), NEGLIGIBLE_MOMENT * np.eye(3))
     inertial = ElementTree.SubElement(link, "inertial")
     _add_origin(inertial, pin.SE3(np.eye(3), inertia.lever))
     ElementTree.SubElement(inertial, "mass", value=repr(float(inertia.mass)))

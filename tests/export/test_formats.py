@@ -185,16 +185,33 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
         export_robot("pm3dof", "mjcf", tmp_path / "file")
 
 
+def _without_mass(part: str, folder: Path) -> dict[str, str]:
+    config = yaml.safe_load((robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml").read_text())
+    config["inertia"][part]["value"] = 0.0
+    (folder / "light.yaml").write_text(yaml.safe_dump(config))
+    return description_files(config=folder / "light.yaml")
+
+
 def test_a_machine_that_a_format_cannot_say_is_generated_without_it(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    config = yaml.safe_load((robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml").read_text())
-    config["inertia"]["cross_mass"]["value"] = 0.0
-    (tmp_path / "light.yaml").write_text(yaml.safe_dump(config))
-    files = description_files(config=tmp_path / "light.yaml")
+    files = _without_mass("link_mass", tmp_path)
     assert not [name for name in files if name.startswith(("mjcf", "sdf"))]
     assert "drake/pm3dof.urdf" in files
-    assert "pm3dof: no mjcf: link 'passive_cross': expected mass and inertia" in caplog.text
+    assert "pm3dof: no mjcf: link 'link1': expected mass and inertia" in caplog.text
+
+
+def test_crosses_without_mass_get_a_negligible_one_where_a_format_needs_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    files = _without_mass("cross_mass", tmp_path)
+    cross = ElementTree.fromstring(files["mjcf/pm3dof.xml"]).find(".//body[@name='passive_cross']/inertial")
+    assert cross is not None
+    assert cross.get("mass") == "1e-05"
+    mass = ElementTree.fromstring(files["sdf/pm3dof.sdf"]).find(".//link[@name='cross1']/inertial/mass")
+    assert mass is not None
+    assert float(mass.text) == 1e-5
+    assert "1e-05 kg and 1e-09 kg m^2 are given to the links passive_cross, cross1, cross2, cross3" in caplog.text
 
 
 # The command
