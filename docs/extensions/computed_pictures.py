@@ -1,4 +1,4 @@
-"""Figs. 8.2, 8.3 and 8.4, drawn when the documentation is built, so that they show what the package computes today."""
+"""The figures of the chapter, drawn when the documentation is built, so that they show what the package computes today."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from sphinx.util.typing import ExtensionMetadata
 
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.cli.stiffness_map import PICTURES
+from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
+from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
+from pm3dof_pin.figures.schematic import schematic_figure
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.workspace import workspace_figure
@@ -20,6 +23,9 @@ from pm3dof_pin.workspace import workspace
 def _draw(app: Sphinx) -> None:
     folder = Path(app.srcdir) / "pictures" / "computed"
     tripod, grid = Tripod.load(), RectangularGrid()
+    save_figure(schematic_figure(tripod), folder / "figure_8_1_schematic.png")
+    save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
+    save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
     save_figure(workspace_figure(tripod, workspace(tripod)), folder / "figure_8_2_workspace.png")
     section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
     for name, quantity in PICTURES.items():

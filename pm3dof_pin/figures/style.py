@@ -55,7 +55,10 @@ _STYLE = {
     "legend.frameon": False,
     "axes.formatter.use_mathtext": True,
     "savefig.facecolor": "white",
+    "pdf.fonttype": 42,  # letters stay letters
+    "svg.hashsalt": "pm3dof",
 }
+_UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a file would say of its time and maker
 
 
 @contextmanager
@@ -78,11 +81,11 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path | str) -> Path:
-    """Write a figure as PNG; equal figures give equal bytes.
+    """Write a figure; equal figures give equal bytes.
 
     Args:
         figure: what to write.
-        path: file to write.
+        path: file to write; PDF or SVG if its name ends so, else PNG.
 
     Returns:
         The path written.
@@ -90,6 +93,7 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
+    kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _UNDATED else "png"
     with house_style(), write_atomically(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})
+        figure.savefig(temporary, format=kind, dpi=DPI, metadata={_UNDATED[kind]: None})
     return Path(path)

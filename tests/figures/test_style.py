@@ -28,6 +28,13 @@ def test_equal_pictures_give_equal_bytes(tmp_path: Path) -> None:
     assert b"matplotlib" not in first.lower()
 
 
+@pytest.mark.parametrize("kind", ["pdf", "svg"])
+def test_lines_and_letters_on_paper(kind: str, tmp_path: Path) -> None:
+    pictures = {_draw(tmp_path / f"{name}.{kind}") for name in ("first", "second")}
+    assert len(pictures) == 1
+    assert pictures.pop().startswith(b"%PDF" if kind == "pdf" else b"<?xml")
+
+
 def test_settings_of_the_user_are_left_alone(tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
     _draw(tmp_path / "picture.png")

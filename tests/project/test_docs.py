@@ -31,7 +31,13 @@ ROOT = Path(__file__).parents[2]
 DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
 PAGES = [ROOT / "README.md", *DOCS]
 BLOCK = re.compile(r"^```(console|python|output)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMPUTED_PICTURES = {"figure_8_2_workspace.png", *PICTURES}
+COMPUTED_PICTURES = {
+    "figure_8_1_schematic.png",
+    "figure_8_2_workspace.png",
+    "figure_8_5_pseudo_error.png",
+    "figure_8_6_compensation_flow.png",
+    *PICTURES,
+}
 LIKE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 

@@ -1,0 +1,20 @@
+"""Draw Fig. 8.5 with the classes of Table 8.4: sources of error, the pseudo-error and the error of the pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
+from pm3dof_pin.figures.style import save_figure
+
+RESULTS = Path(__file__).resolve().parents[1] / "results"
+
+
+def main() -> None:
+    figure = pseudo_error_figure()
+    for kind in ("pdf", "png", "svg"):
+        print(save_figure(figure, RESULTS / f"figure_8_5.{kind}"))
+
+
+if __name__ == "__main__":
+    main()
