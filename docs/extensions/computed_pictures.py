@@ -1,4 +1,4 @@
-"""The figures of the chapter, drawn when the documentation is built, so that they show what the package computes today."""
+"""The figures of the chapter as the package computes them today, drawn when the documentation is built."""
 
 from __future__ import annotations
 
