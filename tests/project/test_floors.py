@@ -22,6 +22,7 @@ FLOORS = (
     ("dynamics",),
     ("errors",),
     ("measuring",),
+    ("measuring",),
     ("simulation",),
     ("calibration",),
     ("maps",),
