@@ -68,7 +68,7 @@ def write_calibration(
     """
     compensation, files = calibration.compensation, find_robot(robot)
     with replace_directory(directory, SUMMARY) as folder:
-        for source in (files.urdf, files.closures, files.errors, files.srdf):
+        for source in (files.path, files.closures, files.errors, files.srdf):
             if source is not None and source.is_file():
                 write_text_atomically(folder / "nominal" / source.name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:

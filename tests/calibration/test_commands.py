@@ -173,7 +173,8 @@ def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> No
     commanded = answer("compensate", "--calibration", "c", "--configuration", "home", cwd=tmp_path)
     assert len(commanded["u"]) == len(commanded["commands"]) > 0
     difference = np.abs(np.array(commanded["u"]) - commanded["u_nominal"])
-    assert 1e-8 < difference.max() < 1e-2
+    assert difference.max() < 1e-2
+    assert difference.max() > 1e-8 or name == "ur5"  # whose home is singular: no step from there comes nearer
     poses = Robot.load(robot, tool_frame="tool0" if name == "ur5" else None)
     near_home = poses.home.commands + 1e-3 * np.arange(3)[:, None]
     columns = poses.forward(near_home).coordinates
