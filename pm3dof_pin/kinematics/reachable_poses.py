@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
@@ -70,7 +72,9 @@ def _has_ranges(robot: Robot) -> bool:
 
 def _draw(robot: Robot, by_commands: bool, count: int, generator: np.random.Generator, margin: float) -> Array:
     coordinates = robot.command_coordinates if by_commands else robot.coordinates
-    lower, upper = coordinate_ranges(robot, coordinates)
+    # a declared range is what maps go over; what a joint can do beyond it is reachable too
+    whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in coordinates)
+    lower, upper = coordinate_ranges(robot, whole)
     shares = generator.uniform(margin, 1.0 - margin, (count, len(coordinates)))
     values = lower + shares * (upper - lower)
     solve = robot.forward if by_commands else robot.solve
