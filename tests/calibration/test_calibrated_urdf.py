@@ -20,7 +20,7 @@ def test_the_file_is_the_mechanism(robot: str, tmp_path: Path) -> None:
     errors = GeometricErrors(Robot.load(robot))
     values = 10.0 * errors.sample(np.random.default_rng(3))
     written = Robot.load(write_calibrated_robot(errors, values, robot, tmp_path))
-    home = errors.robot.home.actuated_positions
+    home = errors.robot.home.commands
     commands = home + np.random.default_rng(4).uniform(-0.002, 0.002, (5, len(home)))
     expected = errors.apply(values).forward(commands, guess=errors.robot.home.q)
     np.testing.assert_allclose(written.forward(commands).transforms, expected.transforms, atol=1e-12)
@@ -37,7 +37,7 @@ def test_named_configurations_keep_their_commands_with_loops_closed(tmp_path: Pa
         configuration = written.configuration(q)
         described = errors.robot.configuration(errors.robot.named_configurations[name])
         assert configuration.closure_residual < 1e-12
-        np.testing.assert_array_equal(configuration.actuated_positions, described.actuated_positions)
+        np.testing.assert_array_equal(configuration.commands, described.commands)
         assert 1e-6 < np.abs(q - described.q).max() < 1e-2
 
 
