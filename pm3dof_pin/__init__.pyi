@@ -31,6 +31,7 @@ from .maps.atlas import Atlas as Atlas
 from .maps.atlas import compute_atlas as compute_atlas
 from .maps.atlas import open_atlas as open_atlas
 from .measuring.measurement_file import read_measurements as read_measurements
+from .measuring.measurements import Measurements as Measurements
 from .mechanism.configuration import Configuration as Configuration
 from .simulation.simulated_machine import SimulatedMachine as SimulatedMachine
 from .viewer.viewer import Viewer as Viewer

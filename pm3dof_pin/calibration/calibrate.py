@@ -89,6 +89,18 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
 
     Measurements that the identification names as outliers are shown to no learned model either.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.calibration.calibrate import Options
+        >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+        >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+        >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
+        >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
+        >>> calibration = pm.calibrate(measurements, errors, Options(method="lm"))
+        >>> calibration.identification.values.shape
+        (35,)
+
     Args:
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.

@@ -79,6 +79,14 @@ class Plan:
 class PlanningProblem:
     """Candidates for measurements, and the poses at which the machine is to be accurate afterwards.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(0)
+        >>> problem = pm.PlanningProblem.sampled(errors, generator, candidates=200, test_poses=50)
+        >>> len(problem.plan(12, "tip-optimal", generator, restarts=1).poses)
+        12
+
     Args:
         errors: the parameters, with their tolerances.
         candidates: poses of the robot as described that may be measured.

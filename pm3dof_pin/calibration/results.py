@@ -85,6 +85,19 @@ def write_calibration(
 def read_compensation(directory: Path | str) -> Compensation:
     """Read what :func:`write_calibration` wrote, ready to correct commands.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.calibration.calibrate import Options
+        >>> from pm3dof_pin.calibration.results import write_calibration
+        >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1)
+        >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
+        >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
+        >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
+        >>> folder = write_calibration(pm.calibrate(measurements, errors, Options(method="lm")), "pm3dof", "calibration")
+        >>> pm.read_compensation(folder).compensate(errors.robot.solve([[0.1, -0.2, 0.5]])).commands.shape
+        (1, 3)
+
     Args:
         directory: the folder.
 

@@ -165,6 +165,16 @@ def error_map(
 ) -> ErrorMap:
     """Compute the errors of the tool that tolerances of the parts lead to.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> errors = pm.GeometricErrors.load("pm3dof")
+        >>> errors_of_the_tool = pm.error_map(errors, pm.reachable_poses(errors.robot, 50, np.random.default_rng(0)))
+        >>> errors_of_the_tool.tip_rms.shape
+        (50,)
+        >>> errors_of_the_tool.ranking()[0].name
+        'passive_slider_joint.tx'
+
     Args:
         errors: the parameters, with their tolerances.
         poses: poses of the robot as described.

@@ -66,8 +66,10 @@ class GeometricErrors:
     translations), in the place's own axes: finite, not linearised.
 
     Example:
-        >>> errors = GeometricErrors.load("pm3dof")
-        >>> errors.apply({"slider1_joint.tx": 1e-4}).forward([0.24, 0.24, 0.24])
+        >>> import pm3dof_pin as pm
+        >>> errors = pm.GeometricErrors.load("pm3dof")
+        >>> errors.apply({"slider1_joint.tx": 1e-4}).forward([0.24, 0.24, 0.24]).commands
+        array([0.24, 0.24, 0.24])
 
     Args:
         robot: the robot as described.

@@ -51,6 +51,15 @@ def sensitivities(
 ) -> Sensitivities:
     """Compute how the tool's pose changes with errors and commands.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> errors = pm.GeometricErrors.load("pm3dof")
+        >>> poses = pm.reachable_poses(errors.robot, 50, np.random.default_rng(0))
+        >>> derivatives = pm.sensitivities(errors, poses)
+        >>> derivatives.errors.shape, derivatives.commands.shape
+        ((50, 6, 35), (50, 6, 3))
+
     Args:
         errors: the parameters.
         poses: assembled poses of the robot as described, or of `errors.apply(values)`, shape=(n,).

@@ -53,6 +53,13 @@ _SCHEDULER_PATIENCE = "10s"
 class Atlas:
     """What to compute and where to put it.
 
+    Example:
+        >>> from pathlib import Path
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("hexapod")
+        >>> grid = robot.grid(x=(-0.005, 0.005, 3), y=(-0.005, 0.005, 3))
+        >>> atlas = pm.Atlas(robot, grid, ("compliance",), Path("hexapod.nc"))
+
     Attributes:
         robot: the robot, with the springs of its description; or an elastic model.
         grid: the poses; its dimensions are those of the result.
@@ -184,6 +191,14 @@ def compute_atlas(
 ) -> Path:
     """Compute an atlas, or go on with one that was interrupted.
 
+    Example:
+        >>> from pathlib import Path
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("hexapod")
+        >>> grid = robot.grid(x=(-0.005, 0.005, 3), y=(-0.005, 0.005, 3))
+        >>> pm.compute_atlas(pm.Atlas(robot, grid, ("compliance",), Path("hexapod.nc"))).name
+        'hexapod.nc'
+
     Args:
         atlas: what and where.
         threads: the number of processors by default.
@@ -230,6 +245,16 @@ def _compute(
 
 def open_atlas(path: Path | str) -> xr.Dataset:
     """Open an atlas lazily, with the names of axes, springs and the like as coordinates.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import pm3dof_pin as pm
+        >>> robot = pm.load("hexapod")
+        >>> grid = robot.grid(x=(-0.005, 0.005, 3), y=(-0.005, 0.005, 4))
+        >>> path = pm.compute_atlas(pm.Atlas(robot, grid, ("compliance",), Path("hexapod.nc")))
+        >>> with pm.open_atlas(path) as maps:
+        ...     maps["compliance"].shape
+        (3, 4, 6, 6)
 
     Args:
         path: an atlas, `.nc` or `.zarr`.

@@ -116,6 +116,19 @@ def read_measurements(
     `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in the tool's axes; `sigma_x_m ... sigma_rz_rad`;
     `temperature_*_K`, `load_*`. Rows with missing numbers are left out with a warning that names them.
 
+    Example:
+        Measurements of a simulated machine, written and read:
+
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.measuring.measurement_file import write_measurements
+        >>> machine = pm.SimulatedMachine(pm.load("pm3dof"))
+        >>> commands = [[0.24, 0.24, 0.24], [0.25, 0.24, 0.23]]
+        >>> seen = machine.measure(commands, np.random.default_rng(0))
+        >>> path = write_measurements(pm.Measurements.of_poses(np.array(commands), seen), machine.nominal, "seen.csv")
+        >>> len(pm.read_measurements(path, machine.nominal))
+        2
+
     Args:
         path: the file.
         robot: the robot as described.

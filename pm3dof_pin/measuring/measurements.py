@@ -22,6 +22,13 @@ _SAME = 1e-9  # [m, rad], commands that differ by less are one pose
 class Measurements:
     """Commands and the poses, positions or points that were seen, row after row.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> poses = pm.load("pm3dof").forward([[0.24, 0.24, 0.24], [0.25, 0.24, 0.23]])
+        >>> len(pm.Measurements.of_poses(poses.commands, poses.transforms))
+        2
+
     Attributes:
         commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
         positions: what was seen of the tool point, or of `points`, in the world, shape=(n, 3) [m].

@@ -54,6 +54,13 @@ class Conditions:
 class SimulatedMachine:
     """A machine with errors of every class, each of which may be left out.
 
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> machine = pm.SimulatedMachine.random(pm.GeometricErrors.load("pm3dof"), np.random.default_rng(1))
+        >>> machine.measure([[0.24, 0.24, 0.24], [0.25, 0.24, 0.23]], np.random.default_rng(2)).shape
+        (2, 4, 4)
+
     Attributes:
         nominal: the robot as described, which is what its controller knows.
         geometric: joints and frames that sit wrong.

@@ -52,10 +52,12 @@ class Viewer(ShownScene):
     another one takes them away.
 
     Example:
-        >>> viewer = Viewer(mechanism)
-        >>> viewer.display(mechanism.home)
-        >>> viewer.stiffness_ellipsoid(K, kind="translation")
-        >>> viewer.open()
+        >>> import pm3dof_pin as pm
+        >>> model = pm.ElasticModel.load("hexapod")
+        >>> with pm.Viewer(model.rigid) as viewer:
+        ...     viewer.display(model.rigid.home)
+        ...     ellipsoid = viewer.stiffness_ellipsoid(pm.cartesian_compliance(model, model.rigid.home).stiffness)
+        ...     page = viewer.save_html("hexapod.html")
 
     Args:
         mechanism: what is shown.
