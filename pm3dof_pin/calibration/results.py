@@ -94,7 +94,8 @@ def read_compensation(directory: Path | str) -> Compensation:
         >>> machine = pm.SimulatedMachine.random(errors, generator, everything=False)
         >>> commands = pm.reachable_poses(errors.robot, 40, generator).commands
         >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
-        >>> folder = write_calibration(pm.calibrate(measurements, errors, Options(method="lm")), "pm3dof", "calibration")
+        >>> calibration = pm.calibrate(measurements, errors, Options(method="lm"))
+        >>> folder = write_calibration(calibration, "pm3dof", "calibration")
         >>> pm.read_compensation(folder).compensate(errors.robot.solve([[0.1, -0.2, 0.5]])).commands.shape
         (1, 3)
 
