@@ -111,12 +111,13 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     packages = [Path(folder) for folder in (*package_paths, *environment) if folder]
     name = tree.name.removesuffix(".xacro").removesuffix(".urdf") if tree.suffix == ".xacro" else tree.stem
-    form = "urdf" if tree.suffix == ".xacro" else _format_of(tree)
+    path = _expanded(tree.resolve(), name) if tree.suffix == ".xacro" else tree
+    form = _format_of(path)
     if closures is None:
         closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([CLOSURES_FALLBACK] if form == "urdf" else []))
     return RobotFiles(
         name=name,
-        path=_expanded(tree.resolve(), name) if tree.suffix == ".xacro" else tree,
+        path=path,
         closures=closures,
         srdf=_beside(tree, "srdf", f"{name}.srdf"),
         format=form,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import re
 from collections.abc import Collection, Iterable
@@ -9,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from xml.etree import ElementTree
+
+import numpy as np
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.robots import RobotFiles
@@ -167,11 +170,24 @@ def read_robot(
     files = as_urdf(mechanism)
     if files is not mechanism.files:
         mechanism = Robot.load(files.urdf)
-    urdf = read_urdf(files.urdf, meshes=meshes)
+    urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     names = [shape.mesh for shape in shapes if shape.kind == "mesh"]
     found = Meshes.of_urdf(files.urdf, names, files.package_paths)
     return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), found)
+
+
+def _without_limits_that_are_none(urdf: UrdfDocument, mechanism: Robot) -> UrdfDocument:
+    """Take out the limits of joints that count as unlimited: URDF has 0 .. 0 where none are given."""
+    joints, element = [], copy.deepcopy(urdf.element)
+    for joint in urdf.joints:
+        if joint.lower is not None and np.isinf(mechanism.upper_limits[mechanism.single_joint(joint.name).q_index]):
+            joint = replace(joint, lower=None, upper=None)
+            for limit in element.iterfind(f"joint[@name='{joint.name}']/limit"):
+                limit.attrib.pop("lower", None)
+                limit.attrib.pop("upper", None)
+        joints.append(joint)
+    return replace(urdf, element=element, joints=tuple(joints))
 
 
 def _allowed_pairs(srdf: Path | None, urdf: UrdfDocument) -> tuple[tuple[str, str], ...]:
