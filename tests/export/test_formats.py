@@ -216,7 +216,7 @@ def test_crosses_without_mass_get_a_negligible_one_where_a_format_needs_it(
 
 @pytest.mark.parametrize("limit", ["", '<limit lower="0" upper="0" effort="1" velocity="1"/>'])
 def test_joints_without_limits_have_none_elsewhere(tmp_path: Path, limit: str) -> None:
-    heavy = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     joint = f'<joint name="elbow" type="revolute"><parent link="a"/><child link="b"/>{limit}</joint>'
     (tmp_path / "arm.urdf").write_text(
         f'<robot name="arm"><link name="a"/><link name="b">{inertial}</link>{joint}</robot>'
@@ -272,7 +272,7 @@ def test_the_command_refuses_bad_input(arguments: list[str], status: int, said: 
 
 def test_meshes_can_be_left_out(tmp_path: Path) -> None:
     """Shapes that are meshes go, the others stay; the tree is the same."""
-    heavy = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     mesh = '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
     (tmp_path / "arm.urdf").write_text(
