@@ -123,8 +123,9 @@ def _key(model: ElasticModel, frame: str, quantity: ElasticQuantity, closed: boo
     mechanism = model.mechanism
     entry = mechanism.model.frames[mechanism.frame_id(frame)]
     lengths = [block.length.joint if block.length else "" for block in model.blocks]
+    coordinates = [(c.joint, c.tool, c.unit, c.scale) for c in model.rigid.declared_coordinates]
     parts = (
-        *(quantity.name, closed, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
+        *(quantity.name, coordinates, closed, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
         *(model.spring_indices.tolist(), model.passive_indices.tolist(), model.rigid_indices.tolist(), lengths),
         *(list(spring_parameters(model)), model.compliance_root[1].tolist(), has_like_springs(model)),
         *(geometry.structure(mechanism), geometry.pattern(mechanism, (frame,))),

@@ -82,6 +82,7 @@ class ElasticModel:
         locked_indices: entries of v of actuated joints without a spring.
         passive_indices: all other entries of v.
         rigid_indices: index in q of `mechanism` of each entry of q of `rigid`.
+        rigid_velocity_indices: index in v of `mechanism` of each entry of v of `rigid`.
         programs: compiled programs that were asked for, see :mod:`pm3dof_pin.elastic.compiled`.
 
     Raises:
@@ -99,7 +100,8 @@ class ElasticModel:
         self._check_joints()
         virtual = insert_virtual_joints(mechanism, self.springs)
         self.mechanism = virtual.mechanism
-        self.rigid_indices = virtual.q_indices
+        self.rigid_indices: Indices = virtual.q_indices
+        self.rigid_velocity_indices: Indices = virtual.v_indices
         self.blocks = tuple(_block(self.mechanism, spring, virtual.joints.get(spring.name)) for spring in self.springs)
         self.spring_indices: Indices = frozen(np.concatenate([block.indices for block in self.blocks]))
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))

@@ -16,6 +16,7 @@ import numpy as np
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.condensation import CartesianCompliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.traced import Roots, compressed
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import Objects, is_zero, total, zeros
@@ -45,9 +46,10 @@ class ElasticQuantity:
 
 def _matrix(columns: Objects) -> Objects:
     """Return X X^T, exactly symmetric."""
-    result = zeros(6, 6)
-    for i in range(6):
-        for j in range(i, 6):
+    size = len(columns)
+    result = zeros(size, size)
+    for i in range(size):
+        for j in range(i, size):
             result[i, j] = result[j, i] = total([a * b for a, b in zip(columns[i], columns[j], strict=True)])
     return result
 
@@ -189,3 +191,19 @@ def spring_shares(model: ElasticModel) -> ElasticQuantity:
             return np.asarray(parts / parts.sum(axis=1, keepdims=True))
 
     return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)
+
+
+def free_stiffness(model: ElasticModel) -> ElasticQuantity:
+    """Return the stiffness of the coordinates that a description declares, shape=(p, p) [N/m, N, N m/rad].
+
+    NaN where the robot's free motions are not these coordinates.
+    """
+    names = tuple(coordinate.name for coordinate in model.rigid.declared_coordinates)
+
+    def computed(report: CartesianCompliance) -> Array:
+        found = free_motion_stiffness(model, model.rigid.configuration(model.project(report.configuration.q)))
+        return found.stiffness if found.names == names else np.full((len(names), len(names)), np.nan)
+
+    return ElasticQuantity(
+        "free_stiffness", (len(names), len(names)), lambda roots: _matrix(roots.coordinate_stiffness()), computed
+    )

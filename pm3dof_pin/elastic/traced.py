@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
 from pm3dof_pin.programs.elimination import (
@@ -40,7 +41,7 @@ from pm3dof_pin.programs.elimination import (
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
-from pm3dof_pin.programs.tool_motion import Branch, branches, joint_columns, length_unit, widened
+from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, length_unit, response, widened
 from pm3dof_pin.programs.tree import Tree
 
 _LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the doubt's pivots
@@ -59,6 +60,19 @@ class Root:
     columns: Objects
     pivot: Scalar
     dropped: Scalar
+
+
+def _component_rows(rotation: Objects) -> Objects:
+    """Return the rates of x, y, z, rx, ry, rz, R = Rx Ry Rz, as functions of the twist, shape=(6, 6)."""
+    rows = matrix_of(np.eye(6).tolist(), 6)
+    cosine = sqrt(rotation[1, 2] * rotation[1, 2] + rotation[2, 2] * rotation[2, 2])
+    inverse = 1.0 / cosine
+    cx, sx = rotation[2, 2] * inverse, -rotation[1, 2] * inverse
+    tangent = rotation[0, 2] * inverse
+    rows[3, 3:] = [1.0, sx * tangent, -cx * tangent]
+    rows[4, 3:] = [0.0, cx, sx]
+    rows[5, 3:] = [0.0, -sx * inverse, cx * inverse]
+    return rows
 
 
 def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: np.ndarray, frame: str) -> Tree:
@@ -123,6 +137,43 @@ class Roots:
             raise RigidDirectionError("the springs of a branch do not give in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
         return self._noted(Root(rows.T, doubt.pivot, doubt.dropped))
+
+    def coordinate_stiffness(self) -> Objects:
+        """X with X X^T the stiffness of the coordinates that the description declares, shape=(p, n).
+
+        Directions in which the frame is rigid do not count: it is not to move there.
+
+        Raises:
+            ProgramError: the frame does not follow the coordinates alone, at the sample poses.
+        """
+        doubt = Doubt()
+        held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
+        rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt, without_rigid=True)
+        assert rows is not None
+        rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
+        return self._noted(Root(product(rows, self._coordinate_twists(doubt)).T, doubt.pivot, doubt.dropped))
+
+    def _coordinate_twists(self, doubt: Doubt) -> Objects:
+        """Return the frame's twists at unit rates of the declared coordinates, all springs at rest, shape=(6, p)."""
+        mechanism, coordinates = self._model.mechanism, self._model.rigid.declared_coordinates
+        given = {c.joint: mechanism.single_joint(c.joint).v_index for c in coordinates if c.joint is not None}
+        passive = [k for k in self._model.rigid_velocity_indices if k not in given.values()]
+        components = _component_rows(self._tree.frame(self._frame).rotation)
+        readings = [Reading(components[TOOL_COMPONENTS.index(c.tool)], c.unit == "m") for c in coordinates if c.tool]
+        twists = response(
+            self._tree,
+            self._frame,
+            joint_columns(self._tree, passive, self._frame),
+            joint_columns(self._tree, given.values(), self._frame),
+            doubt,
+            readings,
+        )
+        places = {c.name: k for k, c in enumerate(sorted(coordinates, key=lambda c: c.joint is None))}
+        ordered: Objects = twists[:, [places[c.name] for c in coordinates]]
+        for k, coordinate in enumerate(coordinates):
+            if coordinate.joint is not None:
+                ordered[:, k] = ordered[:, k] * (1.0 / coordinate.scale)
+        return ordered
 
     def _compliance(self, *, by_spring: bool) -> Objects:
         doubt = Doubt()
@@ -317,20 +368,28 @@ def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
     return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
 
 
-def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt) -> Objects | None:
-    """Return the equations in which each strain stands alone, shape=(n, 6); None where a branch is rigid in a way."""
+def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt, *, without_rigid: bool = False) -> Objects | None:
+    """Return the equations in which each strain stands alone, shape=(n, 6).
+
+    Equations in which no spring has a part are left out, or the result is None.
+    """
     blocks = []
     for rows in branches_rows:
-        triangle = triangular(rows.strain)
-        if triangle.shape[1] < len(triangle):
-            return None
-        solution = zeros(*rows.twist.shape)
+        strain, twist = rows.strain, rows.twist
+        if triangular(strain).shape[1] < len(strain):
+            if not without_rigid:
+                return None
+            count = strain.shape[1]
+            separate = eliminate(np.hstack([strain, twist]), range(count), Doubt()).pivot_rows
+            strain, twist = separate[:, :count], separate[:, count:]
+        triangle = triangular(strain)
+        solution = zeros(*twist.shape)
         for i, row in enumerate(triangle):
             if i:
                 doubt.note_pivot(absolute(row[i]) / sqrt(total([entry * entry for entry in row])))
             inverse = 1.0 / row[i]
             for c in range(6):
-                solution[i, c] = (rows.twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
+                solution[i, c] = (twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
         blocks.append(solution)
     return np.vstack(blocks)
 

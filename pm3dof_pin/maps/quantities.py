@@ -24,6 +24,7 @@ from pm3dof_pin.elastic.quantities import (
     PRINCIPAL_STIFFNESS,
     STIFFNESS,
     ElasticQuantity,
+    free_stiffness,
     spring_shares,
 )
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
@@ -380,6 +381,8 @@ def has_free_motions(mapped: MappedRobot) -> bool:
 )
 def _free_stiffness(evaluation: Evaluation) -> Array:
     model, names = evaluation.mapped.elastic, free_motion_names(evaluation.mapped)
+    if names == tuple(coordinate.name for coordinate in model.rigid.declared_coordinates):
+        return evaluation.elastic(free_stiffness(model))
 
     def of_pose(q: Array) -> Array:
         found = free_motion_stiffness(model, model.rigid.configuration(q))

@@ -129,7 +129,27 @@ def branches(
     return result
 
 
-def response(tree: Tree, frame: str, passive: Sequence[Column], sources: Sequence[Column], doubt: Doubt) -> Objects:
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A rate that is given and that the frame's twist shows.
+
+    Attributes:
+        row: what it is of the twist [v; omega], shape=(6,).
+        is_length: whether it is a velocity.
+    """
+
+    row: Objects
+    is_length: bool
+
+
+def response(
+    tree: Tree,
+    frame: str,
+    passive: Sequence[Column],
+    sources: Sequence[Column],
+    doubt: Doubt,
+    readings: Sequence[Reading] = (),
+) -> Objects:
     """Record how a frame moves with its sources, the passive joints following; nothing is strained.
 
     Args:
@@ -138,18 +158,23 @@ def response(tree: Tree, frame: str, passive: Sequence[Column], sources: Sequenc
         passive: the passive joints' columns; all other joints that are not among the sources stand still.
         sources: rates that are given: of joints, or of displacements anywhere.
         doubt: where to record pivots and what is dropped.
+        readings: more rates that are given, as components of the frame's own motion.
 
     Returns:
-        The frame's twist [v; omega] at its origin, world axes, for one unit of each source, shape=(6, s).
+        The frame's twist [v; omega] at its origin, world axes, for one unit of each source, then of each reading,
+        shape=(6, s).
 
     Raises:
         ProgramError: the frame can move with all sources at rest, or loops cannot close with a source, at the sample
             poses.
     """
     held = branches(tree, frame, passive, sources, doubt)
-    count = len(sources)
-    twists = np.vstack([branch.twist for branch in held])
-    motions = np.vstack([widened(branch.motion, branch.sources, count) for branch in held])
+    count = len(sources) + len(readings)
+    given = zeros(len(readings), count)
+    for k in range(len(readings)):
+        given[k, len(sources) + k] = -1.0
+    twists = np.vstack([*(branch.twist for branch in held), *(reading.row[None] for reading in readings)])
+    motions = np.vstack([*(widened(branch.motion, branch.sources, count) for branch in held), given])
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
     if len(result.columns) < 6:
         raise ProgramError(f"'{frame}' can move with all sources at rest, at every sample pose")
@@ -167,8 +192,8 @@ def response(tree: Tree, frame: str, passive: Sequence[Column], sources: Sequenc
     unit = length_unit(tree.mechanism.characteristic_length)
     solution[:3] = solution[:3] * -unit
     solution[3:] = -solution[3:]
-    for k, source in enumerate(sources):
-        if source.slides:
+    for k, is_length in enumerate([*(s.slides for s in sources), *(reading.is_length for reading in readings)]):
+        if is_length:
             solution[:, k] = solution[:, k] * (1.0 / unit)
     return solution
 

@@ -25,11 +25,13 @@ from pm3dof_pin.elastic import (
     stiffness,
 )
 from pm3dof_pin.elastic.compiled import elastic_program
+from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.quantities import (
     COMPLIANCE,
     CONDITIONING,
     FELT_STIFFNESS,
     PRINCIPAL_STIFFNESS,
+    free_stiffness,
     spring_shares,
 )
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -111,6 +113,18 @@ def test_reductions(name: str) -> None:
         report = cartesian_compliance(model, q)
         expected = shares.shares(report.contributions[None], np.eye(6))
         np.testing.assert_allclose(part, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta", "five_bar"])
+def test_stiffness_of_coordinates(name: str) -> None:
+    model = load(name)
+    poses = reachable_poses(model.rigid, 30, np.random.default_rng(11))
+    found = evaluate(model, poses, free_stiffness(model))
+    assert not found.redone.any()
+    for matrix, pose in zip(found.values, poses, strict=True):
+        expected = free_motion_stiffness(model, pose).stiffness
+        size = np.sqrt(expected.diagonal())
+        assert (np.abs(matrix - expected) / np.outer(size, size)).max() < 1e-10
 
 
 @pytest.mark.parametrize("robot", ["hexapod", "pm3dof"])
