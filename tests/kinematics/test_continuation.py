@@ -223,3 +223,16 @@ def test_joints_of_any_kind_are_walked():
     for row in found.q:
         assert robot.configuration(row).closure_residual < 1e-12
     np.testing.assert_allclose(robot.at(found.q).commands, values, atol=1e-15)
+
+
+def test_a_robot_without_programs_is_solved_all_the_same(caplog):
+    """There is no program for a joint on an ellipsoid: Pinocchio solves, and the log says why."""
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "first")
+    last = model.addJoint(first, pin.JointModelEllipsoid(0.1, 0.2, 0.3), pin.SE3.Identity(), "last")
+    model.addFrame(pin.Frame("tip", last, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, tool_frame="tip", actuated_joints=["first"])
+    with caplog.at_level("INFO"):
+        poses = robot.forward([[0.1], [0.2]])
+    np.testing.assert_array_equal(poses.commands, [[0.1], [0.2]])
+    assert "no program for joints of type Ellipsoid" in caplog.text
