@@ -11,8 +11,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import ElasticQuantity
 from pm3dof_pin.elastic.traced import Roots, elastic_tree, has_like_springs, spring_parameters
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError, RigidDirectionError
-from pm3dof_pin.kinematics.continuation import samples_near
 from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
+from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import total
 from pm3dof_pin.programs.graph import Graph, Truth, less, select

@@ -7,8 +7,8 @@ import pinocchio as pin
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError
-from pm3dof_pin.kinematics.continuation import samples_near
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, Objects, total
 from pm3dof_pin.programs.graph import Graph, Scalar, less, select

@@ -27,7 +27,6 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.samples import samples_near as samples_near
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector

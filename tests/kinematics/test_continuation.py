@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.kinematics.continuation import Continuation, samples_near
+from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near
 
 MACHINES = Path(__file__).parents[1] / "machines"
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "delta", "five_bar", "four_bar", "walker", "ur5")
