@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.typing import Array
-from pm3dof_pin.workspace import Workspace
 
 _BOX_TILTS, _BOX_HEIGHTS = 80, 84  # cells of the printed box: 1 deg and 2 mm with the chapter's ranges
 
@@ -55,7 +55,7 @@ def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[RangeSt
 
 
 def _heights(tripod: Tripod, workspace: Workspace) -> RangeStatement:
-    printed, computed = tripod.parameters.height_range, workspace.height_range
+    printed, computed = tripod.parameters.height_range, workspace.level_range
     shift = 1e3 * (computed - printed)
     text = (
         f"z_e runs from {computed[0]:.4f} to {computed[1]:.4f} m, printed {printed[0]:.3f} to {printed[1]:.3f} m: "
@@ -79,9 +79,9 @@ def _travel_at_printed_heights(tripod: Tripod) -> RangeStatement:
 
 def _tilts(tripod: Tripod, workspace: Workspace, axis: int) -> RangeStatement:
     name = ("theta_x", "theta_y")[axis]
-    printed, computed = tripod.parameters.tilt_range, workspace.tilt_ranges[axis]
-    heights = workspace.tilt_range_heights[axis]
-    ranges = np.array([section.tilt_ranges[axis] for section in workspace.sections if not section.empty])
+    printed, computed = tripod.parameters.tilt_range, workspace.ranges[axis]
+    heights = workspace.range_levels[axis]
+    ranges = np.array([section.ranges[axis] for section in workspace.sections if not section.empty])
     both_sides = float(np.minimum(-ranges[:, 0], ranges[:, 1]).max())
     low, high, least, greatest, both = np.degrees([*printed, *computed, both_sides])
     text = (
@@ -112,14 +112,10 @@ def _cell_centres(first: float, last: float, count: int) -> Array:
 
 def _binding_limits(workspace: Workspace) -> RangeStatement:
     shares = workspace.limit_shares
-    binding = ", ".join(f"{_word(limit)} {share:.0%}" for limit, share in shares.items() if share > 0.0)
-    idle = ", ".join(_word(limit) for limit, share in shares.items() if share == 0.0)
+    binding = ", ".join(f"{limit} {share:.0%}" for limit, share in shares.items() if share > 0.0)
+    idle = ", ".join(limit for limit, share in shares.items() if share == 0.0)
     text = f"limits that end the reachable set, by their share of the boundary: {binding}; never: {idle or 'none'}"
     return RangeStatement("binding_limits", (), tuple(shares.values()), "1", text)
-
-
-def _word(limit: Limit) -> str:
-    return str(limit.name).lower()
 
 
 def _numbers(values: Array) -> tuple[float, ...]:

@@ -7,82 +7,178 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Config, Json, load_tripod
+from pm3dof_pin.cli import completion
+from pm3dof_pin.cli.map_options import CoordinateValue, EngineName, EngineOption, Values, robot_grid
+from pm3dof_pin.cli.options import Json, load_tripod
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import Config, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.workspace import Workspace
+    from pm3dof_pin.figures.workspace import PrintedRanges
+    from pm3dof_pin.maps.limit_space import LimitSpace
+    from pm3dof_pin.maps.workspace import Workspace
+
+_SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
+_FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
 
 
 def workspace(
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
-    heights: Annotated[int, typer.Option(min=3, help="Number of sections.")] = 121,
-    directions: Annotated[int, typer.Option(min=8, help="Number of boundary points a section.")] = 360,
-    picture: Annotated[bool, typer.Option(help="Draw the picture of Fig. 8.2.")] = True,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="NAME|PATH",
+            help="A robot, by name or by the path of its description; without it, the chapter's Fig. 8.2.",
+            autocompletion=completion.robots,
+        ),
+    ] = None,
+    coordinate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--coordinate",
+            metavar="NAME",
+            help="Two coordinates of the sections, and one that stacks them; may be repeated. The first three.",
+            autocompletion=completion.coordinates,
+        ),
+    ] = None,
+    values: Values = None,
+    heights: Annotated[
+        int | None, typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot).")
+    ] = None,
+    directions: Annotated[
+        int | None, typer.Option(min=8, help="Number of boundary points a section (360; 120 with --robot).")
+    ] = None,
+    picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    engine: EngineOption = EngineName.PROGRAM,
     as_json: Json = False,
     config: Config = None,
 ) -> None:
-    """The reachable set under all joint limits: boundary, areas, volume, which limit binds where (Fig. 8.2)."""
+    """The reachable set under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
+
+    Angles in degrees, lengths in metres. Sections over two coordinates, stacked along a third; coordinates not named
+    stay at home, or at the value of --at.
+    """
     from pm3dof_pin.maps.boundary import workspace_boundary
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
-    from pm3dof_pin.workspace import workspace as reachable_set
+    from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    tripod = load_tripod(config)
+    of_chapter = robot is None and not coordinate and not values and engine is EngineName.PROGRAM
+    tripod = load_tripod(config) if of_chapter else None
     with progress_bar("workspace") as progress:
-        space = reachable_set(tripod, heights, directions)
+        space = _chapter_space(tripod) if tripod else _robot_space(robot, config, coordinate, values, engine)
+        sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
+        found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
         progress(1, 4 if picture else 3)
-        boundary = workspace_boundary(tripod, space)
+        boundary = workspace_boundary(found)
         files = [write_netcdf(boundary, out / "workspace.nc"), write_csv(boundary, out / "workspace.csv")]
         progress(3, 4 if picture else 3)
         if picture:
             from pm3dof_pin.figures.style import save_figure
             from pm3dof_pin.figures.workspace import workspace_figure
 
-            files.append(save_figure(workspace_figure(tripod, space), out / "figure_8_2_workspace.png"))
-    result = _result(tripod, space) | {"files": [str(file) for file in files]}
-    print_result(result, _lines(result), as_json=as_json)
+            name = "figure_8_2_workspace.png" if tripod else "workspace.png"
+            files.append(save_figure(workspace_figure(found, _printed(tripod)), out / name))
+    result = _result(found)
+    if tripod is not None:
+        from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
+
+        result["printed_ranges"] = [statement.text for statement in compare_printed_ranges(tripod, found)]
+    result["files"] = [str(file) for file in files]
+    print_result(result, _lines(found, result), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
 
 
-def _result(tripod: Tripod, space: Workspace) -> dict[str, Any]:
-    from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
+def _chapter_space(tripod: Tripod) -> LimitSpace:
+    from pm3dof_pin.chapter.workspace import tripod_space
 
-    tilts = dict(zip(("theta_x", "theta_y"), space.tilt_ranges, strict=True))
-    return {
-        "volume_rad2_m": space.volume,
-        "z_e_range_m": space.height_range,
-        **{f"{name}_range_rad": bounds for name, bounds in tilts.items()},
-        "limit_shares": {(limit.name or "").lower(): share for limit, share in space.limit_shares.items()},
-        "sections": [{"z_e_m": section.z_e, "area_rad2": section.area} for section in space.sections],
-        "printed_ranges": [statement.text for statement in compare_printed_ranges(tripod, space)],
-    }
+    return tripod_space(tripod)
 
 
-def _lines(result: dict[str, Any]) -> list[str]:
+def _robot_space(
+    robot: str | None,
+    config: Path | None,
+    names: list[str] | None,
+    values: list[CoordinateValue] | None,
+    engine: EngineName,
+) -> LimitSpace:
+    from pm3dof_pin.exceptions import InvalidValueError
+    from pm3dof_pin.maps.limit_space import robot_space
+
+    loaded = load_robot(robot or "pm3dof", config=config)
+    fixed = robot_grid(loaded, [], values or ()).fixed
+    try:
+        return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine.value)
+    except InvalidValueError as error:
+        raise typer.BadParameter(f"{loaded.name}: {error}") from None
+
+
+def _printed(tripod: Tripod | None) -> PrintedRanges | None:
+    if tripod is None:
+        return None
     import numpy as np
 
-    shown = result["sections"][:: max(1, len(result["sections"]) // 10)]
-    rows = [
-        [
-            f"{section['z_e_m']:.4f}",
-            f"{section['area_rad2']:.4f}",
-            f"{np.degrees(np.degrees(section['area_rad2'])):.1f}",
-        ]
-        for section in shown
+    from pm3dof_pin.figures.workspace import PrintedRanges
+
+    p = tripod.parameters
+    return PrintedRanges(np.array([p.tilt_range, p.tilt_range, p.height_range]))
+
+
+def _result(found: Workspace) -> dict[str, Any]:
+    space = found.space
+    area_unit = f"{space.units[0]}2" if space.units[0] == space.units[1] else "_".join(space.units[:2])
+    result: dict[str, Any] = {}
+    if space.stacked:
+        name, unit = space.names[2], space.units[2]
+        volume_unit = "m3" if set(space.units) == {"m"} else f"{area_unit}_{unit}"
+        result |= {f"volume_{volume_unit}": found.volume, f"{name}_range_{unit}": found.level_range}
+    result |= {
+        f"{name}_range_{unit}": ends for name, unit, ends in zip(space.names, space.units, found.ranges, strict=False)
+    }
+    result["limit_shares"] = found.limit_shares
+    stacked = [{f"{space.names[2]}_{space.units[2]}": s.level} if space.stacked else {} for s in found.sections]
+    result["sections"] = [
+        level | {f"area_{area_unit}": section.area} for level, section in zip(stacked, found.sections, strict=True)
     ]
-    tilts = {name: np.degrees(result[f"{name}_range_rad"]) for name in ("theta_x", "theta_y")}
-    ranges = [f"{name} {least:.2f} .. {greatest:.2f} deg" for name, (least, greatest) in tilts.items()]
-    low, high = result["z_e_range_m"]
+    return result
+
+
+def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
+    import math
+
+    import numpy as np
+
+    space = found.space
+    units = space.units[:2]
+    words = " ".join(units) if units[0] != units[1] else f"{units[0]}^2"
+    turns = [unit == "rad" for unit in units]
+    rows = []
+    for section in found.sections[:: max(1, len(found.sections) // 10)]:
+        row = (
+            [f"{float(np.degrees(section.level)) if space.units[2] == 'rad' else section.level:.4f}"]
+            if space.stacked
+            else []
+        )
+        row.append(f"{section.area:.4f}" if all(turns) else f"{section.area:.4e}")
+        rows.append([*row, f"{section.area * math.degrees(1.0) ** 2:.1f}"] if all(turns) else row)
+    level = f"{space.names[2]} [{'deg' if space.units[2] == 'rad' else space.units[2]}]" if space.stacked else ""
+    header = [*([level] if level else []), f"area [{words}]", *(["area [deg^2]"] if all(turns) else [])]
+    ranges = [
+        f"{name} {np.degrees(least):.2f} .. {np.degrees(greatest):.2f} deg"
+        if unit == "rad"
+        else f"{name} {least:.4f} .. {greatest:.4f} m"
+        for name, unit, (least, greatest) in zip(space.names, space.units, found.ranges, strict=False)
+    ]
+    if space.stacked:
+        name, unit, (low, high) = space.names[2], space.units[2], found.level_range
+        volume = f"{found.volume:.6f}" if all(turns) else f"{found.volume:.4e}"
+        ends = f"{np.degrees(low):.2f} .. {np.degrees(high):.2f} deg" if unit == "rad" else f"{low:.4f} .. {high:.4f} m"
+        ranges = [f"volume {volume} {words} {unit}", f"{name} {ends}", *ranges]
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items())
-    return [
-        *table_lines(["z_e [m]", "area [rad^2]", "area [deg^2]"], rows),
-        "",
-        f"volume {result['volume_rad2_m']:.6f} rad^2 m, z_e {low:.4f} .. {high:.4f} m, {', '.join(ranges)}",
-        f"limits along the boundary: {shares}",
-        "",
-        "beside the chapter's working ranges:",
-        *(f"- {text}" for text in result["printed_ranges"]),
-    ]
+    lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
+    if "printed_ranges" in result:
+        lines += ["", "beside the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]
+    return lines

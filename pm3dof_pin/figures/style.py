@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pm3dof_pin.chapter.limits import Limit
 from pm3dof_pin.files import write_atomically
 
 COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
@@ -19,21 +19,22 @@ INK = "#222222"
 
 # Okabe and Ito's colours, told apart by all kinds of colour vision.
 LIMIT_COLORS = {
-    Limit.REACH: "#999999",
-    Limit.STROKE: "#0072B2",
-    Limit.UNIVERSAL: "#009E73",
-    Limit.SPHERICAL: "#E69F00",
-    Limit.TILT: "#CC79A7",
-    Limit.HEIGHT: "#56B4E9",
+    "reach": "#999999",
+    "stroke": "#0072B2",
+    "universal": "#009E73",
+    "spherical": "#E69F00",
+    "tilt": "#CC79A7",
+    "height": "#56B4E9",
 }
 LIMIT_NAMES = {
-    Limit.REACH: "reach of a link",
-    Limit.STROKE: "stroke of a slider",
-    Limit.UNIVERSAL: "universal joint of a leg",
-    Limit.SPHERICAL: "spherical joint",
-    Limit.TILT: "universal joint of the passive leg",
-    Limit.HEIGHT: "stop of the passive leg",
+    "reach": "reach of a link",
+    "stroke": "stroke of a slider",
+    "universal": "universal joint of a leg",
+    "spherical": "spherical joint",
+    "tilt": "universal joint of the passive leg",
+    "height": "stop of the passive leg",
 }
+_OTHER_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#332288", "#882255")
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that pictures are the same everywhere
@@ -59,6 +60,19 @@ _STYLE = {
     "svg.hashsalt": "pm3dof",
 }
 _UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a file would say of its time and maker
+
+
+def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return colour and words for each limit of a robot.
+
+    Args:
+        names: of the limits, from the lowest bit on.
+    """
+    if set(names) <= set(LIMIT_COLORS):
+        return {name: (LIMIT_COLORS[name], LIMIT_NAMES[name]) for name in names}
+    others = [name for name in names if name != "reach"]
+    colors = dict(zip(others, itertools.cycle(_OTHER_COLORS), strict=False))
+    return {name: (colors.get(name, LIMIT_COLORS["reach"]), name.replace("_", " ")) for name in names}
 
 
 @contextmanager

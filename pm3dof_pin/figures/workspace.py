@@ -1,9 +1,9 @@
-"""The reachable set of the machine: solid, sections and tilts over the height, beside the printed ranges (Fig. 8.2)."""
+"""The reachable set over the coordinates of a robot: solid, sections and ranges over the third one (Fig. 8.2)."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,80 +12,171 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
 
-from pm3dof_pin.chapter.limits import Limit
-from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.figures.labels import axis_label, drawn, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
-from pm3dof_pin.figures.style import INK, LIMIT_COLORS, LIMIT_NAMES, house_style, new_figure
+from pm3dof_pin.figures.style import INK, house_style, limit_styles, new_figure
+from pm3dof_pin.maps.workspace import Workspace
+from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
-from pm3dof_pin.workspace import Workspace, WorkspaceSection
 
 _OUTLINES = 6  # sections whose outline is drawn
 _DASHES = 36  # pieces of an edge of the printed box
 _ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
+_MARGIN = 1.07
 
 
-def workspace_figure(tripod: Tripod, workspace: Workspace) -> Figure:
-    """Draw the reachable set with the limit that ends it in colour, and the printed working ranges for comparison.
+@dataclass(frozen=True, eq=False)
+class PrintedRanges:
+    """Ranges of the coordinates that are drawn beside the reachable set.
+
+    Attributes:
+        ranges: least and greatest of each coordinate, shape=(3, 2) [m, rad].
+        label: what they are.
+    """
+
+    ranges: Array
+    label: str = "printed ranges"
+
+
+def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None) -> Figure:
+    """Draw the reachable set with the limit that ends it in colour.
 
     Star-shaped sections are joined to a solid; of others, which may have holes or several parts, the boundary points
     are drawn. Where one limit takes over from another, the solid is as smooth as the stack is fine: about 200 sections
-    look well.
+    look well. Of two coordinates the one section is drawn.
 
     Args:
-        tripod: the machine; the printed ranges are part of its parameters.
-        workspace: its reachable set.
+        workspace: the reachable set.
+        printed: ranges to be drawn for comparison.
     """
-    printed = np.degrees(tripod.parameters.tilt_range), tripod.parameters.height_range
-    reach = 1.07 * float(np.degrees(np.abs([*workspace.tilt_ranges.flat, *tripod.parameters.tilt_range])).max())
+    sheet = _Sheet(workspace, printed)
     with house_style():
-        figure = new_figure(9.4, 6.6)
-        figure.suptitle(f"Reachable set under all joint limits: {tripod.parameters.name}")
+        figure = new_figure(9.4, 6.6) if workspace.space.stacked else new_figure(5.6, 5.6)
+        figure.suptitle(f"Reachable set under all {'joint ' if printed else ''}limits: {workspace.space.machine}")
         # placed by hand: no layout engine knows the size of labels in space
-        _draw_solid(figure.add_axes((-0.03, 0.06, 0.6, 0.88), projection="3d"), workspace, printed, reach)
-        _draw_outlines(figure.add_axes((0.645, 0.455, 0.335, 0.477)), workspace, printed[0], reach)
-        _draw_profile(figure.add_axes((0.645, 0.08, 0.335, 0.285)), workspace, printed, reach)
-        _add_legend(figure, workspace)
+        if workspace.space.stacked:
+            _draw_solid(figure.add_axes((-0.03, 0.06, 0.6, 0.88), projection="3d"), sheet)
+            _draw_outlines(figure.add_axes((0.645, 0.455, 0.335, 0.477)), sheet)
+            _draw_profile(figure.add_axes((0.645, 0.08, 0.335, 0.285)), sheet)
+        else:
+            _draw_outlines(figure.add_axes((0.17, 0.2, 0.78, 0.72)), sheet)
+        _add_legend(figure, sheet)
     return figure
 
 
-def _draw_solid(axes: Any, workspace: Workspace, printed: tuple[Array, Array], reach: float) -> None:
-    heights = np.concatenate([workspace.heights, printed[1]])
-    limits = np.array([[-reach, reach], [-reach, reach], [heights.min(), heights.max()]])
-    scale = _BOX / np.ptp(limits, axis=1)
-    faces, colors = _faces(workspace.sections)
-    outlines = [flat_quadrilaterals(_ring(section)[None]) for section in _shown(workspace) if section.star_shaped]
-    lines = np.concatenate([*outlines, _dashed_box(*printed)])
-    lines += 0.006 * towards_viewer(_ELEVATION, _AZIMUTH) / scale
+class _Sheet:
+    """What is drawn: coordinates in the units of the picture, colours of the limits, and the ends of the axes.
+
+    Attributes:
+        workspace: the reachable set.
+        units: of the coordinates.
+        labels: words on their axes.
+        same_unit: whether both coordinates of the sections have one unit.
+        printed: ranges to be drawn, shape=(3, 2), or None.
+        limits: ends of the axes, shape=(3, 2).
+        styles: colour and words of each limit.
+    """
+
+    def __init__(self, workspace: Workspace, printed: PrintedRanges | None) -> None:
+        space = workspace.space
+        self.workspace = workspace
+        self.units = space.units
+        self.labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units, strict=True)]
+        self.same_unit = space.units[0] == space.units[1]
+        self.styles = limit_styles(space.limits)
+        self.printed_label = "" if printed is None else printed.label
+        self.printed = None
+        if printed is not None:
+            self.printed = np.array([drawn(row, unit) for row, unit in zip(printed.ranges, space.units, strict=True)])
+        self.limits = self._axes_limits()
+        colors = np.array([to_rgba(self.styles[name][0]) for name in space.limits])
+        self._colors = np.vstack([colors, to_rgba(self.styles["reach"][0])])
+
+    def _axes_limits(self) -> Array:
+        ranges = [drawn(row, unit) for row, unit in zip(self.workspace.ranges, self.units, strict=False)]
+        spans = np.array(ranges if self.printed is None else np.concatenate([ranges, self.printed[:2]], axis=1))
+        low, high = spans.min(axis=1), spans.max(axis=1)
+        if self.same_unit and np.all((low < 0.0) & (high > 0.0)):
+            reach = _MARGIN * float(np.abs(spans).max())
+            plane = np.array([[-reach, reach], [-reach, reach]])
+        else:
+            half = 0.5 * _MARGIN * (high - low)
+            half = np.full(2, half.max()) if self.same_unit else half
+            plane = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
+        if not self.workspace.space.stacked:
+            return plane
+        levels = drawn(self.workspace.levels, self.units[2])
+        ends = levels if self.printed is None else np.concatenate([levels, self.printed[2]])
+        return np.vstack([plane, [ends.min(), ends.max()]])
+
+    def points(self, section: WorkspaceSection) -> Array:
+        """Boundary points as drawn, shape=(m, 2) or (m, 3) with the level."""
+        columns = [drawn(column, unit) for column, unit in zip(section.points.T, self.units, strict=False)]
+        if self.workspace.space.stacked:
+            columns.append(np.full(len(section.rays), float(drawn(section.level, self.units[2]))))
+        return np.column_stack(columns)
+
+    def ring(self, section: WorkspaceSection) -> Array:
+        """Closed outline of a star-shaped section."""
+        points = self.points(section)
+        return np.concatenate([points, points[:1]])
+
+    def colors(self, flags: NDArray[np.uint32]) -> Array:
+        """Colour for each sum of limits; where several bind, that of the first, shape=(..., 4)."""
+        bits = (np.asarray(flags)[..., None] >> np.arange(len(self._colors) - 1, dtype=np.uint32)) & 1
+        first = np.where(bits.any(axis=-1), bits.argmax(axis=-1), len(self._colors) - 1)
+        found: Array = self._colors[first]
+        return found
+
+    @property
+    def shown(self) -> list[WorkspaceSection]:
+        """Sections whose outline is drawn: equally spaced, without the ends."""
+        sections = self.workspace.sections
+        if len(sections) == 1:
+            return list(sections)
+        indices = np.linspace(0, len(sections) - 1, _OUTLINES + 2).round().astype(int)[1:-1]
+        return [sections[index] for index in np.unique(indices) if not sections[index].empty]
+
+
+def _draw_solid(axes: Any, sheet: _Sheet) -> None:
+    scale = _BOX / np.ptp(sheet.limits, axis=1)
+    faces, colors = _faces(sheet)
+    outlines = [flat_quadrilaterals(sheet.ring(section)[None]) for section in sheet.shown if section.star_shaped]
+    lines = np.concatenate(
+        [np.empty((0, 4, 3)), *outlines, *([] if sheet.printed is None else [_dashed(sheet.printed)])]
+    )
+    lines = lines + 0.006 * towards_viewer(_ELEVATION, _AZIMUTH) / scale
     all_colors = np.concatenate([_shaded(colors, faces * scale), np.tile(to_rgba(INK), (len(lines), 1))])
     axes.add_collection3d(
         Poly3DCollection(np.concatenate([faces, lines]), facecolors=all_colors, edgecolors=all_colors, linewidths=0.5)
     )
-    for section in workspace.sections:
+    for section in sheet.workspace.sections:
         if not section.star_shaped:
-            axes.scatter(*_points(section).T, color=_COLORS[section.limits], s=1.0, depthshade=False)
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_xlabel(r"$\theta_x$ [deg]")
-    axes.set_ylabel(r"$\theta_y$ [deg]")
-    axes.set_zlabel("$z_e$ [m]", labelpad=8)
-    axes.xaxis.set_major_locator(MultipleLocator(20))
-    axes.yaxis.set_major_locator(MultipleLocator(20))
+            axes.scatter(*sheet.points(section).T, color=sheet.colors(section.limits), s=1.0, depthshade=False)
+    axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1], zlim=sheet.limits[2])
+    axes.set_xlabel(sheet.labels[0])
+    axes.set_ylabel(sheet.labels[1])
+    axes.set_zlabel(sheet.labels[2], labelpad=8)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.tick_params(axis="z", pad=4)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.88)
 
 
-def _faces(sections: Sequence[WorkspaceSection]) -> tuple[Array, Array]:
+def _faces(sheet: _Sheet) -> tuple[Array, Array]:
     """Quadrilaterals between neighbouring star-shaped sections, shape=(n, 4, 3), and their colours, shape=(n, 4)."""
     faces, colors = [np.empty((0, 4, 3))], [np.empty((0, 4))]
-    for lower, upper in itertools.pairwise(sections):
+    for lower, upper in itertools.pairwise(sheet.workspace.sections):
         if lower.star_shaped and upper.star_shaped:
-            corners = _cells(_ring(lower), _ring(upper))
-            shades = _cells(*(_COLORS[np.append(section.limits, section.limits[0])] for section in (lower, upper)))
+            corners = _cells(sheet.ring(lower), sheet.ring(upper))
+            shades = _cells(*(sheet.colors(np.append(s.limits, s.limits[0])) for s in (lower, upper)))
             faces.append(corners)
             # the mean of the corners softens the steps where one limit takes over from another between the rays
             colors.append(shades.mean(axis=1))
@@ -97,17 +188,6 @@ def _cells(lower: Array, upper: Array) -> Array:
     return np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
 
 
-def _points(section: WorkspaceSection) -> Array:
-    """Boundary points (theta_x [deg], theta_y [deg], z_e [m]), shape=(m, 3)."""
-    return np.column_stack([np.degrees(section.tilts), np.full(len(section.rays), section.z_e)])
-
-
-def _ring(section: WorkspaceSection) -> Array:
-    """Closed outline of a star-shaped section, shape=(n + 1, 3)."""
-    points = _points(section)
-    return np.concatenate([points, points[:1]])
-
-
 def _shaded(colors: Array, faces: Array) -> Array:
     """Darken colours (n, 4) by the angle between the faces (n, 4, 3) and the light."""
     normals = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
@@ -116,72 +196,76 @@ def _shaded(colors: Array, faces: Array) -> Array:
     return np.column_stack([colors[:, :3] * (0.68 + 0.32 * lit)[:, None], colors[:, 3]])
 
 
-def _shown(workspace: Workspace) -> list[WorkspaceSection]:
-    """Sections whose outline is drawn: equally spaced, without the ends."""
-    indices = np.linspace(0, len(workspace.sections) - 1, _OUTLINES + 2).round().astype(int)[1:-1]
-    return [workspace.sections[index] for index in np.unique(indices) if not workspace.sections[index].empty]
-
-
-def _dashed_box(tilt: Array, height: Array) -> Array:
-    """Edges of the printed ranges, every second piece of them, shape=(m, 4, 3)."""
-    corners = np.array([[x, y, z] for x in tilt for y in tilt for z in height])
+def _dashed(ranges: Array) -> Array:
+    """Edges of a box, every second piece of them, shape=(m, 4, 3)."""
+    corners = np.array(list(itertools.product(*ranges)))
     edges = [(p, q) for p in range(8) for q in range(p) if np.sum(corners[p] != corners[q]) == 1]
     lines = np.stack([np.linspace(corners[p], corners[q], _DASHES) for p, q in edges])
     return flat_quadrilaterals(lines)[::2]
 
 
-def _draw_outlines(axes: Any, workspace: Workspace, tilt: Array, reach: float) -> None:
-    shown = _shown(workspace)
-    for place, section in enumerate(shown):
-        points, colors = _points(section)[:, :2], _COLORS[section.limits]
+def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
+    for place, section in enumerate(sheet.shown):
+        points, colors = sheet.points(section)[:, :2], sheet.colors(section.limits)
         if section.star_shaped:
             ring = np.concatenate([points, points[:1]])
             pieces = np.stack([ring[:-1], ring[1:]], axis=1)
             axes.add_collection(LineCollection(list(pieces), colors=colors, linewidths=1.2))
         else:
             axes.scatter(*points.T, color=colors, s=1.0)
-        # each height stands on its own line, in a direction of its own
-        x, y = points[int((place + 0.25) * len(points) / len(shown))]
-        box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
-        axes.text(x, y, f"{section.z_e:.3f}", fontsize=7.0, ha="center", va="center", bbox=box)
-    axes.text(0.02, 0.98, "on the lines: $z_e$ [m]", fontsize=7.0, va="top", transform=axes.transAxes)
-    axes.add_patch(_printed(tilt, tilt))
-    axes.set(xlabel=r"$\theta_x$ [deg]", ylabel=r"$\theta_y$ [deg]", aspect="equal")
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    axes.xaxis.set_major_locator(MultipleLocator(20))
-    axes.yaxis.set_major_locator(MultipleLocator(20))
+        if sheet.workspace.space.stacked:
+            # each level stands on its own line, in a direction of its own
+            x, y = points[int((place + 0.25) * len(points) / len(sheet.shown))]
+            box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
+            level = float(drawn(section.level, sheet.units[2]))
+            text = f"{level:.3f}" if sheet.units[2] == "m" else f"{level:.1f}"
+            axes.text(x, y, text, fontsize=7.0, ha="center", va="center", bbox=box)
+    if sheet.workspace.space.stacked:
+        axes.text(0.02, 0.98, f"on the lines: {sheet.labels[2]}", fontsize=7.0, va="top", transform=axes.transAxes)
+    if sheet.printed is not None:
+        axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[1]))
+    axes.set(xlabel=sheet.labels[0], ylabel=sheet.labels[1], aspect="equal" if sheet.same_unit else "auto")
+    axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1])
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
 
 
-def _draw_profile(axes: Any, workspace: Workspace, printed: tuple[Array, Array], reach: float) -> None:
-    heights = workspace.heights
-    ranges = np.degrees([section.tilt_ranges for section in workspace.sections])
-    for axis, (name, color) in enumerate(((r"$\theta_x$", INK), (r"$\theta_y$", "#D55E00"))):
-        axes.fill_betweenx(heights, ranges[:, axis, 0], ranges[:, axis, 1], color=color, alpha=0.12, linewidth=0)
-        axes.plot(ranges[:, axis, 0], heights, color=color, label=name)
-        axes.plot(ranges[:, axis, 1], heights, color=color)
-    axes.add_patch(_printed(*printed))
-    axes.set(xlabel="reached tilt [deg]", ylabel="$z_e$ [m]", xlim=(-reach, reach))
+def _draw_profile(axes: Any, sheet: _Sheet) -> None:
+    """Draw the ranges of both coordinates over the third: in one unit if they have one, else as parts of the axes."""
+    space = sheet.workspace.space
+    levels = drawn(sheet.workspace.levels, sheet.units[2])
+    ranges = np.array([section.ranges for section in sheet.workspace.sections])
+    for axis, color in enumerate((INK, "#D55E00")):
+        values = drawn(ranges[:, axis], sheet.units[axis])
+        if not sheet.same_unit:
+            low, high = sheet.limits[axis]
+            values = (values - low) / (high - low)
+        axes.fill_betweenx(levels, values[:, 0], values[:, 1], color=color, alpha=0.12, linewidth=0)
+        axes.plot(values[:, 0], levels, color=color, label=symbol(space.names[axis]))
+        axes.plot(values[:, 1], levels, color=color)
+    if sheet.printed is not None:
+        axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[2]))
+    both = f"{symbol(space.names[0])}, {symbol(space.names[1])}"
+    unit = f"[{'deg' if sheet.units[0] == 'rad' else sheet.units[0]}]"
+    ends = sheet.limits[:2] if sheet.same_unit else np.array([[0.0, 1.0]])
+    axes.set(
+        xlabel=f"range of {both} {unit if sheet.same_unit else '[part of the axes above]'}", ylabel=sheet.labels[2]
+    )
+    axes.set(xlim=(ends[:, 0].min(), ends[:, 1].max()))
     axes.margins(y=0.05)
-    axes.xaxis.set_major_locator(MultipleLocator(20))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.legend(loc="center")
 
 
-def _printed(across: Array, up: Array) -> Rectangle:
+def _rectangle(across: Array, up: Array) -> Rectangle:
     return Rectangle(
         (across[0], up[0]), np.ptp(across), np.ptp(up), fill=False, linestyle=(0, (4, 3)), edgecolor=INK, linewidth=0.9
     )
 
 
-def _add_legend(figure: Figure, workspace: Workspace) -> None:
-    binding = [limit for limit, share in workspace.limit_shares.items() if share > 0.0]
-    handles: list[Any] = [Patch(color=LIMIT_COLORS[limit], label=LIMIT_NAMES[limit]) for limit in binding]
-    handles.append(Line2D([], [], color=INK, linestyle=(0, (4, 3)), linewidth=0.9, label="printed ranges"))
-    figure.legend(handles=handles, loc="lower left", ncols=3)
-
-
-def _first_limit(flags: int) -> Limit:
-    return next((limit for limit in Limit if flags & limit), Limit.REACH)
-
-
-# Colour for every sum of limits; where several bind, that of the first.
-_COLORS = np.array([to_rgba(LIMIT_COLORS[_first_limit(flags)]) for flags in range(256)])
+def _add_legend(figure: Figure, sheet: _Sheet) -> None:
+    binding = [name for name, share in sheet.workspace.limit_shares.items() if share > 0.0]
+    handles: list[Any] = [Patch(color=sheet.styles[name][0], label=sheet.styles[name][1]) for name in binding]
+    if sheet.printed is not None:
+        handles.append(Line2D([], [], color=INK, linestyle=(0, (4, 3)), linewidth=0.9, label=sheet.printed_label))
+    figure.legend(handles=handles, loc="lower left", ncols=min(3, max(1, len(handles))))

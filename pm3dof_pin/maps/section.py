@@ -11,11 +11,12 @@ import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
+from pm3dof_pin.maps.workspace_section import workspace_section
 from pm3dof_pin.typing import Array
-from pm3dof_pin.workspace import workspace_section
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -95,13 +96,14 @@ def section_outline(
         None if there is no such single line: the reachable part is not star-shaped about the level platform, or the
         grid does not contain it.
     """
-    section = workspace_section(tripod, z_e, directions)
+    height = tripod.middle_height if z_e is None else z_e
+    section = workspace_section(tripod_space(tripod), height, directions)
     edge = (RectangularGrid() if grid is None else grid).edge_radius(section.azimuths)
     if not section.star_shaped or not np.all(edge > 0.0):
         return None
     radii = np.minimum(section.radii, edge)
     tilts = radii[:, None] * np.stack([np.cos(section.azimuths), np.sin(section.azimuths)], axis=-1)
-    return stiffness_section(tripod, PointGrid(tilts), section.z_e)
+    return stiffness_section(tripod, PointGrid(tilts), section.level)
 
 
 def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:

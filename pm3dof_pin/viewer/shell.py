@@ -21,10 +21,10 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.scene import Scene
-from pm3dof_pin.workspace import Workspace
 
 _WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
@@ -103,15 +103,17 @@ def workspace_shell(
             the level platform.
         UnreachablePoseError: no pose is within the limits.
     """
-    from pm3dof_pin.workspace.stack import height_range, workspace
+    from pm3dof_pin.chapter.workspace import tripod_space
+    from pm3dof_pin.maps.workspace import level_range, workspace
 
     mapped = MappedRobot(robot)
     entry = scalar_quantity(mapped, quantity)
-    low, high = height_range(tripod)
+    limits = tripod_space(tripod)
+    low, high = level_range(limits)
     inset = _END * (high - low)
     # closer to each other near the ends, where the sections shrink fast
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
-    space = workspace(tripod, low + inset + (high - low - 2.0 * inset) * places, directions)
+    space = workspace(limits, low + inset + (high - low - 2.0 * inset) * places, directions)
     poses = boundary_poses(space)
     values = entry.values(mapped, poses)
     tips = tool_tips(poses, tool_length)
@@ -187,10 +189,12 @@ def boundary_poses(space: Workspace) -> Array:
     for section in space.sections:
         if not section.star_shaped:
             raise InvalidValueError(
-                "workspace", f"section at z_e = {section.z_e:g} m", "one closed line around theta = 0"
+                "workspace", f"section at z_e = {section.level:g} m", "one closed line around theta = 0"
             )
-    lines = [np.column_stack([section.tilts, np.full(len(section.tilts), section.z_e)]) for section in space.sections]
-    ends = [[0.0, 0.0, space.heights[0]], [0.0, 0.0, space.heights[-1]]]
+    lines = [
+        np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in space.sections
+    ]
+    ends = [[0.0, 0.0, space.levels[0]], [0.0, 0.0, space.levels[-1]]]
     return np.concatenate([*lines, ends])
 
 

@@ -1,0 +1,104 @@
+"""The extremes of both coordinates in a section or in a stack of sections, found between the rays that sampled them.
+
+Extremes often are corners, where two limits bind, so that the best ray may end a good part of a degree short of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.maps.limit_space import LimitSpace
+from pm3dof_pin.maps.rays import crossings
+from pm3dof_pin.typing import Array
+
+# What the four extremes of a set are greatest in: minus and plus the first coordinate, then the second.
+_OUTWARD = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
+_MOST_ROUNDS = 60
+_SMALLEST = 6e-5  # size of the window, against the first one, at which an extreme counts as found
+
+
+def sampled_extremes(boundary: Array) -> Array:
+    """Return those of the boundary points that have the least and greatest first coordinate, then second.
+
+    Args:
+        boundary: (radius, azimuth, level) of points, shape=(m, 3).
+
+    Returns:
+        shape=(4, 3).
+    """
+    best: Array = boundary[np.argmax(_directions(boundary[:, 0], boundary[:, 1]) @ _OUTWARD.T, axis=0)]
+    return best
+
+
+def extreme_values(space: LimitSpace, extremes: Array) -> Array:
+    """Return least and greatest first, then second coordinate of extremes, shape=(..., 4, 3) to (..., 2, 2)."""
+    points = space.points(extremes[..., 0], extremes[..., 1])
+    return np.stack([points[..., :2, 0], points[..., 2:, 1]], axis=-2)
+
+
+def window(half_width: float, half_level: float = 0.0) -> Array:
+    """Return offsets (azimuth, level) of the rays that :func:`refined_extremes` sends around an extreme.
+
+    Args:
+        half_width: greatest offset of the azimuth [rad].
+        half_level: greatest offset of the level, 0 to stay in a section. A corner wanders over the azimuth as the level
+            grows, by about 1 deg for 1 mm of height on the chapter's machine: the width has to be enough to follow it.
+
+    Returns:
+        shape=(k, 2).
+    """
+    azimuths = half_width * np.linspace(-1.0, 1.0, 33 if half_level else 9)
+    levels = half_level * np.linspace(-1.0, 1.0, 5) if half_level else np.zeros(1)
+    return np.stack(np.meshgrid(azimuths, levels), axis=-1).reshape(-1, 2)
+
+
+def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
+    """Move extreme boundary points to where they are extreme between the rays, and between the levels.
+
+    The window around each moves to the best of its rays, and shrinks when that one is not at its edge.
+
+    Args:
+        space: coordinates and limits.
+        starts: results of :func:`sampled_extremes`, shape=(n, 4, 3).
+        window: result of :func:`window`.
+
+    Returns:
+        shape=(n, 4, 3), like `starts`.
+    """
+    outward = np.tile(_OUTWARD, (len(starts), 1))
+    extremes, size = starts.reshape(-1, 3).copy(), np.ones(len(outward))
+    value = np.sum(outward * _directions(extremes[:, 0], extremes[:, 1]), axis=1)
+    greatest = window.max(axis=0)
+    at_edge = np.any((np.abs(window) == greatest) & (greatest > 0.0), axis=1)
+    shrinking = 1.0 / 3.0 if greatest[1] == 0.0 else 0.5  # slower where the corner has to be followed over the level
+    for _ in range(_MOST_ROUNDS):
+        if size.max() < _SMALLEST:
+            break
+        rays = extremes[:, None, 1:] + size[:, None, None] * window
+        radii = _outermost_radii(space, outward, rays, extremes[:, 0])
+        values = np.sum(_directions(radii, rays[..., 0]) * outward[:, None], axis=-1)
+        winner = np.argmax(np.nan_to_num(values, nan=-np.inf), axis=1)
+        index = np.arange(len(extremes)), winner
+        better = values[index] > value
+        extremes[better] = np.concatenate([radii[index][:, None], rays[index]], axis=-1)[better]
+        value[better] = values[index][better]
+        size *= np.where(better & at_edge[winner], 1.0, shrinking)
+    return extremes.reshape(starts.shape)
+
+
+def _outermost_radii(space: LimitSpace, outward: Array, rays: Array, radii: Array) -> Array:
+    """Radius at which each ray (azimuth, level), shape=(m, k, 2), crosses the boundary near the radius given for its m.
+
+    Of several crossings the one that is farthest outward; NaN where there is none.
+    """
+    samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), rays.shape[1], axis=0)
+    azimuths, levels = rays.reshape(-1, 2).T
+    crossed, found, _, _ = crossings(space, azimuths, levels, samples)
+    order = np.argsort(np.sum(outward[crossed // rays.shape[1]] * _directions(found, azimuths[crossed]), axis=1))
+    outermost = np.full(len(azimuths), np.nan)
+    outermost[crossed[order]] = found[order]  # the farthest is written last
+    return outermost.reshape(rays.shape[:2])
+
+
+def _directions(radii: Array, azimuths: Array) -> Array:
+    return np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)

@@ -1,0 +1,177 @@
+"""Two or three coordinates of a machine and the limits over them: what the reachable set is looked for in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.limit_flags import limit_names
+from pm3dof_pin.typing import Array, Engine
+
+Flags: TypeAlias = NDArray[np.uint32]
+
+_SAMPLES = 24  # along a ray from the middle of a coordinate's range to its end
+_OUTSIDE = 1.5  # half ranges that a ray goes at least
+_FARTHEST = 12.0  # and at most
+_DIRECTIONS = 24
+_LEVELS = 9
+_PLANE = 2
+_MOST_COORDINATES = 3
+_BATCH = 200_000  # poses at a time
+
+
+@dataclass(frozen=True, eq=False)
+class LimitSpace:
+    """Coordinates and the limits over them.
+
+    Sections lie over the first two coordinates and are stacked along the third, if there is one. A ray of a section
+    leaves its centre: its radius r and azimuth phi stand for centre + r scale (cos phi, sin phi).
+
+    Attributes:
+        machine: name of the machine.
+        names: of the coordinates, two or three.
+        units: "m" or "rad" of each.
+        limits: names of the limits, from the lowest bit on.
+        broken_limits: from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the
+            limits they break, shape=(...); zero within all.
+        centre: where the rays of the sections start, shape=(2,) [m, rad].
+        scale: what radius 1 is along each coordinate, shape=(2,) [m, rad].
+        reach: radius beyond which no pose is within the limits.
+        ray_step: distance of radii at which the limits are looked at.
+        level_range: ends between which the third coordinate is looked at; its home alone if there are two [m, rad].
+        level_step: distance at which it is [m, rad].
+    """
+
+    machine: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    limits: tuple[str, ...]
+    broken_limits: Callable[[Array], Flags]
+    centre: Array
+    scale: Array
+    reach: float
+    ray_step: float
+    level_range: tuple[float, float]
+    level_step: float
+
+    @property
+    def stacked(self) -> bool:
+        """Whether there is a third coordinate."""
+        return len(self.names) > _PLANE
+
+    def within(self, points: Array, levels: Array | float) -> NDArray[np.bool_]:
+        """Tell which points of sections, shape=(..., 2), are within the limits at levels that broadcast to (...)."""
+        within: NDArray[np.bool_] = self.flags(points, levels) == 0
+        return within
+
+    def flags(self, points: Array, levels: Array | float) -> Flags:
+        """Return the sums of the limits that points of sections break, shape=(...)."""
+        if not self.stacked:
+            return self.broken_limits(points)
+        third = np.broadcast_to(levels, points.shape[:-1])
+        return self.broken_limits(np.concatenate([points, third[..., None]], axis=-1))
+
+    def points(self, radii: Array, azimuths: Array) -> Array:
+        """Return the coordinates at radii and azimuths, shape=(..., 2) [m, rad]."""
+        directions = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)
+        return np.asarray(self.centre + self.scale * directions)
+
+
+def robot_space(
+    robot: Robot,
+    names: tuple[str, ...] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    *,
+    engine: Engine = "program",
+) -> LimitSpace:
+    """Return coordinates of a robot with its limits over them; declared ranges of coordinates are not among these.
+
+    Args:
+        robot: the robot.
+        names: two coordinates of the sections, and one along which they are stacked; by default the first ones, those of
+            one unit in the sections.
+        fixed: values of other coordinates; home by default [m, rad].
+        engine: what closes the loops.
+
+    Raises:
+        InvalidValueError: an unknown coordinate, or fewer than two or more than three.
+    """
+    chosen = names or _default_names(robot)
+    if not _PLANE <= len(set(chosen)) == len(chosen) <= _MOST_COORDINATES:
+        raise InvalidValueError("coordinates", ", ".join(chosen) or "none", "two for sections, and one to stack them")
+    coordinates = [robot.coordinate(name) for name in chosen]
+    places = [robot.coordinates.index(coordinate) for coordinate in coordinates]
+    home = np.array(robot.home_coordinates)
+    for name, value in (fixed or {}).items():
+        home[robot.coordinates.index(robot.coordinate(name))] = value
+
+    def broken(values: Array) -> Flags:
+        rows = values.reshape(-1, len(places))
+        flags = np.empty(len(rows), dtype=np.uint32)
+        for first in range(0, len(rows), _BATCH):
+            part = slice(first, first + _BATCH)
+            targets = np.tile(home, (len(rows[part]), 1))
+            targets[:, places] = rows[part]
+            flags[part] = robot.solve(targets, on_failure="nan", engine=engine).broken_limits
+        return flags.reshape(values.shape[:-1])
+
+    ends = []
+    for coordinate, place in zip(coordinates, places, strict=True):
+        width = robot.characteristic_length if coordinate.unit == "m" else np.pi
+        low, high = robot.range_of(coordinate)
+        ends.append(
+            (low if np.isfinite(low) else home[place] - width, high if np.isfinite(high) else home[place] + width)
+        )
+    centres, halves = np.mean(ends, axis=1), 0.5 * np.ptp(ends, axis=1)
+    level, half_level = (centres[_PLANE], halves[_PLANE]) if len(chosen) > _PLANE else (0.0, 0.0)
+    space = LimitSpace(
+        machine=robot.name,
+        names=chosen,
+        units=tuple(coordinate.unit for coordinate in coordinates),
+        limits=limit_names(robot),
+        broken_limits=broken,
+        centre=centres[:_PLANE],
+        scale=halves[:_PLANE],
+        reach=_OUTSIDE,
+        ray_step=1.0 / _SAMPLES,
+        level_range=(level - _OUTSIDE * half_level, level + _OUTSIDE * half_level),
+        level_step=half_level / _SAMPLES,
+    )
+    return _wide_enough(space, level, half_level)
+
+
+def _default_names(robot: Robot) -> tuple[str, ...]:
+    first = robot.coordinates[:_MOST_COORDINATES]
+    for stacked in reversed(first):
+        others = [coordinate for coordinate in first if coordinate is not stacked]
+        if len(first) == _MOST_COORDINATES and others[0].unit == others[1].unit:
+            return (*(coordinate.name for coordinate in others), stacked.name)
+    return tuple(coordinate.name for coordinate in first)
+
+
+def _wide_enough(space: LimitSpace, level: float, half_level: float) -> LimitSpace:
+    """Widen a space until nothing is within the limits around it."""
+    azimuths = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    radii, up = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.array([-1.0, 1.0])
+    while space.reach < _FARTHEST:
+        levels = np.linspace(*space.level_range, _LEVELS)[:, None]
+        ring = space.points(np.full((_LEVELS, _DIRECTIONS), space.reach), azimuths)
+        wide = bool(space.within(ring, levels).any())
+        discs = space.points(space.reach * radii[:, None], azimuths)
+        caps = level + up * (space.level_range[1] - level)
+        high = space.stacked and any(bool(space.within(discs, end).any()) for end in caps)
+        if not wide and not high:
+            break
+        tall = (space.level_range[1] - level) * (1.5 if high else 1.0)
+        space = replace(
+            space, reach=space.reach * (1.5 if wide else 1.0), level_range=(float(level - tall), float(level + tall))
+        )
+        if tall > _FARTHEST * half_level > 0.0:
+            break
+    return space

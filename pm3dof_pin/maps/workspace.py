@@ -1,0 +1,129 @@
+"""The reachable set over coordinates as a stack of sections: ranges, volume, and which limit binds where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
+from pm3dof_pin.maps.limit_space import LimitSpace
+from pm3dof_pin.maps.workspace_section import WorkspaceSection, boundary_points, limit_shares, workspace_sections
+from pm3dof_pin.typing import Array
+
+LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
+
+_PLANE_STEPS = 2.5  # steps along a ray that are one step of the grid on which the range of levels is looked for
+_AZIMUTH_WINDOW = float(np.radians(6.0))
+_LEAST_LEVELS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """The reachable set as a stack of sections.
+
+    Attributes:
+        space: coordinates and limits.
+        level_range: least and greatest third coordinate of the reachable set, shape=(2,) [m, rad].
+        sections: sections in the order of growing level; one, if there are two coordinates.
+        ranges: least and greatest first coordinate, then second, found between the sections too, shape=(2, 2) [m, rad].
+        range_levels: the levels at which they are reached, shape=(2, 2) [m, rad].
+    """
+
+    space: LimitSpace
+    level_range: Array
+    sections: tuple[WorkspaceSection, ...]
+    ranges: Array
+    range_levels: Array
+
+    @cached_property
+    def levels(self) -> Array:
+        """Levels of the sections, shape=(n,) [m, rad]."""
+        return np.array([section.level for section in self.sections])
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas of the sections, shape=(n,), in the product of both units."""
+        return np.array([section.area for section in self.sections])
+
+    @property
+    def volume(self) -> float:
+        """Volume between the first and the last section, by the trapezoidal rule over the areas."""
+        return float(np.sum(0.5 * (self.areas[1:] + self.areas[:-1]) * np.diff(self.levels)))
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """Share of the boundary points of all sections at which each limit binds."""
+        return limit_shares(self.space, np.concatenate([section.limits for section in self.sections]))
+
+
+def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int = 360) -> Workspace:
+    """Find the reachable set, section by section.
+
+    Args:
+        space: coordinates and limits.
+        levels: number of sections, equally spaced over the whole range of the third coordinate, or its values, growing,
+            shape=(n,) [m, rad]. Of two coordinates there is one section.
+        directions: number of rays in each section.
+
+    Raises:
+        InvalidValueError: fewer than two levels, levels that are not finite and growing, or fewer than 8 directions.
+        UnreachablePoseError: no pose at all, or none at the given levels, is within the limits.
+    """
+    if not space.stacked:
+        return _of_one_section(space, directions)
+    low, high = level_range(space)
+    stack = np.linspace(low, high, levels) if isinstance(levels, int) else np.asarray(levels, dtype=float)
+    if stack.ndim != 1 or len(stack) < _LEAST_LEVELS or not np.all(np.isfinite(stack)) or np.any(np.diff(stack) <= 0.0):
+        raise InvalidValueError("levels", levels, "at least two finite numbers in growing order")
+    sections = tuple(workspace_sections(space, stack, directions))
+    boundary = np.concatenate([boundary_points(section) for section in sections])
+    if len(boundary) == 0:
+        name, unit = space.names[2], space.units[2]
+        place = f"{name} = {stack[0]:g} {unit} and {stack[-1]:g} {unit}"
+        raise UnreachablePoseError(f"no pose between {place} is within the limits")
+    rays = window(_AZIMUTH_WINDOW, float(np.diff(stack).max()))
+    extremes = refined_extremes(space, sampled_extremes(boundary)[None], rays)[0]
+    ranges = extreme_values(space, extremes)
+    return Workspace(space, np.array([low, high]), sections, ranges, extremes[:, 2].reshape(2, 2))
+
+
+def _of_one_section(space: LimitSpace, directions: int) -> Workspace:
+    (section,) = workspace_sections(space, np.zeros(1), directions)
+    if section.empty:
+        raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
+    return Workspace(space, np.zeros(2), (section,), section.ranges, np.zeros((2, 2)))
+
+
+def level_range(space: LimitSpace) -> tuple[float, float]:
+    """Find the least and greatest third coordinate of the reachable set.
+
+    Looked for over a grid of the other two that contains the centre of the sections, and over levels in steps; then
+    closed in by bisection to :data:`LEVEL_TOLERANCE`.
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within the limits.
+    """
+    steps = int(space.reach / (_PLANE_STEPS * space.ray_step))
+    offsets = _PLANE_STEPS * space.ray_step * np.arange(-steps, steps + 1)
+    plane = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = space.centre + space.scale * plane
+    lowest, highest = space.level_range
+    levels = np.linspace(lowest, highest, int(np.ceil((highest - lowest) / space.level_step)) + 1)
+    reachable = np.flatnonzero([space.within(points, level).any() for level in levels])
+    if len(reachable) == 0:
+        raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
+    first, last = reachable[0], reachable[-1]
+    low = _end_of_levels(space, points, levels[first], levels[max(first - 1, 0)])
+    high = _end_of_levels(space, points, levels[last], levels[min(last + 1, len(levels) - 1)])
+    return low, high
+
+
+def _end_of_levels(space: LimitSpace, points: Array, inner: float, outer: float) -> float:
+    while abs(outer - inner) > LEVEL_TOLERANCE:
+        middle = 0.5 * (inner + outer)
+        inner, outer = (middle, outer) if space.within(points, middle).any() else (inner, middle)
+    return float(inner)

@@ -1,0 +1,132 @@
+"""The reachable part of a section: boundary, area, ranges, and which limit binds where.
+
+Rays leave the centre of the section in equally spaced directions, and every crossing of the boundary is kept. So a
+section may be without its centre, have holes, or be met several times by a ray, and its area is still right. Where each
+ray leaves the set once and never comes back, the section is called star-shaped, and its boundary is one closed line;
+every section of the chapter's machine is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
+from pm3dof_pin.maps.limit_space import Flags, LimitSpace
+from pm3dof_pin.maps.rays import crossings
+from pm3dof_pin.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceSection:
+    """The reachable part of a section.
+
+    Boundary points are ordered by ray and, on a ray, by radius. Each lies within all limits, no farther than 1e-10 as a
+    radius from a pose that breaks one.
+
+    Attributes:
+        space: coordinates and limits.
+        level: the third coordinate [m, rad].
+        azimuths: directions of the rays, equally spaced over the circle, shape=(n,) [rad].
+        rays: index of the ray of each boundary point, shape=(m,).
+        radii: distance of each boundary point from the centre, shape=(m,).
+        leaving: whether the ray leaves the reachable set there or enters it, shape=(m,).
+        limits: sums of the limits broken just across the boundary, shape=(m,).
+        ranges: least and greatest first coordinate, then second, found between the rays too; NaN if the section is
+            empty, shape=(2, 2) [m, rad].
+    """
+
+    space: LimitSpace
+    level: float
+    azimuths: Array
+    rays: NDArray[np.intp]
+    radii: Array
+    leaving: NDArray[np.bool_]
+    limits: Flags
+    ranges: Array
+
+    @property
+    def empty(self) -> bool:
+        """Whether no pose of the section is reachable."""
+        return len(self.rays) == 0
+
+    @property
+    def star_shaped(self) -> bool:
+        """Whether every ray starts within the limits and leaves them once: the boundary is then one closed line."""
+        return bool(np.array_equal(self.rays, np.arange(len(self.azimuths))) and np.all(self.leaving))
+
+    @property
+    def points(self) -> Array:
+        """Both coordinates of the boundary points, shape=(m, 2) [m, rad]."""
+        return self.space.points(self.radii, self.azimuths[self.rays])
+
+    @property
+    def area(self) -> float:
+        """Area of the section in the plane of both coordinates, in the product of their units."""
+        signed = np.where(self.leaving, 0.5, -0.5) * self.radii**2
+        return float(signed.sum() * 2.0 * np.pi / len(self.azimuths) * np.prod(self.space.scale))
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """Share of the boundary points at which each limit binds; all zero if the section is empty."""
+        return limit_shares(self.space, self.limits)
+
+
+def workspace_section(space: LimitSpace, level: float | None = None, directions: int = 360) -> WorkspaceSection:
+    """Find the reachable part of a section.
+
+    Args:
+        space: coordinates and limits.
+        level: the third coordinate; by default the middle of where it is looked for [m, rad].
+        directions: number of rays.
+
+    Raises:
+        InvalidValueError: the level is not finite, or there are fewer than 8 directions.
+    """
+    height = 0.5 * sum(space.level_range) if level is None else float(level)
+    if not np.isfinite(height):
+        raise InvalidValueError("level", level, "a finite number")
+    return workspace_sections(space, np.array([height]), directions)[0]
+
+
+def workspace_sections(space: LimitSpace, levels: Array, directions: int) -> list[WorkspaceSection]:
+    """Find the reachable part of each of several sections, shape=(n,); as :func:`workspace_section` n times."""
+    if directions < 8:
+        raise InvalidValueError("directions", directions, "at least 8 rays")
+    samples = np.linspace(0.0, space.reach, int(np.ceil(space.reach / space.ray_step)) + 1)
+    azimuths = 2.0 * np.pi * np.arange(directions) / directions
+    sections = []
+    for level in levels:
+        found = crossings(space, azimuths, np.full(directions, level), samples)
+        sections.append(WorkspaceSection(space, float(level), azimuths, *found, np.full((2, 2), np.nan)))
+    return _with_ranges(space, sections, 2.0 * np.pi / directions)
+
+
+def boundary_points(section: WorkspaceSection) -> Array:
+    """Return (radius, azimuth, level) of the boundary points, shape=(m, 3)."""
+    return np.stack([section.radii, section.azimuths[section.rays], np.full(len(section.rays), section.level)], axis=-1)
+
+
+def limit_shares(space: LimitSpace, limits: Flags) -> dict[str, float]:
+    """Return the share of each limit in sums of limits; where several bind, each counts in equal parts.
+
+    Args:
+        space: coordinates and limits.
+        limits: sums of limits, shape=(m,).
+    """
+    bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(space.limits))], axis=-1)
+    parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
+    return dict(zip(space.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))
+
+
+def _with_ranges(space: LimitSpace, sections: list[WorkspaceSection], half_width: float) -> list[WorkspaceSection]:
+    """Fill in the ranges of all sections at once: programs like long arrays."""
+    filled = [section for section in sections if not section.empty]
+    if not filled:
+        return sections
+    starts = np.stack([sampled_extremes(boundary_points(section)) for section in filled])
+    ranges = iter(extreme_values(space, refined_extremes(space, starts, window(half_width))))
+    return [section if section.empty else replace(section, ranges=next(ranges)) for section in sections]
