@@ -5,21 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
+from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.figures.workspace import workspace_figure
+from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
 from pm3dof_pin.maps.boundary import workspace_boundary
 from pm3dof_pin.maps.storage import write_csv
-from pm3dof_pin.workspace import workspace
+from pm3dof_pin.maps.workspace import workspace
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
 def main() -> None:
     tripod = Tripod.load()
-    reachable = workspace(tripod, heights=241)
-    print(save_figure(workspace_figure(tripod, reachable), RESULTS / "figure_8_2.png"))
-    print(write_csv(workspace_boundary(tripod, reachable), RESULTS / "figure_8_2_boundary.csv"))
+    reachable = workspace(tripod_space(tripod), levels=241)
+    figure = workspace_figure(reachable, PrintedRanges(printed_ranges(tripod)))
+    print(save_figure(figure, RESULTS / "figure_8_2.png"))
+    print(write_csv(workspace_boundary(reachable), RESULTS / "figure_8_2_boundary.csv"))
     for statement in compare_printed_ranges(tripod, reachable):
         print(f"- {statement.text}")
 

@@ -6,10 +6,10 @@ import math
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.section import section_outline, stiffness_section
+from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.maps.grid import RectangularGrid
-from pm3dof_pin.maps.section import section_outline, stiffness_section
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the section on all sides

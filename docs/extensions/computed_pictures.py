@@ -7,17 +7,19 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.util.typing import ExtensionMetadata
 
+from pm3dof_pin.chapter.printed_ranges import printed_ranges
+from pm3dof_pin.chapter.section import section_outline, stiffness_section
+from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.cli.stiffness_map import PICTURES
 from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
 from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
 from pm3dof_pin.figures.schematic import schematic_figure
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.figures.workspace import workspace_figure
-from pm3dof_pin.maps.grid import RectangularGrid
-from pm3dof_pin.maps.section import section_outline, stiffness_section
-from pm3dof_pin.workspace import workspace
+from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
+from pm3dof_pin.maps.workspace import workspace
 
 
 def _draw(app: Sphinx) -> None:
@@ -26,7 +28,8 @@ def _draw(app: Sphinx) -> None:
     save_figure(schematic_figure(tripod), folder / "figure_8_1_schematic.png")
     save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
     save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
-    save_figure(workspace_figure(tripod, workspace(tripod)), folder / "figure_8_2_workspace.png")
+    reachable, printed = workspace(tripod_space(tripod)), PrintedRanges(printed_ranges(tripod))
+    save_figure(workspace_figure(reachable, printed), folder / "figure_8_2_workspace.png")
     section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
     for name, quantity in PICTURES.items():
         save_figure(section_map(section, quantity, outline), folder / name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -115,14 +116,15 @@ class Legs:
     @cached_property
     def passive_angles(self) -> Array:
         """Angles of the passive joints, see :func:`passive_joint_angles`, shape=(..., n, 3) [rad]."""
-        along_axes = np.moveaxis(self.links, -2, 0).reshape(len(self.tripod.link_frames), -1, 3)
+        *shape, legs = self.travels.shape
+        along_axes = np.moveaxis(self.links, -2, 0).reshape(legs, math.prod(shape), 3)
         x, y, z = np.moveaxis(along_axes @ self.tripod.link_frames, -1, 0)
         universal = np.stack([np.arctan2(x, z), -np.arctan2(y, np.sqrt(x * x + z * z))], axis=-1)
         sockets = _dotted(self.orientation, self.tripod.socket_axes)
         lever = np.cross(sockets, self.links)
         swing = np.arctan2(np.sqrt(_dot(lever, lever)), _dot(sockets, self.links))
         angles = np.empty(self.links.shape)
-        angles[..., :2] = np.moveaxis(universal.reshape(-1, *self.travels.shape[:-1], 2), 0, -2)
+        angles[..., :2] = np.moveaxis(universal.reshape(legs, *shape, 2), 0, -2)
         angles[..., 2] = swing
         return angles
 

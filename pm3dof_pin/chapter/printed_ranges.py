@@ -34,6 +34,12 @@ class RangeStatement:
     text: str
 
 
+def printed_ranges(tripod: Tripod) -> Array:
+    """Return the printed ranges of theta_x, theta_y and z_e, shape=(3, 2) [rad, rad, m]."""
+    p = tripod.parameters
+    return np.array([p.tilt_range, p.tilt_range, p.height_range])
+
+
 def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[RangeStatement]:
     """Compare the chapter's working ranges of theta_x, theta_y and z_e with what its parameters give.
 

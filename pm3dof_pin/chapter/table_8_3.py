@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
 from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.tilt_grids import PolarGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.maps.grid import PolarGrid
 
 _STATISTICS: dict[str, Callable[[NDArray[np.float64]], Any]] = {
     "minimum": np.min,

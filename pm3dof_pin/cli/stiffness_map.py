@@ -182,9 +182,9 @@ def _draw(dataset: xr.Dataset, out: Path, progress: Any) -> list[Path]:
 def _map_of_chapter(
     out: Path, height: float | None, tilt: float, points: int, pictures: bool, as_json: bool, config: Path | None
 ) -> None:
+    from pm3dof_pin.chapter.section import stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
-    from pm3dof_pin.maps.grid import RectangularGrid
-    from pm3dof_pin.maps.section import stiffness_section
+    from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
     tripod = load_tripod(config)
@@ -199,9 +199,9 @@ def _map_of_chapter(
         files = [write_netcdf(section, out / "stiffness_map.nc"), write_csv(section, out / "stiffness_map.csv")]
         progress(2, 2 + len(names))
         if names:
+            from pm3dof_pin.chapter.section import section_outline
             from pm3dof_pin.figures.section_map import section_map
             from pm3dof_pin.figures.style import save_figure
-            from pm3dof_pin.maps.section import section_outline
 
             outline = section_outline(tripod, grid, height)
             for name in names:

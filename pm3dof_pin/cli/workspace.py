@@ -119,12 +119,10 @@ def _robot_space(
 def _printed(tripod: Tripod | None) -> PrintedRanges | None:
     if tripod is None:
         return None
-    import numpy as np
-
+    from pm3dof_pin.chapter.printed_ranges import printed_ranges
     from pm3dof_pin.figures.workspace import PrintedRanges
 
-    p = tripod.parameters
-    return PrintedRanges(np.array([p.tilt_range, p.tilt_range, p.height_range]))
+    return PrintedRanges(printed_ranges(tripod))
 
 
 def _result(found: Workspace) -> dict[str, Any]:

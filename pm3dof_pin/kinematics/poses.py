@@ -61,10 +61,10 @@ class Poses:
         transforms: Array | None = None,
     ) -> None:
         self.robot = robot
-        self.q: Array = frozen(np.array(q, dtype=float))
+        self.q: Array = _kept(np.asarray(q, dtype=float))
         for name, values in zip(_KNOWN, (residual, broken_limits, transforms), strict=True):
             if values is not None:
-                self.__dict__[name] = frozen(np.array(values))
+                self.__dict__[name] = _kept(np.asarray(values))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, np.array(self.q))
@@ -178,10 +178,14 @@ class Poses:
         return beyond
 
     def _mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Poses:
-        return Poses(
-            self.robot, change(self.q), *(change(self.__dict__[n]) if n in self.__dict__ else None for n in _KNOWN)
-        )
+        known = (frozen(np.asarray(change(self.__dict__[n]))) if n in self.__dict__ else None for n in _KNOWN)
+        return Poses(self.robot, frozen(change(self.q)), *known)
 
     @property
     def _transforms_if_needed(self) -> Array | None:
         return self.transforms if any(c.tool is not None for c in self.robot.coordinates) else None
+
+
+def _kept(values: NDArray[Any]) -> NDArray[Any]:
+    """Return an array that nobody can change: itself if it is read-only, or else a copy."""
+    return frozen(values.copy()) if values.flags.writeable else values

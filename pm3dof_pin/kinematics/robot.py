@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
@@ -377,7 +377,7 @@ class Robot(Mechanism):
                 "the pose may be out of reach",
                 residual,
             )
-        return Poses(self, *found).reshape(*shape)
+        return Poses(self, *map(frozen, found)).reshape(*shape)
 
     def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
         """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""

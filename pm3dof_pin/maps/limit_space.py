@@ -94,8 +94,8 @@ def robot_space(
 
     Args:
         robot: the robot.
-        names: two coordinates of the sections, and one along which they are stacked; by default the first ones, those of
-            one unit in the sections.
+        names: two coordinates of the sections, and one along which they are stacked; by default the first ones, with
+            those of one unit in the sections.
         fixed: values of other coordinates; home by default [m, rad].
         engine: what closes the loops.
 

@@ -11,7 +11,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.kinematics import actuation_jacobian, link_jacobian
 from pm3dof_pin.chapter.limits import broken_limits
-from pm3dof_pin.maps.grid import RectangularGrid
+from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 
 
 def best_time(work: Callable[[], object], repeats: int = 5) -> float:

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path as Line
 
 from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.section import section_outline, stiffness_section
+from pm3dof_pin.chapter.tilt_grids import PolarGrid, RectangularGrid
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.maps.grid import PolarGrid, RectangularGrid
-from pm3dof_pin.maps.section import section_outline, stiffness_section
 
 GRIDS = {"rectangular": RectangularGrid(shape=(41, 41)), "polar": PolarGrid()}
 

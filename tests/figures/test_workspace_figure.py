@@ -12,28 +12,29 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import Limit
+from pm3dof_pin.chapter.printed_ranges import printed_ranges
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import INK, LIMIT_COLORS, save_figure
-from pm3dof_pin.figures.workspace import workspace_figure
-from pm3dof_pin.workspace import Workspace, workspace
+from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
+from pm3dof_pin.maps.workspace import Workspace, workspace
 
 
 @pytest.fixture(scope="module")
 def whole(tripod: Tripod) -> Workspace:
-    return workspace(tripod, 31, 90)
+    return workspace(tripod_space(tripod), 31, 90)
 
 
 @pytest.fixture(scope="module")
 def figure(tripod: Tripod, whole: Workspace) -> Figure:
-    return workspace_figure(tripod, whole)
+    return workspace_figure(whole, PrintedRanges(printed_ranges(tripod)))
 
 
 def test_words_and_units(figure: Figure) -> None:
     solid, outlines, profile = figure.axes
     tilts = (r"$\theta_x$ [deg]", r"$\theta_y$ [deg]")
-    assert (solid.get_xlabel(), solid.get_ylabel(), solid.get_zlabel()) == (*tilts, "$z_e$ [m]")
+    assert (solid.get_xlabel(), solid.get_ylabel(), solid.get_zlabel()) == (*tilts, "$z_{e}$ [m]")
     assert (outlines.get_xlabel(), outlines.get_ylabel()) == tilts
-    assert (profile.get_xlabel(), profile.get_ylabel()) == ("reached tilt [deg]", "$z_e$ [m]")
+    assert (profile.get_xlabel(), profile.get_ylabel()) == (r"range of $\theta_x$, $\theta_y$ [deg]", "$z_{e}$ [m]")
     assert figure.get_suptitle().endswith("pm3dof")
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert words == ["stroke of a slider", "spherical joint", "printed ranges"]
@@ -42,14 +43,14 @@ def test_words_and_units(figure: Figure) -> None:
 def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspace) -> None:
     outlines = figure.axes[1]
     drawn = {tuple(color) for collection in outlines.collections for color in collection.get_colors()}
-    assert drawn == {to_rgba(LIMIT_COLORS[Limit.STROKE]), to_rgba(LIMIT_COLORS[Limit.SPHERICAL])}
-    heights = {f"{section.z_e:.3f}" for section in whole.sections}
+    assert drawn == {to_rgba(LIMIT_COLORS["stroke"]), to_rgba(LIMIT_COLORS["spherical"])}
+    heights = {f"{section.level:.3f}" for section in whole.sections}
     labels = [text.get_text() for text in outlines.texts]
     assert len(set(labels) & heights) == 6
     for collection, label in zip(outlines.collections, labels, strict=False):
-        section = min(whole.sections, key=lambda section: abs(section.z_e - float(label)))
+        section = min(whole.sections, key=lambda section: abs(section.level - float(label)))
         np.testing.assert_allclose(
-            [segment[0] for segment in collection.get_segments()], np.degrees(section.tilts), atol=1e-12
+            [segment[0] for segment in collection.get_segments()], np.degrees(section.points), atol=1e-12
         )
 
 
@@ -62,17 +63,17 @@ def test_printed_ranges_are_drawn(figure: Figure) -> None:
 
 def test_profile_shows_the_ranges_of_the_sections(figure: Figure, whole: Workspace) -> None:
     lines = figure.axes[2].get_lines()
-    ranges = np.degrees([section.tilt_ranges for section in whole.sections]).reshape(-1, 4)
+    ranges = np.degrees([section.ranges for section in whole.sections]).reshape(-1, 4)
     for line, expected in zip(lines, ranges.T, strict=True):
         np.testing.assert_allclose(line.get_xdata(), expected)
-        np.testing.assert_allclose(line.get_ydata(), whole.heights)
+        np.testing.assert_allclose(line.get_ydata(), whole.levels)
 
 
 def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
     image = matplotlib.image.imread(save_figure(figure, tmp_path / "workspace.png"))[..., :3]
     assert image.shape[:2] == (1320, 1880)
     solid = image[200:1100, 100:1000]
-    for limit in (Limit.STROKE, Limit.SPHERICAL):
+    for limit in ("stroke", "spherical"):
         hue = np.array(to_rgba(LIMIT_COLORS[limit])[:3])
         shade = solid @ hue / (np.linalg.norm(solid, axis=-1) * np.linalg.norm(hue) + 1e-9)
         assert np.mean(shade > 0.999) > 0.05
@@ -82,8 +83,8 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
 
 def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
     """Islands and holes are drawn as points, and no surface is drawn across them."""
-    whole = workspace(hollow_tripod, 15, 90)
-    figure = workspace_figure(hollow_tripod, whole)
+    whole = workspace(tripod_space(hollow_tripod), 15, 90)
+    figure = workspace_figure(whole)
     figure.canvas.draw()
     solid = figure.axes[0]
     scattered = sum(not section.star_shaped for section in whole.sections)

@@ -12,12 +12,13 @@ import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import Limit
+from pm3dof_pin.chapter.section import stiffness_section
+from pm3dof_pin.chapter.tilt_grids import PolarGrid, RectangularGrid
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.maps.boundary import workspace_boundary
-from pm3dof_pin.maps.grid import PolarGrid, RectangularGrid
-from pm3dof_pin.maps.section import stiffness_section
 from pm3dof_pin.maps.storage import write_csv, write_netcdf
-from pm3dof_pin.workspace import workspace
+from pm3dof_pin.maps.workspace import workspace
 
 UNIT_OF_HEADING = {
     "theta_x_deg": ("theta_x", np.degrees),
@@ -72,11 +73,11 @@ def test_spreadsheet(tripod: Tripod, tmp_path: Path, grid: RectangularGrid | Pol
 
 
 def test_boundary_of_the_workspace(tripod: Tripod, tmp_path: Path) -> None:
-    reachable = workspace(tripod, [0.42, 0.487333, 0.55], 40)
-    boundary = workspace_boundary(tripod, reachable)
+    reachable = workspace(tripod_space(tripod), [0.42, 0.487333, 0.55], 40)
+    boundary = workspace_boundary(reachable)
     assert boundary.sizes == {"point": 120}
     np.testing.assert_array_equal(boundary.z_e, np.repeat([0.42, 0.487333, 0.55], 40))
-    np.testing.assert_array_equal(boundary.theta_y[40:80], reachable.sections[1].tilts[:, 1])
+    np.testing.assert_array_equal(boundary.theta_y[40:80], reachable.sections[1].points[:, 1])
     with write_csv(boundary, tmp_path / "boundary.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["theta_x_deg", "theta_y_deg", "z_e_m", "binding_limits"]

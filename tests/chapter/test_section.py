@@ -10,10 +10,11 @@ import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
+from pm3dof_pin.chapter.section import section_outline, stiffness_section
+from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.grid import PointGrid, PolarGrid, RectangularGrid
-from pm3dof_pin.maps.section import section_outline, stiffness_section
-from pm3dof_pin.workspace import workspace_section
+from pm3dof_pin.maps.workspace_section import workspace_section
 
 MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")
 CONSTRAINED = ("stiffness_t_x", "stiffness_t_y", "stiffness_theta_z")
@@ -205,7 +206,7 @@ def test_outline_goes_with_its_height(tripod: Tripod) -> None:
     outline = section_outline(tripod, PolarGrid(), 0.55, 90)
     assert outline is not None
     radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
-    np.testing.assert_allclose(radius, workspace_section(tripod, 0.55, 90).radii, atol=1e-15)
+    np.testing.assert_allclose(radius, workspace_section(tripod_space(tripod), 0.55, 90).radii, atol=1e-15)
     assert float(outline.z_e) == 0.55
 
 

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
+from pm3dof_pin.chapter.tilt_grids import FilledGrid, Grid, PointGrid, RectangularGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.grid import FilledGrid, Grid, PointGrid, RectangularGrid
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
 from pm3dof_pin.maps.workspace_section import workspace_section
 from pm3dof_pin.typing import Array

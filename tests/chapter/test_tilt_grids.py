@@ -9,8 +9,8 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.tilt_grids import Grid, PointGrid, PolarGrid, RectangularGrid
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.grid import Grid, PointGrid, PolarGrid, RectangularGrid
 
 
 def test_the_chapters_grid(tripod: Tripod) -> None:

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
 from pm3dof_pin.chapter.printed_ranges import RangeStatement, compare_printed_ranges
-from pm3dof_pin.workspace import Workspace, workspace
+from pm3dof_pin.chapter.workspace import tripod_space
+from pm3dof_pin.maps.workspace import Workspace, workspace
 
 
 @pytest.fixture(scope="module")
 def whole(tripod: Tripod) -> Workspace:
-    return workspace(tripod)
+    return workspace(tripod_space(tripod))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def test_tilts(statements: dict[str, RangeStatement], whole: Workspace) -> None:
     for axis, name in enumerate(("theta_x", "theta_y")):
         statement = statements[name]
         assert statement.printed == pytest.approx(np.radians([-40.0, 40.0]))
-        assert statement.computed[:2] == pytest.approx(whole.tilt_ranges[axis])
+        assert statement.computed[:2] == pytest.approx(whole.ranges[axis])
     assert np.degrees(statements["theta_x"].computed) == pytest.approx([-40.49, 44.72, 38.1], abs=0.1)
     assert np.degrees(statements["theta_y"].computed) == pytest.approx([-40.46, 40.46, 40.4], abs=0.1)
     assert "runs from -40.5 deg" in statements["theta_x"].text
@@ -62,6 +63,6 @@ def test_box(tripod: Tripod, statements: dict[str, RangeStatement]) -> None:
 
 
 def test_binding_limits(statements: dict[str, RangeStatement]) -> None:
-    shares = dict(zip(Limit, statements["binding_limits"].computed, strict=True))
-    assert {limit for limit, share in shares.items() if share} == {Limit.STROKE, Limit.SPHERICAL}
+    shares = dict(zip(LIMIT_NAMES, statements["binding_limits"].computed, strict=True))
+    assert {limit for limit, share in shares.items() if share} == {"stroke", "spherical"}
     assert statements["binding_limits"].text.endswith("never: reach, universal, tilt, height")

@@ -10,14 +10,16 @@ from scipy.optimize import fsolve
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.workspace import Workspace, height_range, workspace, workspace_section
+from pm3dof_pin.maps.workspace import Workspace, level_range, workspace
+from pm3dof_pin.maps.workspace_section import workspace_section
 
 
 @pytest.fixture(scope="module")
 def whole(tripod: Tripod) -> Workspace:
-    return workspace(tripod)
+    return workspace(tripod_space(tripod))
 
 
 def _level_height(u: float) -> float:
@@ -28,14 +30,14 @@ def _level_height(u: float) -> float:
 
 def test_heights_end_at_the_stops_of_the_sliders(whole: Workspace) -> None:
     expected = [_level_height(0.240272 - 0.085), _level_height(0.240272 + 0.085)]
-    np.testing.assert_allclose(whole.height_range, expected, atol=2e-10)
-    np.testing.assert_allclose(whole.heights[[0, -1]], whole.height_range)
+    np.testing.assert_allclose(whole.level_range, expected, atol=2e-10)
+    np.testing.assert_allclose(whole.levels[[0, -1]], whole.level_range)
 
 
 def test_nothing_is_reachable_beyond_the_heights(tripod: Tripod, whole: Workspace) -> None:
     generator = np.random.default_rng(8)
     tilts = generator.uniform(-0.88, 0.88, (100_000, 2))
-    low, high = whole.height_range
+    low, high = whole.level_range
     for z_e in (low - 1e-6, low - 1e-3, low - 0.01, high + 1e-6, high + 1e-3, high + 0.01):
         poses = np.column_stack([tilts * generator.uniform(0.0, 1.0, (len(tilts), 1)), np.full(len(tilts), z_e)])
         assert np.all(broken_limits(tripod, poses) != 0)
@@ -44,7 +46,7 @@ def test_nothing_is_reachable_beyond_the_heights(tripod: Tripod, whole: Workspac
 def test_volume_against_counting(tripod: Tripod, whole: Workspace) -> None:
     count, reach = 80, np.radians(46.0)
     line = reach * ((np.arange(count) + 0.5) / count * 2.0 - 1.0)
-    low, high = whole.height_range
+    low, high = whole.level_range
     heights = low + (high - low) * (np.arange(count) + 0.5) / count
     poses = np.stack(np.meshgrid(line, line, heights, indexing="ij"), axis=-1)
     counted = np.mean(broken_limits(tripod, poses) == 0) * (2.0 * reach) ** 2 * (high - low)
@@ -52,7 +54,7 @@ def test_volume_against_counting(tripod: Tripod, whole: Workspace) -> None:
 
 
 def test_volume_converges_with_the_sections(tripod: Tripod, whole: Workspace) -> None:
-    assert whole.volume == pytest.approx(workspace(tripod, 121, 360).volume, rel=1e-4)
+    assert whole.volume == pytest.approx(workspace(tripod_space(tripod), 121, 360).volume, rel=1e-4)
 
 
 def _greatest(tripod: Tripod, theta_x: float, theta_y: float, z_e: float) -> tuple[float, float]:
@@ -71,8 +73,8 @@ def test_greatest_theta_x_is_where_stroke_and_cone_meet(tripod: Tripod, whole: W
 
     start = [[-0.7, 0.55], [0.78, 0.52]][side]
     theta_x, z_e = fsolve(excess, start, xtol=1e-12)
-    assert whole.tilt_ranges[0, side] == pytest.approx(theta_x, abs=2e-5)
-    assert whole.tilt_range_heights[0, side] == pytest.approx(z_e, abs=2e-6)
+    assert whole.ranges[0, side] == pytest.approx(theta_x, abs=2e-5)
+    assert whole.range_levels[0, side] == pytest.approx(z_e, abs=2e-6)
 
 
 def test_greatest_theta_y_lies_on_the_line_where_stroke_and_cone_meet(tripod: Tripod, whole: Workspace) -> None:
@@ -84,57 +86,59 @@ def test_greatest_theta_y_lies_on_the_line_where_stroke_and_cone_meet(tripod: Tr
         return float(fsolve(excess, [0.705, 0.531], xtol=1e-12)[0])
 
     greatest = max(theta_y(theta_x) for theta_x in np.linspace(-0.1, 0.15, 101))
-    np.testing.assert_allclose(whole.tilt_ranges[1], [-greatest, greatest], atol=2e-5)
+    np.testing.assert_allclose(whole.ranges[1], [-greatest, greatest], atol=2e-5)
 
 
 @pytest.mark.parametrize("heights", [31, 50])
 def test_extremes_do_not_depend_on_the_stack(tripod: Tripod, whole: Workspace, heights: int) -> None:
-    np.testing.assert_allclose(workspace(tripod, heights).tilt_ranges, whole.tilt_ranges, atol=2e-4)
+    np.testing.assert_allclose(workspace(tripod_space(tripod), heights).ranges, whole.ranges, atol=2e-4)
 
 
 def test_extremes_are_reached_in_their_sections(tripod: Tripod, whole: Workspace) -> None:
     for axis in (0, 1):
         for side in (0, 1):
-            section = workspace_section(tripod, whole.tilt_range_heights[axis, side], 720)
-            assert section.tilt_ranges[axis, side] == pytest.approx(whole.tilt_ranges[axis, side], abs=1e-5)
+            section = workspace_section(tripod_space(tripod), whole.range_levels[axis, side], 720)
+            assert section.ranges[axis, side] == pytest.approx(whole.ranges[axis, side], abs=1e-5)
 
 
 def test_stroke_and_spherical_joints_end_the_set(whole: Workspace) -> None:
     shares = whole.limit_shares
-    assert {limit for limit, share in shares.items() if share > 0.0} == {Limit.STROKE, Limit.SPHERICAL}
+    assert {limit for limit, share in shares.items() if share > 0.0} == {"stroke", "spherical"}
     assert sum(shares.values()) == pytest.approx(1.0)
 
 
 def test_a_set_that_is_lowest_when_tilted(hollow_tripod: Tripod) -> None:
-    low, high = height_range(hollow_tripod)
+    low, high = level_range(tripod_space(hollow_tripod))
     assert low < hollow_tripod.height_min - 5e-3
     assert high == pytest.approx(hollow_tripod.height_max, abs=2e-10)
-    whole = workspace(hollow_tripod, 15, 180)
+    whole = workspace(tripod_space(hollow_tripod), 15, 180)
     assert not all(section.star_shaped for section in whole.sections)
     assert whole.sections[7].star_shaped
 
 
 def test_given_heights(tripod: Tripod) -> None:
     heights = [0.45, 0.5, 0.51]
-    stack = workspace(tripod, heights, 90)
-    np.testing.assert_array_equal(stack.heights, heights)
-    np.testing.assert_array_equal(stack.areas, [workspace_section(tripod, z_e, 90).area for z_e in heights])
+    stack = workspace(tripod_space(tripod), heights, 90)
+    np.testing.assert_array_equal(stack.levels, heights)
+    np.testing.assert_array_equal(
+        stack.areas, [workspace_section(tripod_space(tripod), z_e, 90).area for z_e in heights]
+    )
     expected = 0.05 * (stack.areas[0] + stack.areas[1]) / 2 + 0.01 * (stack.areas[1] + stack.areas[2]) / 2
     assert stack.volume == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("heights", [1, [0.5], [0.5, 0.4], [0.5, 0.5], [0.4, np.nan], [[0.4, 0.5]]])
 def test_bad_heights(tripod: Tripod, heights: object) -> None:
-    with pytest.raises(InvalidValueError, match="heights"):
-        workspace(tripod, heights)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="levels"):
+        workspace(tripod_space(tripod), heights)  # type: ignore[arg-type]
 
 
 def test_heights_out_of_reach(tripod: Tripod) -> None:
     with pytest.raises(UnreachablePoseError, match=r"0\.65 m"):
-        workspace(tripod, [0.65, 0.7])
+        workspace(tripod_space(tripod), [0.65, 0.7])
 
 
 def test_a_machine_that_reaches_nothing(tripod: Tripod) -> None:
     stiff = Tripod(dataclasses.replace(tripod.parameters, spherical_limit=0.1, spherical_axis_inclination=-1.0))
     with pytest.raises(UnreachablePoseError, match="empty"):
-        height_range(stiff)
+        level_range(tripod_space(stiff))

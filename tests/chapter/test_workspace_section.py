@@ -9,8 +9,9 @@ from scipy import ndimage
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
 from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.workspace import WorkspaceSection, workspace_section
+from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_section
 
 HEIGHTS = (0.4, 0.4305, 0.487333, 0.53, 0.5535, 0.57)
 
@@ -19,7 +20,7 @@ def _poses(section: WorkspaceSection, farther: float = 0.0) -> np.ndarray:
     """Boundary poses, moved across the boundary by a length in radians."""
     radii = section.radii + np.where(section.leaving, farther, -farther)
     azimuths = section.azimuths[section.rays]
-    heights = np.full(len(radii), section.z_e)
+    heights = np.full(len(radii), section.level)
     return np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths), heights], axis=-1)
 
 
@@ -32,13 +33,13 @@ def _dense(tripod: Tripod, z_e: float, reach: float, step: float) -> tuple[np.nd
 
 
 def _perimeter(section: WorkspaceSection) -> float:
-    closed = np.concatenate([section.tilts, section.tilts[:1]])
+    closed = np.concatenate([section.points, section.points[:1]])
     return float(np.linalg.norm(np.diff(closed, axis=0), axis=1).sum())
 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_limits_change_at_the_boundary(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod, z_e, 120)
+    section = workspace_section(tripod_space(tripod), z_e, 120)
     assert np.all(broken_limits(tripod, _poses(section)) == 0)
     across = broken_limits(tripod, _poses(section, 1.01e-10))
     assert np.all(across != 0)
@@ -47,7 +48,7 @@ def test_limits_change_at_the_boundary(tripod: Tripod, z_e: float) -> None:
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_the_joint_that_binds_is_at_its_limit(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod, z_e, 120)
+    section = workspace_section(tripod_space(tripod), z_e, 120)
     u = inverse_kinematics(tripod, _poses(section))
     swing = passive_joint_angles(tripod, _poses(section))[..., 2]
     at_stop = np.abs(np.abs(u - 0.240272).max(axis=1) - 0.085) < 1e-10
@@ -60,7 +61,7 @@ def test_the_joint_that_binds_is_at_its_limit(tripod: Tripod, z_e: float) -> Non
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod, z_e, 720)
+    section = workspace_section(tripod_space(tripod), z_e, 720)
     assert section.star_shaped
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), np.radians(0.25))
     assert ndimage.label(reachable)[1] == 1
@@ -75,12 +76,12 @@ def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_area_and_ranges_against_counting(tripod: Tripod, z_e: float) -> None:
-    section, step = workspace_section(tripod, z_e), np.radians(0.1)
+    section, step = workspace_section(tripod_space(tripod), z_e), np.radians(0.1)
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), step)
     # a cell is counted wrongly by less than its half, and the boundary runs through fewer than 2 * perimeter / step
     assert abs(section.area - reachable.sum() * step**2) < _perimeter(section) * step
     lowest, highest = tilts[reachable].min(axis=0), tilts[reachable].max(axis=0)
-    least, greatest = section.tilt_ranges.T
+    least, greatest = section.ranges.T
     assert np.all(least <= lowest)
     assert np.all(greatest >= highest)
     # a corner of the outline may be sharper than the cells
@@ -89,33 +90,39 @@ def test_area_and_ranges_against_counting(tripod: Tripod, z_e: float) -> None:
 
 
 def test_area_converges_with_the_directions(tripod: Tripod) -> None:
-    areas = [workspace_section(tripod, directions=directions).area for directions in (360, 1440, 5760)]
+    areas = [
+        workspace_section(tripod_space(tripod), tripod.middle_height, directions).area
+        for directions in (360, 1440, 5760)
+    ]
     assert abs(areas[0] - areas[2]) < 1e-4 * areas[2]
     assert abs(areas[1] - areas[2]) < 1e-5 * areas[2]
 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_mirror_symmetry(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod, z_e, 360)
+    section = workspace_section(tripod_space(tripod), z_e, 360)
     mirrored = np.roll(section.radii[::-1], 1)
     np.testing.assert_allclose(section.radii, mirrored, atol=2.5e-10)
-    np.testing.assert_allclose(section.tilt_ranges[1], -section.tilt_ranges[1, ::-1], atol=1e-5)
+    np.testing.assert_allclose(section.ranges[1], -section.ranges[1, ::-1], atol=1e-5)
 
 
 def test_extremes_are_found_between_the_rays(tripod: Tripod) -> None:
-    coarse, fine = workspace_section(tripod, 0.55, 90), workspace_section(tripod, 0.55, 5_760)
-    on_rays = np.stack([fine.tilts.min(axis=0), fine.tilts.max(axis=0)], axis=-1)
-    np.testing.assert_allclose(coarse.tilt_ranges, on_rays, atol=5e-4)
-    assert np.all(coarse.tilt_ranges[:, 0] <= on_rays[:, 0] + 1e-6)
-    assert np.all(coarse.tilt_ranges[:, 1] >= on_rays[:, 1] - 1e-6)
+    coarse, fine = (
+        workspace_section(tripod_space(tripod), 0.55, 90),
+        workspace_section(tripod_space(tripod), 0.55, 5_760),
+    )
+    on_rays = np.stack([fine.points.min(axis=0), fine.points.max(axis=0)], axis=-1)
+    np.testing.assert_allclose(coarse.ranges, on_rays, atol=5e-4)
+    assert np.all(coarse.ranges[:, 0] <= on_rays[:, 0] + 1e-6)
+    assert np.all(coarse.ranges[:, 1] >= on_rays[:, 1] - 1e-6)
 
 
 def test_shares_count_the_directions(tripod: Tripod) -> None:
-    section = workspace_section(tripod, 0.53)
+    section = workspace_section(tripod_space(tripod), 0.53)
     shares = section.limit_shares
     assert sum(shares.values()) == pytest.approx(1.0)
-    assert shares[Limit.STROKE] == pytest.approx(np.mean(section.limits == Limit.STROKE), abs=1e-12)
-    assert shares[Limit.REACH] == shares[Limit.UNIVERSAL] == shares[Limit.TILT] == shares[Limit.HEIGHT] == 0.0
+    assert shares["stroke"] == pytest.approx(np.mean(section.limits == Limit.STROKE), abs=1e-12)
+    assert shares["reach"] == shares["universal"] == shares["tilt"] == shares["height"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -123,7 +130,7 @@ def test_shares_count_the_directions(tripod: Tripod) -> None:
     [(0.6176, False, 2, 0), (0.62, False, 1, 1), (0.6246, True, 1, 3), (0.6356, True, 1, 0)],
 )
 def test_sections_with_parts_and_holes(hollow_tripod: Tripod, z_e: float, level: bool, parts: int, holes: int) -> None:
-    section, step = workspace_section(hollow_tripod, z_e, 720), np.radians(0.2)
+    section, step = workspace_section(tripod_space(hollow_tripod), z_e, 720), np.radians(0.2)
     tilts, reachable = _dense(hollow_tripod, z_e, np.radians(77.0), step)
     assert ndimage.label(reachable, np.ones((3, 3)))[1] == parts
     assert ndimage.label(ndimage.binary_fill_holes(reachable) & ~reachable)[1] == holes
@@ -131,21 +138,21 @@ def test_sections_with_parts_and_holes(hollow_tripod: Tripod, z_e: float, level:
     assert section.star_shaped == (parts == 1 and holes == 0)
     assert section.area == pytest.approx(reachable.sum() * step**2, rel=2e-3)
     ranges = np.stack([tilts[reachable].min(axis=0), tilts[reachable].max(axis=0)], axis=-1)
-    np.testing.assert_allclose(section.tilt_ranges, ranges, atol=4 * step)
+    np.testing.assert_allclose(section.ranges, ranges, atol=4 * step)
     assert np.all(broken_limits(hollow_tripod, _poses(section)) == 0)
     assert np.all(broken_limits(hollow_tripod, _poses(section, 1.01e-10)) != 0)
 
 
 def test_empty_section(tripod: Tripod) -> None:
-    section = workspace_section(tripod, 0.7)
+    section = workspace_section(tripod_space(tripod), 0.7)
     assert section.empty
     assert not section.star_shaped
     assert section.area == 0.0
-    assert np.all(np.isnan(section.tilt_ranges))
+    assert np.all(np.isnan(section.ranges))
     assert set(section.limit_shares.values()) == {0.0}
 
 
 @pytest.mark.parametrize(("z_e", "directions"), [(np.nan, 360), (np.inf, 360), (0.5, 7)])
 def test_bad_arguments(tripod: Tripod, z_e: float, directions: int) -> None:
     with pytest.raises(InvalidValueError):
-        workspace_section(tripod, z_e, directions)
+        workspace_section(tripod_space(tripod), z_e, directions)
