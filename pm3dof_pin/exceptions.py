@@ -6,7 +6,6 @@ exception for programs that catch it.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,8 @@ def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
     """List the known names; of many, those that are most like the name."""
     if len(known) <= most:
         return ", ".join(known)
+    import difflib  # rarely needed, and slow to import
+
     alike = difflib.get_close_matches(name, known, n=most, cutoff=0.0)
     return f"{', '.join(alike)} and {len(known) - len(alike)} more"
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import shutil
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
-from pm3dof_pin.description.expand import expand_xacro
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
 DESCRIPTION_SUFFIX = "_description"
@@ -216,6 +213,11 @@ def read_xml(path: Path) -> ElementTree.Element:
 @cache
 def _expanded(xacro: Path, name: str) -> Path:
     """Expand a xacro file to a URDF of its own, which lasts as long as the process."""
+    import shutil
+    import tempfile
+
+    from pm3dof_pin.description.expand import expand_xacro
+
     folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     urdf = folder / f"{name}.urdf"

@@ -13,7 +13,6 @@ import pinocchio as pin
 from pm3dof_pin.description.closures import ClosuresFile, LoopClosure, read_closures
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
 from pm3dof_pin.description.robots import RobotFiles
-from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model
 from pm3dof_pin.mechanism.model_files import UNLIMITED, read_model, read_named_configurations
 
 _logger = logging.getLogger(__name__)
@@ -48,6 +47,8 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
     """
     said = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
     if files.format == "mjcf":
+        from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
+
         model, said = read_mjcf_model(files.path, said)
     else:
         model = read_model(files.urdf, joint_types=said.joint_types, source=files.source)
