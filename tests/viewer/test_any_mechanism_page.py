@@ -160,7 +160,7 @@ def test_more_drawn_with_meshcat(page: Any, mechanism: Robot, tmp_path: Path) ->
     assert page.browser.errors == []
 
 
-@pytest.mark.parametrize("size", ["0.1 0.1 3", "3 0.1 0.1", "2 2 2"])
+@pytest.mark.parametrize("size", ["0.1 0.1 3", "3 0.1 0.1"])
 def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path, size: str) -> None:
     """Of long and thin, and of bulky machines: no corner is cut off."""
     urdf = f'<robot name="r"><link name="b"><visual><geometry><box size="{size}"/></geometry></visual></link></robot>'

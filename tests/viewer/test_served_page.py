@@ -71,23 +71,14 @@ def test_what_is_drawn_later_appears(page: Any, viewer: Viewer, mechanism: Robot
 
 
 def test_the_sliders_live_in_the_served_page_too(page: Any, viewer: Viewer, mechanism: Robot, tripod: Tripod) -> None:
+    """With the server and when it has ended; no request leaves the machine."""
     opened(page, viewer)
+    address = viewer.start()
+    assert set(page.browser.requests) == {address, f"{address.replace('http', 'ws')}socket"}
     theta_y = page.drag_slider("theta_y", 0.7)
     where = mechanism.solve([0.0, np.radians(theta_y), tripod.height_home]).configuration()
     np.testing.assert_allclose(page.matrix("/robot/platform"), where.frame_placement("platform").homogeneous, atol=1e-9)
     assert "in this page" in page.note()
-    assert page.browser.errors == []
-
-
-def test_no_request_leaves_the_machine(page: Any, viewer: Viewer) -> None:
-    opened(page, viewer)
-    address = viewer.start()
-    assert set(page.browser.requests) == {address, f"{address.replace('http', 'ws')}socket"}
-    assert page.browser.errors == []
-
-
-def test_the_page_outlives_its_server(page: Any, viewer: Viewer) -> None:
-    opened(page, viewer)
     viewer.close()
     page.ask("""new Promise(done => {
         const ended = () => document.getElementById("note").innerText.includes("ended");
