@@ -84,9 +84,10 @@ def serial_arm() -> Iterator[tuple[Viewer, ElasticModel]]:
     springs = [
         JointSpring(name, name, k, "N m/rad") for name, k in zip(mechanism.actuated_joints, stiffness, strict=True)
     ]
-    with Viewer(mechanism, visuals=arm.visual_model) as viewer:
+    model = ElasticModel(mechanism, springs)
+    with Viewer(mechanism, model=model, visuals=arm.visual_model) as viewer:
         viewer.display([0.3, -1.2, 1.4, -1.0, -1.5, 0.2])
-        yield viewer, ElasticModel(mechanism, springs)
+        yield viewer, model
 
 
 def draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity) -> None:

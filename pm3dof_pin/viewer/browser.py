@@ -168,6 +168,13 @@ class Browser:
         self._mouse("mouseReleased", end, **pressed)
         self.settle()
 
+    def press(self, key: str) -> None:
+        """Press a key, as "ArrowLeft", and let it go."""
+        code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
+        for kind in ("keyDown", "keyUp"):
+            self._ask("Input.dispatchKeyEvent", {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code})
+        self.settle()
+
     def picture(self) -> bytes:
         """Return a picture (PNG) of the page as it looks now."""
         self.settle()

@@ -60,6 +60,7 @@ class PagePrograms:
 
     Args:
         robot: the robot, its home configuration closed.
+        model: the robot with its springs; by default those of its description.
 
     Attributes:
         robot: the robot.
@@ -72,27 +73,28 @@ class PagePrograms:
         ConvergenceError: its loops do not close near home.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, model: ElasticModel | None = None) -> None:
         self.robot = robot
+        self._model = ElasticModel(robot) if model is None and robot.springs else model
         self._samples = program_source(robot).samples
         self.place = self._place()
 
     @cached_property
     def spring_lengths(self) -> list[dict[str, Any]]:
         """Lengths that have to be positive for a compliance: q[index] + at_zero [m]."""
-        if self.compliance is None:
+        if self.compliance is None or self._model is None:
             return []
-        lengths = [block.length for block in ElasticModel(self.robot).blocks if block.length is not None]
+        lengths = [block.length for block in self._model.blocks if block.length is not None]
         return [{"index": self.robot.single_joint(at.joint).q_index, "at_zero": at.at_zero} for at in lengths]
 
     @cached_property
     def compliance(self) -> PageProgram | None:
         """C at the tool, shape=(6, 6), then 1 if nothing is in doubt, else 0."""
         robot = self.robot
-        if not robot.springs or robot.tool_frame is None:
+        if self._model is None or robot.tool_frame is None:
             return None
         try:
-            found = elastic_program(ElasticModel(robot), robot.tool_frame, COMPLIANCE, closed=True)
+            found = elastic_program(self._model, robot.tool_frame, COMPLIANCE, closed=True)
         except ProgramError as error:
             _logger.info("no compliance in the page: %s", error)
             return None
@@ -167,10 +169,10 @@ class PagePrograms:
 
 
 @lru_cache(maxsize=8)
-def programs_of(robot: Robot) -> PagePrograms | None:
+def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms | None:
     """Return the programs of a robot, traced once; None if there are none, which is logged."""
     try:
-        programs = PagePrograms(robot)
+        programs = PagePrograms(robot, model)
         _ = programs.source
     except (ProgramError, ConvergenceError) as error:
         _logger.warning("no sliders for %s: %s", robot.name, error)

@@ -64,6 +64,7 @@ class Viewer(ShownScene):
         sliders: whether the page has sliders, over the robot's coordinates and commands, that move it with its loops
             closed and with what was drawn for its own springs and weight. A robot for which there are no programs has
             none, which is logged.
+        model: the mechanism with its springs, which sliders go on with; by default those of its description.
         visuals: Pinocchio's visual geometry, or the path of a URDF that has it; by default the URDF beside the
             mechanism's closures file. Without any, a stick figure is drawn.
         host: interface to listen on: this machine only, unless told otherwise.
@@ -75,6 +76,7 @@ class Viewer(ShownScene):
 
     Raises:
         DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
+        InvalidValueError: the elastic model is not one of the mechanism.
     """
 
     def __init__(
@@ -82,17 +84,20 @@ class Viewer(ShownScene):
         mechanism: Robot,
         *,
         sliders: bool = True,
+        model: ElasticModel | None = None,
         visuals: pin.GeometryModel | Path | str | None = None,
         host: str = "127.0.0.1",
         port: int | None = None,
     ) -> None:
         super().__init__(host, port)
+        if model is not None and model.rigid is not mechanism:
+            raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
         self._bodies = bodies_of(mechanism, visuals)
         self._box = bounding_box(self._bodies, mechanism.home)
         self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
         self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, for round numbers
-        self._programs = programs_of(mechanism) if sliders else None
+        self._programs = programs_of(mechanism, model) if sliders else None
         self._sliders = Sliders(mechanism, self._programs) if self._programs is not None else None
         self._sets = sets_of(mechanism)
         self._entries: dict[str, Entry] = {}

@@ -64,10 +64,10 @@ def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
     example_robot_data = pytest.importorskip("example_robot_data")
     arm = example_robot_data.load("ur5")
     mechanism = Robot(arm.model, tool_frame="ee_link")
-    viewer = Viewer(mechanism, visuals=arm.visual_model)
+    model = ElasticModel(mechanism, [JointSpring(name, name, 1e4, "N m/rad") for name in mechanism.actuated_joints])
+    viewer = Viewer(mechanism, model=model, visuals=arm.visual_model)
     where = mechanism.configuration([0.3, -1.2, 1.4, -1.0, -1.5, 0.2])
     viewer.display(where)
-    model = ElasticModel(mechanism, [JointSpring(name, name, 1e4, "N m/rad") for name in mechanism.actuated_joints])
     jacobian = where.tool_jacobian
     compliance = jacobian @ jacobian.T / 1e4
     drawn = viewer.stiffness_ellipsoid(compliance=compliance, kind="translation", of="compliance")
@@ -78,6 +78,20 @@ def test_serial_arm_with_meshes(page: Any, tmp_path: Path) -> None:
         np.testing.assert_allclose(page.matrix(f"/robot/{link}"), expected, atol=1e-9)
     lengths = np.linalg.norm(page.matrix("/ellipsoids/translation")[:3, :3], axis=0)
     np.testing.assert_allclose(np.sort(lengths) / drawn.scale, np.linalg.eigvalsh(compliance[:3, :3]), rtol=1e-9)
+    # a key moves a slider, and what was drawn with these springs goes on
+    page.ask("document.querySelector('#sliders input[type=range]').focus()")
+    before = page.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
+    page.browser.press("ArrowLeft")
+    coordinates = page.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
+    assert coordinates[0] < before[0]
+    moved = mechanism.solve(coordinates, guess=where.q).configuration()
+    expected = moved.frame_placement("wrist_3_link").homogeneous
+    np.testing.assert_allclose(page.matrix("/robot/wrist_3_link"), expected, atol=1e-9)
+    jacobian = moved.tool_jacobian[:3]
+    lengths = np.linalg.norm(page.matrix("/ellipsoids/translation")[:3, :3], axis=0)
+    np.testing.assert_allclose(
+        np.sort(lengths) / drawn.scale, np.linalg.eigvalsh(jacobian @ jacobian.T / 1e4), rtol=1e-8
+    )
     assert page.picture().std() > 0.05
     assert page.browser.errors == []
 

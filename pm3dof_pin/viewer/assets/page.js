@@ -158,8 +158,13 @@ const pm3dof = (() => {
     return made;
   }
 
+  // The line of an entry, of a class: "values", or "line" for the first one below.
+  function lineOf(entry, name) {
+    return [...document.querySelectorAll(".entry")].find(({ dataset }) => dataset.key === entry.key).querySelector(`.${name}`);
+  }
+
   function setValues(entry, text) {
-    document.querySelector(`.entry[data-key="${entry.key}"] .values`).textContent = text;
+    lineOf(entry, "values").textContent = text;
   }
 
   // Show, hide or paint what an entry of the legend stands for.
@@ -317,8 +322,7 @@ const pm3dof = (() => {
     while (greatest * scale > 2 * length) scale /= 10;
     const [mantissa, exponent] = (length / scale).toExponential(3).split("e");
     const value = Math.abs(exponent) < 3 ? Number((length / scale).toPrecision(4)) : `${Number(mantissa)}e${Number(exponent)}`;
-    const line = document.querySelector(`.entry[data-key="${entry.key}"] .line`);
-    line.textContent = `${what} of ${Number((1000 * length).toPrecision(6))} mm = ${value} ${unit}`.replaceAll("N m", "N\u00a0m");
+    lineOf(entry, "line").textContent = `${what} of ${Number((1000 * length).toPrecision(6))} mm = ${value} ${unit}`.replaceAll("N m", "N\u00a0m");
     return scale;
   }
 
