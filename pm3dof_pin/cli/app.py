@@ -100,7 +100,7 @@ def main() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports which fonts it looks for
     asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
-        make_app([asked] if asked in COMMANDS else COMMANDS)()
+        make_app([asked] if asked in COMMANDS else COMMANDS)(prog_name="pm3dof")
     except PM3DofError as error:
         typer.echo(f"pm3dof: {error}", err=True)
     except MemoryError as error:
