@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from pm3dof_pin.kinematics import continuation as continuation_module
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
@@ -152,6 +153,25 @@ def test_a_variant_is_solved_by_the_programs_of_its_prototype():
         assert "program_source" not in variant.__dict__
         np.testing.assert_allclose(found.transforms, expected.transforms, atol=1e-10)
         assert found.residual.max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "delta", "five_bar"])
+@pytest.mark.parametrize("given", ["coordinates", "commands"])
+def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatch):
+    """Far out, where many walks meet a singular pose."""
+    robot, solver = load(name), continuation(name, given)
+    coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
+    units = np.array([1.0 if c.unit == "rad" else robot.characteristic_length for c in coordinates])
+    home = solver.read(robot.home.q[None])
+    values = home + np.random.default_rng(3).uniform(-1.0, 1.0, (200, home.shape[1])) * units
+    starts = np.tile(robot.home.q, (200, 1))
+    arrived, q = solver._walked(starts, values)
+    monkeypatch.setattr(continuation_module, "_LEG", 0.005)
+    monkeypatch.setattr(continuation_module, "_JUMP", 0.05)
+    arrived_slowly, q_slowly = solver._walked(starts, values)
+    assert not (arrived & ~arrived_slowly).any()
+    assert arrived.sum() >= 0.98 * arrived_slowly.sum()
+    np.testing.assert_allclose(robot.at(q[arrived]).transforms, robot.at(q_slowly[arrived]).transforms, atol=1e-8)
 
 
 def test_results_do_not_depend_on_the_batch():
