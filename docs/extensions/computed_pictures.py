@@ -14,6 +14,7 @@ from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.cli.stiffness_map import PICTURES
 from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
+from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
 from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
 from pm3dof_pin.figures.schematic import schematic_figure
 from pm3dof_pin.figures.section_map import section_map
@@ -26,6 +27,7 @@ def _draw(app: Sphinx) -> None:
     folder = Path(app.srcdir) / "pictures" / "computed"
     tripod, grid = Tripod.load(), RectangularGrid()
     save_figure(schematic_figure(tripod), folder / "figure_8_1_schematic.png")
+    save_figure(passive_leg_radius_figure(tripod), folder / "passive_leg_radius.png")
     save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
     save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
     reachable, printed = workspace(tripod_space(tripod)), PrintedRanges(printed_ranges(tripod))

@@ -1,0 +1,50 @@
+"""Stiffness on the chapter's six axes in three readings: its own number, K_jj and 1 / C_jj of the elastic model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
+from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.elastic.indices import compliance
+from pm3dof_pin.typing import Array
+
+_ROWS = (3, 4, 2, 0, 1, 5)  # of K and C, in the order of the chapter's AXES
+
+
+def held_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
+    """Return K_jj: the force for a motion along each axis with all other motions held at zero.
+
+    Args:
+        tripod: the machine.
+        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
+
+    Returns:
+        In the order of :data:`~pm3dof_pin.chapter.chapter_stiffness.AXES`, shape=(..., 6) [N/m or N m/rad].
+
+    Raises:
+        UnreachablePoseError: a link cannot meet its guideway.
+        InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg.
+    """
+    return np.diagonal(elastic_stiffness(tripod, poses), axis1=-2, axis2=-1)[..., _ROWS]
+
+
+def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
+    """Return 1 / C_jj: what a probe feels that pushes or turns along each axis and leaves all other motions free.
+
+    Arguments, result and errors as of :func:`held_stiffness`.
+    """
+    flexibility = compliance(elastic_stiffness(tripod, poses))
+    felt: Array = 1.0 / np.diagonal(flexibility, axis1=-2, axis2=-1)[..., _ROWS]
+    return felt
+
+
+READINGS: dict[str, Callable[[Tripod, ArrayLike], Array]] = {
+    "chapter": chapter_stiffness,
+    "elastic, held": held_stiffness,
+    "elastic, felt": felt_stiffness,
+}

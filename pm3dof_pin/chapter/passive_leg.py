@@ -1,0 +1,32 @@
+"""The passive leg as a round bar: what another radius makes of its stiffness and its mass."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.exceptions import InvalidValueError
+
+
+def with_passive_leg_radius(tripod: Tripod, factor: float) -> Tripod:
+    """Return the machine with a passive leg of another radius r: E I and G J go with r^4, its mass with r^2.
+
+    Args:
+        tripod: the machine.
+        factor: new radius over the old one.
+
+    Raises:
+        InvalidValueError: the factor is not a positive number.
+    """
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise InvalidValueError("factor", factor, "a positive number")
+    p = tripod.parameters
+    return Tripod(
+        dataclasses.replace(
+            p,
+            bending_stiffness=factor**4 * p.bending_stiffness,
+            torsional_stiffness=factor**4 * p.torsional_stiffness,
+            passive_leg_mass=factor**2 * p.passive_leg_mass,
+        )
+    )

@@ -1,0 +1,41 @@
+"""What a passive leg of a larger radius brings, in both models: a table on the terminal and a picture in results/."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.axis_stiffness import READINGS
+from pm3dof_pin.chapter.chapter_stiffness import AXES
+from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
+from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
+from pm3dof_pin.figures.style import save_figure
+
+RESULTS = Path(__file__).resolve().parents[2] / "results"
+FACTORS = (1.1, 1.2, 1.5, 2.0)
+
+
+def main() -> None:
+    tripod = Tripod.load()
+    for kind in ("pdf", "png", "svg"):
+        print(save_figure(passive_leg_radius_figure(tripod), RESULTS / f"passive_leg_radius.{kind}"))
+    tilts = np.radians(np.arange(-45.0, 46.0))
+    poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
+    poses = poses[broken_limits(tripod, poses) == 0]
+    print(
+        f"\nstiffness over that of today's leg, least to greatest over {len(poses)} poses of the section of Table 8.3"
+    )
+    print(f"{'reading':16}{'radius':>8}" + "".join(f"{axis:>16}" for axis in AXES))
+    for name, reading in READINGS.items():
+        today = reading(tripod, poses)
+        for factor in FACTORS:
+            gains = reading(with_passive_leg_radius(tripod, factor), poses) / today
+            ranges = zip(gains.min(axis=0), gains.max(axis=0), strict=True)
+            print(f"{name:16}{factor:8.1f}" + "".join(f"{low:9.2f} ..{high:5.2f}" for low, high in ranges))
+
+
+if __name__ == "__main__":
+    main()
