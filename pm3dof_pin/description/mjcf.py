@@ -99,6 +99,7 @@ def read_mjcf(path: Path) -> Mjcf:
     for tag in _NOT_READ:
         if root.find(f"worldbody//{tag}") is not None:
             raise DescriptionError(path, f"<{tag}>", "is not read: expected bodies written out")
+    _drop_terrain(root)
     for directory in ("meshdir", "texturedir", "assetdir"):
         for compiler in root.iter("compiler"):
             if directory in compiler.attrib:
@@ -106,6 +107,14 @@ def read_mjcf(path: Path) -> Mjcf:
     if root.find("compiler[@meshdir]") is None and root.find("compiler[@assetdir]") is None:
         ElementTree.SubElement(root, "compiler", meshdir=str(path.resolve().parent))
     return _Reader(path, root).read()
+
+
+def _drop_terrain(root: ElementTree.Element) -> None:
+    """Take out height fields and skins: they are scenery, and Pinocchio refuses the file for their sake."""
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in ("hfield", "skin") or child.get("type") == "hfield" or child.get("hfield") is not None:
+                parent.remove(child)
 
 
 def _include(root: ElementTree.Element, path: Path) -> None:

@@ -141,7 +141,8 @@ def _example_robot(name: str) -> Path | None:
         return None
     if name not in ROBOTS:
         return None
-    below = Path(ROBOTS[name].path, ROBOTS[name].urdf_subpath, ROBOTS[name].urdf_filename)
+    robot = ROBOTS[name]
+    below = Path(robot.path, robot.urdf_subpath, robot.urdf_filename or robot.sdf_filename)
     return (Path(getModelPath(str(below))) / below).resolve()
 
 

@@ -73,7 +73,7 @@ class Robot(Mechanism):
             UnknownRobotError: no such robot.
             DescriptionError: a file is missing, unreadable or not of its form.
             FrameNotFoundError: the tool or a closure is at a frame that the tree does not have.
-            JointNotFoundError: the closures file or the SRDF names a joint that the tree does not have.
+            JointNotFoundError: the closures file names a joint that the tree does not have.
         """
         described = read_description(find_robot(name_or_path, package_paths), tool_frame)
         return cls(**vars(described), characteristic_length=characteristic_length)

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from pm3dof_pin.description.robots import read_xml
-from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
+from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.joint_types import with_joint_types
 
 UNLIMITED = sys.float_info.max
@@ -74,16 +74,17 @@ def _complete_limits(root: ElementTree.Element) -> bool:
 def read_named_configurations(model: pin.Model, srdf: Path) -> None:
     """Read the named configurations (`group_state`) of an SRDF into `model.referenceConfigurations`.
 
+    Joints that the model does not have, such as a floating base that is fixed here, are passed over with a warning.
+
     Raises:
         DescriptionError: the file is unreadable, is no XML, or gives a joint no number.
-        JointNotFoundError: it names a joint that the model does not have.
     """
     for state in read_xml(srdf).iter("group_state"):
         for joint in state.iter("joint"):
             element, name = f"group_state '{state.get('name')}'", joint.get("name", "")
             if not model.existJointName(name):
-                raise JointNotFoundError(name, f"{srdf}: {element}", list(model.names)[1:])
-            if not _are_numbers(joint.get("value", "")):
+                _logger.warning("%s: %s: no joint '%s' in the model: it is passed over", srdf, element, name)
+            elif not _are_numbers(joint.get("value", "")):
                 raise DescriptionError(srdf, f"{element}: joint '{name}'", "expected its value in numbers")
     with captured_output() as said:
         pin.loadReferenceConfigurations(model, str(srdf), False)

@@ -43,7 +43,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
 
     Raises:
         DescriptionError: a file is unreadable or not of its form.
-        JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
+        JointNotFoundError: the closures file names a joint that the tree does not have.
     """
     said = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
     if files.format == "mjcf":

@@ -140,7 +140,6 @@ def test_a_bad_urdf_is_one_error_and_silence(
     ("srdf", "error", "reason"),
     [
         ("<robot>", DescriptionError, "line 1"),
-        (SRDF.format(joint="knee", value="1"), JointNotFoundError, "bent.*knee.*elbow"),
         (SRDF.format(joint="elbow", value="one"), DescriptionError, "bent.*elbow"),
     ],
 )
@@ -230,6 +229,17 @@ def test_a_urdf_alone_is_a_serial_robot(tmp_path: Path) -> None:
     assert with_tool.model.frames[with_tool.tool_frame_id].name == "forearm"
     with pytest.raises(FrameNotFoundError, match=rf"{path}: tool_frame.*'hand'.*forearm"):
         Robot.load(path, tool_frame="hand")
+
+
+def test_a_joint_that_only_the_srdf_has_is_passed_over(write_robot: Writer, caplog: pytest.LogCaptureFixture) -> None:
+    """SRDF files are written for several URDFs, and for a floating base: `root_joint`."""
+    joint = '<joint name="root_joint" value="0 0 0.4 0 0 0 1"/><joint name="elbow"'
+    with caplog.at_level(logging.WARNING):
+        robot = Robot.load(
+            write_robot(ARM, NO_CLOSURES, SRDF.format(joint="elbow", value="1").replace('<joint name="elbow"', joint))
+        )
+    assert "group_state 'home': no joint 'root_joint' in the model" in caplog.text
+    assert {name: q.tolist() for name, q in robot.named_configurations.items()} == {"home": [0.5], "bent": [1.0]}
 
 
 def test_a_link_goes_before_a_joint_of_the_same_name(write_robot: Writer) -> None:
