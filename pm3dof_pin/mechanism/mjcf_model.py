@@ -43,8 +43,9 @@ def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, Closures
     model = _tree(mjcf)
     for name, settings in mjcf.joints.items():
         joint = model.joints[model.getJointId(name)]
-        if settings.unlimited and joint.nq == 1:
-            model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = -UNLIMITED, UNLIMITED
+        if settings.unlimited or joint.nq > 1:  # Pinocchio keeps free joints within 1.01 m of the origin
+            entries = slice(joint.idx_q, joint.idx_q + joint.nq)
+            model.lowerPositionLimit[entries], model.upperPositionLimit[entries] = -UNLIMITED, UNLIMITED
     closures = _closures(model, mjcf)
     drives = _drives(model, mjcf)
     springs = [

@@ -141,6 +141,7 @@ def test_a_walker_with_universal_ankles(tmp_path: Path) -> None:
     assert np.degrees(standing.lower_limits[standing.q_names.index("hip_l")]) == pytest.approx(-60.0, rel=1e-14)
     floating, _ = _load(tmp_path, FLOATING)
     assert DegreesOfFreedom(floating.home, RANK_TOLERANCE).count == 6 + 12
+    assert np.isinf(floating.upper_limits[:7]).all()
 
 
 def test_what_pinocchio_does_not_take(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
