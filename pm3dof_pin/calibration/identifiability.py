@@ -42,7 +42,7 @@ def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrume
 
     Raises:
         InvalidValueError: the loops cannot close with an error, or a noise is not positive.
-        SingularConfigurationError: at a pose the tool can move with all commands held.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     sigmas = (instrument or Instrument()).sigmas
     rows = sensitivities(errors, poses).errors[:, : len(sigmas)]
@@ -55,7 +55,6 @@ class Identifiability:
 
     Attributes:
         names: the parameters.
-        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
         poses: number of poses.
         decision: rank of the scaled regressor and how it was decided.
         directions: right singular vectors as columns, in units of the tolerances, the best known first, shape=(number
@@ -66,7 +65,6 @@ class Identifiability:
     """
 
     names: tuple[str, ...]
-    tolerances: Array
     poses: int
     decision: RankDecision
     directions: Array
@@ -93,43 +91,35 @@ class Identifiability:
         return observability_indices(self.decision.singular_values[: self.rank], self.poses)
 
 
-def identifiability(names: Sequence[str], tolerances: ArrayLike, regressor: ArrayLike) -> Identifiability:
+def identifiability(errors: GeometricErrors, regressor: ArrayLike) -> Identifiability:
     """Judge what a scaled regressor identifies.
 
     Args:
-        names: the parameters.
-        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
-        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters).
+        errors: the parameters, with their tolerances.
+        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters); see :func:`scaled_regressor`.
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.
     """
-    blocks, scales = np.asarray(regressor, dtype=float), np.asarray(tolerances, dtype=float)
+    blocks, names = np.asarray(regressor, dtype=float), errors.names
     if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
-        raise InvalidValueError(
-            "regressor", f"an array of shape {blocks.shape}", f"finite numbers of shape (n, rows, {len(names)})"
-        )
+        expected = f"finite numbers of shape (n, rows, {len(names)})"
+        raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
     matrix = blocks.reshape(-1, len(names))
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
     threshold = RANK_TOLERANCE * values.max(initial=0.0)
     rank = int(np.sum(values > threshold))
-    base, relations = _base_parameters(names, scales, triangle, rank)
+    base, relations = _base_parameters(names, errors.tolerances, triangle, rank)
     return Identifiability(
-        names=tuple(names),
-        tolerances=frozen(scales.copy()),
+        names=names,
         poses=len(blocks),
         decision=RankDecision(rank, threshold, frozen(values)),
         directions=frozen(right.T.copy()),
         base=base,
         relations=relations,
     )
-
-
-def identifiability_of(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Identifiability:
-    """Judge what measurements at some poses identify; see :func:`identifiability` and :func:`scaled_regressor`."""
-    return identifiability(errors.names, errors.tolerances, scaled_regressor(errors, poses, instrument))
 
 
 def rank_growth(regressor: ArrayLike) -> NDArray[np.intp]:

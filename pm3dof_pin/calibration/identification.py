@@ -120,7 +120,7 @@ def identify(
     Raises:
         InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
         ConvergenceError: the parameters did not settle, or the loops do not close with them.
-        SingularConfigurationError: at a command the tool can move with all commands held.
+        SingularConfigurationError: at a command the tool can move while all drives stand still.
     """
     if not len(measurements) or not len(errors):
         raise InvalidValueError(
@@ -245,7 +245,7 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
         weights=frozen(fit.weights),
         noise_factor=fit.noise_factor,
         outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
-        identifiability=identifiability(errors.names, errors.tolerances, linear.rows),
+        identifiability=identifiability(errors, linear.rows),
         steps=steps,
     )
 

@@ -31,7 +31,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
+from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array, Indices
 
@@ -98,7 +98,7 @@ class PlanningProblem:
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
-        SingularConfigurationError: at a pose the tool can move with all commands held.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
 
     def __init__(
@@ -127,47 +127,6 @@ class PlanningProblem:
         self._min_distance = min_distance
         self._prior = np.eye(len(errors)) / prior**2
 
-    @classmethod
-    def sampled(
-        cls,
-        errors: GeometricErrors,
-        generator: np.random.Generator,
-        *,
-        candidates: int = 2000,
-        test_poses: int = 300,
-        margin: float = 0.0,
-        instrument: Instrument | None = None,
-        eta: float = TIP_LENGTH,
-        min_distance: float = MIN_DISTANCE,
-        prior: float = PRIOR,
-    ) -> PlanningProblem:
-        """Make a problem with random candidates and test poses within all limits.
-
-        Args:
-            errors: the parameters, with their tolerances.
-            generator: source of the random numbers.
-            candidates: number of candidates.
-            test_poses: number of test poses.
-            margin: part of each coordinate's range that candidates keep free at either end.
-            instrument: see :class:`PlanningProblem`.
-            eta: see there.
-            min_distance: see there.
-            prior: see there.
-
-        Raises:
-            UnreachablePoseError: hardly any pose was found within the limits.
-            PM3DofError: see :class:`PlanningProblem`.
-        """
-        return cls(
-            errors,
-            reachable_poses(errors.robot, candidates, generator, margin=margin),
-            reachable_poses(errors.robot, test_poses, generator),
-            instrument=instrument,
-            eta=eta,
-            min_distance=min_distance,
-            prior=prior,
-        )
-
     @property
     def sensitivity_map(self) -> ErrorMap:
         """The error map over the candidates."""
@@ -195,22 +154,13 @@ class PlanningProblem:
         }
         if strategy not in chooser:
             raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
-        return self.plan_of(chooser[strategy](), strategy)
-
-    def plan_of(self, indices: ArrayLike, strategy: Strategy) -> Plan:
-        """Return the plan of given candidates.
-
-        Args:
-            indices: which candidates, shape=(n,).
-            strategy: how they were chosen.
-        """
-        chosen = np.sort(np.asarray(indices, dtype=np.intp))
+        chosen = np.sort(chooser[strategy]())
         return Plan(
             strategy,
             chosen,
             self.candidates[chosen],
             self.predicted_tip_rms(chosen),
-            identifiability(self.errors.names, self.errors.tolerances, self.regressor[chosen]),
+            identifiability(self.errors, self.regressor[chosen]),
         )
 
     def information(self, indices: ArrayLike) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -82,12 +83,7 @@ def calibration_plan(
         progress(1, 3)
         plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
         progress(2, 3)
-        others = {
-            name: plan.predicted_tip_rms
-            if name == plan.strategy
-            else float(problem.accuracy_curve([poses], name, SEEDS if "optimal" not in name else [seed]).mean())
-            for name in STRATEGIES
-        }
+        others = {name: _predicted(problem, plan, poses, name, seed) for name in STRATEGIES}
         files = [write_plan(plan.poses, out)]
         minimum = minimum_poses(problem.regressor[: 2 * len(errors)])
         if picture is not None:
@@ -96,6 +92,18 @@ def calibration_plan(
     print_result(result, _lines(result), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
+
+
+def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, seed: int) -> float:
+    """Return the tip error that is left with a strategy [m]; NaN where it has not so many poses to choose from."""
+    from pm3dof_pin.exceptions import InvalidValueError
+
+    if strategy == plan.strategy:
+        return plan.predicted_tip_rms
+    try:
+        return float(problem.accuracy_curve([poses], strategy, [seed] if "optimal" in strategy else SEEDS).mean())
+    except InvalidValueError:
+        return float("nan")
 
 
 def _draw(problem: PlanningProblem, minimum: int, path: Path) -> Path:
@@ -133,7 +141,8 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
 def _lines(result: dict[str, Any]) -> list[str]:
     hidden = result["not_identifiable"]
     observability = ", ".join(f"{name} = {value:.3g}" for name, value in result["observability"].items())
-    rows = [[name, f"{1e6 * value:.1f}"] for name, value in result["predicted_tip_rms_by_strategy_m"].items()]
+    predicted = result["predicted_tip_rms_by_strategy_m"].items()
+    rows = [[name, "too few poses" if math.isnan(value) else f"{1e6 * value:.1f}"] for name, value in predicted]
     return [
         f"{result['robot']}: {result['poses']} poses, {result['strategy']}",
         f"{result['identifiable']} of {result['parameters']} parameters identified, "

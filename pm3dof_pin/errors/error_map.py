@@ -183,7 +183,7 @@ def error_map(
 
     Raises:
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
-        SingularConfigurationError: at a pose the tool can move with all commands held.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,10 +86,6 @@ class SimulatedMachine:
         *,
         everything: bool = True,
         distribution: Distribution = "normal",
-        waviness: GuideWaviness | None = None,
-        thermal: ThermalGrowth | None = None,
-        elastic: ElasticDeflection | None = None,
-        vibration: Vibration | None = None,
     ) -> SimulatedMachine:
         """Draw a machine whose geometry is wrong within tolerances.
 
@@ -98,14 +95,10 @@ class SimulatedMachine:
             everything: whether all six errors of every joint and frame are wrong, not only what `errors` lists; the
                 others within the smallest tolerances that `errors` has.
             distribution: of the errors.
-            waviness: see :class:`SimulatedMachine`.
-            thermal: see there.
-            elastic: see there.
-            vibration: see there.
         """
         truth = with_all_parameters(errors) if everything else errors
         source = GeometricSource(truth, truth.sample(generator, distribution))
-        return cls(errors.robot, source, waviness, thermal, elastic, vibration)
+        return cls(errors.robot, source)
 
     def only(self, source: str) -> SimulatedMachine:
         """Return the machine with one of its sources of error alone.
@@ -116,16 +109,11 @@ class SimulatedMachine:
         Raises:
             InvalidValueError: there is no such source.
         """
-        sources = {
-            "geometric": SimulatedMachine(self.nominal, geometric=self.geometric),
-            "waviness": SimulatedMachine(self.nominal, waviness=self.waviness),
-            "thermal": SimulatedMachine(self.nominal, thermal=self.thermal),
-            "elastic": SimulatedMachine(self.nominal, elastic=self.elastic),
-            "vibration": SimulatedMachine(self.nominal, vibration=self.vibration),
-        }
+        sources = tuple(field.name for field in fields(self) if field.name != "nominal")
         if source not in sources:
             raise InvalidValueError("source", source, f"one of {', '.join(sources)}")
-        return sources[source]
+        alone: dict[str, Any] = {source: getattr(self, source)}
+        return SimulatedMachine(self.nominal, **alone)
 
     def poses(self, commands: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Return where the tool really is, without any scatter.

@@ -16,6 +16,7 @@ from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
@@ -120,7 +121,9 @@ def test_points_on_the_platform_tell_the_orientation(
 
 def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: GeometricErrors) -> None:
     """Root mean square over ten machines and 100 other poses."""
-    problem = PlanningProblem.sampled(tripod_errors, np.random.default_rng(0), candidates=500, test_poses=100)
+    generator = np.random.default_rng(0)
+    candidates, tests = (reachable_poses(tripod_errors.robot, count, generator) for count in (500, 100))
+    problem = PlanningProblem(tripod_errors, candidates, tests)
     plan = problem.plan(9, "d-optimal", np.random.default_rng(0))
     poses = problem.candidates[:100]
     squares = []
@@ -182,7 +185,7 @@ def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
     mechanism = everything.mechanism
     generator = np.random.default_rng(0)
     spread = 1.5 if name == "serial" else 0.004
-    commands = mechanism.home.actuated_positions + generator.uniform(-spread, spread, (60, 6))
+    commands = mechanism.home.commands + generator.uniform(-spread, spread, (60, 6))
     nominal = mechanism.forward(commands)
     errors = closable(everything, nominal[:5])
     truth = errors.sample(generator)

@@ -134,6 +134,7 @@ def test_what_cannot_be_planned_is_refused(problem: PlanningProblem, tripod_erro
 
 def test_other_machines_are_planned_too() -> None:
     errors = GeometricErrors.load("hexapod")
-    problem = PlanningProblem.sampled(errors, np.random.default_rng(0), candidates=60, test_poses=20)
+    poses = reachable_poses(errors.robot, 80, np.random.default_rng(0))
+    problem = PlanningProblem(errors, poses[:60], poses[60:])
     plan = problem.plan(10, "d-optimal", np.random.default_rng(0), restarts=1)
     assert plan.predicted_tip_rms < problem.predicted_tip_rms([])

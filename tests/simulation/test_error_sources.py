@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -91,9 +93,8 @@ def test_covariances_and_spectra() -> None:
 
 def _machine(errors: GeometricErrors, seed: int = 7) -> SimulatedMachine:
     rng = np.random.default_rng(seed)
-    return SimulatedMachine.random(
-        errors,
-        rng,
+    return replace(
+        SimulatedMachine.random(errors, rng),
         waviness=GuideWaviness.random(3, rng),
         thermal=ThermalGrowth(errors.fixed_bearings, members={"link1_tip": 0.3, "link2_tip": 0.3, "link3_tip": 0.3}),
         elastic=ElasticDeflection(payload=2.0),
