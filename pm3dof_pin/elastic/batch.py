@@ -21,6 +21,8 @@ from pm3dof_pin.typing import Array, Engine, Mask, OnFailure
 
 _logger = logging.getLogger(__name__)
 
+_KEPT = "_elastic_model"
+
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
@@ -126,7 +128,7 @@ def evaluate(
         engine: what computes.
         threads: number of threads.
     """
-    elastic = model if isinstance(model, ElasticModel) else ElasticModel(model)
+    elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
     name = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name if frame is None else frame
     elastic.mechanism.frame_id(name)
     q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
@@ -163,3 +165,15 @@ def evaluate(
         )
     shape = q.shape[:-1]
     return Evaluation(values.reshape(*shape, *quantity.shape), redone.reshape(shape), failed.reshape(shape))
+
+
+def elastic_model(robot: Robot) -> ElasticModel:
+    """Return the elastic model of a robot with the springs of its description; made once, and kept with the robot.
+
+    Raises:
+        DescriptionError: the robot has no springs, or see :class:`ElasticModel`.
+    """
+    kept: ElasticModel | None = vars(robot).get(_KEPT)
+    if kept is None:
+        vars(robot)[_KEPT] = kept = ElasticModel(robot)
+    return kept

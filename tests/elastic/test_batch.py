@@ -329,3 +329,11 @@ def test_results_do_not_depend_on_threads() -> None:
     model = ElasticModel.load("hexapod")
     poses = reachable_poses(model.rigid, 5000, np.random.default_rng(10))
     np.testing.assert_array_equal(compliance(model, poses, threads=1), compliance(model, poses, threads=2))
+
+
+def test_a_robot_stands_for_its_described_springs() -> None:
+    robot = Robot.load("pm3dof")
+    poses = reachable_poses(robot, 5, np.random.default_rng(12))
+    found = compliance(robot, poses)
+    np.testing.assert_array_equal(found, compliance(ElasticModel(robot), poses))
+    np.testing.assert_array_equal(found, compliance(robot, poses))
