@@ -377,7 +377,8 @@ class Robot(Mechanism):
                 "the pose may be out of reach",
                 residual,
             )
-        return Poses(self, *map(frozen, found)).reshape(*shape)
+        known: list[Any] = [values if values is None else frozen(values) for values in found]
+        return Poses(self, *known).reshape(*shape)
 
     def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
         """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""

@@ -257,3 +257,11 @@ def test_a_robot_without_programs_is_solved_all_the_same(caplog):
         poses = robot.forward([[0.1], [0.2]])
     np.testing.assert_array_equal(poses.commands, [[0.1], [0.2]])
     assert "no program for joints of type Ellipsoid" in caplog.text
+
+
+def test_a_robot_without_a_tool_is_solved():
+    robot = load("walker")
+    commands = np.random.default_rng(0).uniform(-0.05, 0.05, (40, len(robot.commands)))
+    poses = robot.forward(commands)
+    np.testing.assert_allclose(poses.commands, commands, atol=1e-15)
+    assert poses[3:5].residual.max() < 1e-12
