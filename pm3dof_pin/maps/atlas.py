@@ -45,7 +45,7 @@ Block: TypeAlias = tuple[int, ...]
 
 Precision: TypeAlias = Literal["single", "double"]
 
-_BLOCK_POSES = 65_536
+_BLOCK_POSES = 131_072
 _SCHEDULER_PATIENCE = "10s"
 
 
@@ -108,7 +108,7 @@ class Atlas:
 
     @cached_property
     def block_shape(self) -> tuple[int, ...]:
-        """Shape of the blocks: whole rows of the last dimensions, about 65,536 poses."""
+        """Shape of the blocks: whole rows of the last dimensions, about 131,072 poses."""
         shape: list[int] = []
         room = _BLOCK_POSES
         for size in reversed(self.grid.shape):
@@ -273,13 +273,15 @@ def compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store; the map of broken limits last, as the sign that it is done."""
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine)
-    wanted = poses.solved if atlas.keep_beyond_limits else poses.within_limits
-    evaluation = Evaluation(atlas.mapped, poses[wanted], engine=atlas.engine, threads=1)
+    wanted = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
+    chosen = poses.reshape(atlas.grid.part(place).size)[wanted]
+    evaluation = Evaluation(atlas.mapped, chosen, engine=atlas.engine, threads=1)
     for quantity in atlas.selected:
-        values: Array = np.full((*poses.shape, *quantity.shape_for(atlas.mapped)), np.nan)
-        if wanted.any():
+        shape = quantity.shape_for(atlas.mapped)
+        values: Array = np.full((math.prod(poses.shape), *shape), np.nan)
+        if wanted.size:
             values[wanted] = quantity.compute(evaluation)
-        atlas.store.write(quantity.name, place, values)
+        atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
     return block
 

@@ -285,6 +285,8 @@ def _compliance(evaluation: Evaluation) -> Array:
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
     felt = evaluation.elastic(FELT_STIFFNESS)
+    if not felt.size or np.fmax.reduce(felt, axis=None) * _RIGID < np.fmin.reduce(felt, axis=None):
+        return felt  # no axis is near to rigid
     least = felt.reshape(*felt.shape[:-1], 2, 3).min(axis=-1)
     return np.where(felt * _RIGID >= np.repeat(least, 3, axis=-1), np.inf, felt)
 
