@@ -20,6 +20,10 @@ SCRIPTS = Path(__file__).parents[2] / "scripts"
         ("figure_8_4", ["figure_8_4.png"]),
         ("figure_8_5", ["figure_8_5.pdf", "figure_8_5.png", "figure_8_5.svg"]),
         ("figure_8_6", ["figure_8_6.pdf", "figure_8_6.png", "figure_8_6.svg"]),
+        (
+            "studies/passive_leg_radius",
+            ["passive_leg_radius.pdf", "passive_leg_radius.png", "passive_leg_radius.svg"],
+        ),
     ],
 )
 def test_script(
