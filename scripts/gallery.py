@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -45,7 +44,7 @@ def main() -> None:
         print(viewer.save_picture(folder / "viewer_compliance.png", **SIZE))
 
     with tripod_at(12.0, 20.0, 0.49) as (viewer, _):
-        viewer.workspace(Tripod.load(), "translational_stiffness:least")
+        viewer.workspace("translational_stiffness:least")
         viewer.look(closeness=1.1)
         print(viewer.save_picture(folder / "viewer_workspace.png", **SIZE))
 

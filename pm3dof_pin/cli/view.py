@@ -29,7 +29,6 @@ from pm3dof_pin.cli.pose_arguments import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.indices import OtherMotions
     from pm3dof_pin.kinematics.poses import Poses
@@ -91,7 +90,7 @@ def view(
         str | None,
         typer.Option(
             metavar="QUANTITY",
-            help="Boundary of the workspace (pm3dof) in the colours of a quantity, as felt_stiffness:z.",
+            help="Boundary of the workspace in the colours of a quantity, as felt_stiffness:z.",
         ),
     ] = None,
     path: Annotated[
@@ -133,7 +132,6 @@ def view(
         raise typer.BadParameter("--shares: legs are not coloured along a --path")
     chosen = PoseChoice.of(pose, configuration)
     machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
-    tripod = None if workspace is None else _tripod_of(robot, config, machine)
     along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
     shown = chosen.solve(machine).configuration() if along is None else along.configuration(0)
     broken = list(map(str, broken_limits(machine, shown))) if along is None else _limits_on_path(along)
@@ -154,8 +152,8 @@ def view(
             viewer.colour_legs(model, np.eye(6)[list(Load).index(shares)])
         if frames:
             viewer.frames()
-        if workspace is not None and tripod is not None:
-            _draw_workspace(viewer, tripod, workspace)
+        if workspace is not None:
+            _draw_workspace(viewer, workspace)
         if html is None and picture is None:
             _serve(viewer, broken, browser)
             return
@@ -192,21 +190,6 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
             signal.signal(number, handler)
         viewer.close()
     message("closed")
-
-
-def _tripod_of(robot: str, config: Path | None, machine: Robot) -> Tripod:
-    """Return the closed form of a robot of the tripod's kind: its parameter file is ../config/<name>.yaml."""
-    from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.description.robots import find_robot
-    from pm3dof_pin.exceptions import PM3DofError
-
-    try:
-        if config is None:
-            urdf = find_robot(robot).urdf.resolve()
-            config = urdf.parent.parent / "config" / f"{urdf.stem}.yaml"
-        return Tripod.load(config)
-    except PM3DofError:
-        raise typer.BadParameter(f"--workspace: only the kind of {THE_TRIPOD} has one, not {machine.name}") from None
 
 
 def _elastic_model(machine: Robot) -> ElasticModel | None:
@@ -255,13 +238,13 @@ def _draw_forces(viewer: Viewer, where: Configuration) -> None:
         viewer.actuator_forces(held, what="Holding forces")
 
 
-def _draw_workspace(viewer: Viewer, tripod: Tripod, quantity: str) -> None:
+def _draw_workspace(viewer: Viewer, quantity: str) -> None:
     from pm3dof_pin.exceptions import InvalidValueError
 
     try:
-        viewer.workspace(tripod, quantity)
+        viewer.workspace(quantity)
     except InvalidValueError as error:
-        raise InvalidValueError("--workspace", quantity, error.expected) from error
+        raise InvalidValueError(f"--workspace {quantity}: {error.name}", error.value, error.expected) from error
 
 
 def _limits_on_path(poses: Poses) -> list[str]:

@@ -1,35 +1,33 @@
 """The boundary of the reachable set as a surface in space, coloured by a quantity of the maps.
 
-A pose of the tripod is two tilts and a height, which are no point in space. The tip of a tool that stands on the middle
-of the platform is one, and the only one for its pose: at the length h above O_e it is at
-
-    (h sin theta_y, -h sin theta_x cos theta_y, z_e + h cos theta_x cos theta_y).
-
-So the surface drawn is the boundary of what the tip of such a tool reaches, in metres, around the machine.
+Where the coordinates are not positions, a pose is no point in space: that of the tripod is two tilts and a height. The
+tip of a tool that stands on the platform is one, and for the tripod the only one for its pose. So the surface drawn is
+the boundary of what the tip of such a tool reaches, in metres, around the machine.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.chapter.kinematics import joint_positions
-from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.maps.workspace import Workspace
+from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.scene import Scene
 
 _WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
+_LEAST_SECTIONS = 3
 _RINGS = 12  # lines drawn along sections
-_CLOSED = 1e-9  # [m]
 _END = 1e-4  # how far inside the range of heights the first and the last section lie, as a part of it
 
 
@@ -44,6 +42,7 @@ class Shell:
         values: the quantity at each vertex, shape=(n,).
         title: what the quantity is.
         unit: its unit.
+        part: which part of the reachable set it is, in words; nothing for all of it.
     """
 
     vertices: Array
@@ -52,6 +51,7 @@ class Shell:
     values: Array
     title: str
     unit: str
+    part: str = ""
 
     @property
     def logarithmic(self) -> bool:
@@ -68,30 +68,25 @@ class Shell:
         return places
 
 
-def tool_tips(poses: ArrayLike, length: float) -> Array:
-    """Return where the tip of a tool on the middle of the platform is.
+def tool_tips(poses: Poses, length: float) -> Array:
+    """Return where the tip of a tool is, shape=(..., 3) [m].
 
     Args:
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        length: from O_e along the platform's normal [m].
-
-    Returns:
-        shape=(..., 3) [m].
+        poses: the poses.
+        length: from the tool's origin along its z axis [m].
     """
-    theta_x, theta_y, z_e = np.moveaxis(np.asarray(poses, dtype=float), -1, 0)
-    x, y = np.sin(theta_y), -np.sin(theta_x) * np.cos(theta_y)
-    z = np.cos(theta_x) * np.cos(theta_y)
-    return np.stack([length * x, length * y, z_e + length * z], axis=-1)
+    return np.asarray(poses.positions + length * poses.rotations[..., 2])
 
 
 def workspace_shell(
-    robot: Robot, tripod: Tripod, quantity: str, *, tool_length: float, heights: int = 61, directions: int = 240
+    robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120
 ) -> Shell:
     """Return the boundary of what a tool's tip reaches, with a quantity at each of its points.
 
+    Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home.
+
     Args:
-        robot: the machine.
-        tripod: the same in closed form.
+        robot: the robot.
         quantity: a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries:
             "condition_number", "translational_stiffness:least" or "felt_stiffness:z".
         tool_length: see :func:`tool_tips` [m].
@@ -99,26 +94,37 @@ def workspace_shell(
         directions: number of points in each.
 
     Raises:
-        InvalidValueError: no such quantity or entry, or a section of the reachable set is not one closed line around
-            the level platform.
+        InvalidValueError: no such quantity or entry, or it is not finite on the boundary; fewer than three coordinates;
+            or no sections in a row are one closed line around their centre.
         UnreachablePoseError: no pose is within the limits.
     """
-    from pm3dof_pin.chapter.workspace import tripod_space
+    from pm3dof_pin.maps.limit_space import robot_space
     from pm3dof_pin.maps.workspace import level_range, workspace
 
     mapped = MappedRobot(robot)
     entry = scalar_quantity(mapped, quantity)
-    limits = tripod_space(tripod)
+    limits = robot_space(robot)
+    if not limits.stacked:
+        raise InvalidValueError("workspace", robot, "a robot with three coordinates at least")
     low, high = level_range(limits)
     inset = _END * (high - low)
     # closer to each other near the ends, where the sections shrink fast
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
     space = workspace(limits, low + inset + (high - low - 2.0 * inset) * places, directions)
-    poses = boundary_poses(space)
+    sections = closed_sections(space)
+    poses = boundary_poses(robot, sections)
     values = entry.values(mapped, poses)
+    if not np.isfinite(values).all():
+        raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
     tips = tool_tips(poses, tool_length)
-    lines = _rings(tips, heights, directions)
-    return Shell(tips, _faces(heights, directions), lines, values, entry.title, entry.unit)
+    count, part = len(sections), ""
+    if count < len(space.sections):
+        ends, scale, unit = [sections[0].level, sections[-1].level], 1.0, "m"
+        if limits.units[2] == "rad":
+            scale, unit = 180.0 / np.pi, "°"
+        part = f"{limits.names[2]} {scale * ends[0]:.4g} .. {scale * ends[1]:.4g} {unit} only"
+    lines, faces = _rings(tips, count, directions), _faces(count, directions)
+    return Shell(tips, faces, lines, values, entry.title, entry.unit, part)
 
 
 @dataclass(frozen=True)
@@ -137,9 +143,8 @@ class ScalarQuantity:
     title: str
     unit: str
 
-    def values(self, mapped: MappedRobot, coordinates: Array) -> Array:
-        """Return the number at coordinates, shape=(..., number of coordinates), shape=(...)."""
-        poses = mapped.robot.solve(coordinates, on_failure="nan")
+    def values(self, mapped: MappedRobot, poses: Poses) -> Array:
+        """Return the number at poses, shape=(...)."""
         values = QUANTITIES[self.name].compute(Evaluation(mapped, poses))
         return values if self.index is None else values[..., self.index]
 
@@ -177,43 +182,35 @@ def scalar_quantities(mapped: MappedRobot) -> list[str]:
     return names
 
 
-def boundary_poses(space: Workspace) -> Array:
+def closed_sections(space: Workspace) -> tuple[WorkspaceSection, ...]:
+    """Return the longest row of sections each of which is one closed line around its centre.
+
+    Raises:
+        InvalidValueError: there are no three of them in a row.
+    """
+    longest: list[WorkspaceSection] = []
+    row: list[WorkspaceSection] = []
+    for section in space.sections:
+        row = [*row, section] if section.star_shaped else []
+        longest = max(longest, row, key=len)
+    if len(longest) < _LEAST_SECTIONS:
+        raise InvalidValueError("workspace", space.space.machine, "sections that are one closed line around a centre")
+    return tuple(longest)
+
+
+def boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
     """Return the boundary of a stack of sections, each one closed line, and the middle of both ends.
 
     Returns:
-        Poses, section after section, then the middles of the first and the last, shape=(sections * directions + 2, 3).
-
-    Raises:
-        InvalidValueError: a section is not one closed line around the level platform.
+        Poses, section after section, then the middles of the first and the last, shape=(sections * directions + 2,).
     """
-    for section in space.sections:
-        if not section.star_shaped:
-            raise InvalidValueError(
-                "workspace", f"section at z_e = {section.level:g} m", "one closed line around theta = 0"
-            )
-    lines = [
-        np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in space.sections
-    ]
-    ends = [[0.0, 0.0, space.levels[0]], [0.0, 0.0, space.levels[-1]]]
-    return np.concatenate([*lines, ends])
-
-
-def require_same_machine(tripod: Tripod, mechanism: Robot) -> None:
-    """Check that a closed form and a mechanism are one machine.
-
-    Raises:
-        InvalidValueError: their joints differ, or the closed form leaves loops of the mechanism open.
-    """
-    tilt = 0.3 * tripod.parameters.universal_limit
-    for pose in (tripod.home, np.array([tilt, -tilt, tripod.height_home])):
-        positions = joint_positions(tripod, pose)
-        if set(positions) != set(mechanism.q_names):
-            raise InvalidValueError("tripod", tripod.parameters.name, f"the tripod that {mechanism} is: joints differ")
-        q = np.array([positions[name] for name in mechanism.q_names])
-        residual = mechanism.configuration(q).closure_residual
-        if residual > _CLOSED:
-            expected = f"the tripod that {mechanism} is: its loops stay open by {residual:.1e} m"
-            raise InvalidValueError("tripod", tripod.parameters.name, expected)
+    space = sections[0].space
+    lines = [np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in sections]
+    ends = [[*space.centre, section.level] for section in (sections[0], sections[-1])]
+    changed = np.concatenate([*lines, ends])
+    coordinates = np.tile(robot.home_coordinates, (len(changed), 1))
+    coordinates[:, [robot.coordinates.index(robot.coordinate(name)) for name in space.names]] = changed
+    return robot.solve(coordinates)
 
 
 def draw_shell(scene: Scene, path: str, shell: Shell) -> None:

@@ -29,7 +29,6 @@ from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
 from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
-    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
 
@@ -343,34 +342,35 @@ class Viewer(ShownScene):
 
     def workspace(
         self,
-        tripod: Tripod,
         quantity: str = "translational_stiffness:least",
         *,
         tool_length: float | None = None,
-        heights: int = 61,
-        directions: int = 240,
+        heights: int = 41,
+        directions: int = 120,
     ) -> None:
-        """Draw the boundary of what the tip of a tool on the platform reaches, coloured by a stiffness index.
+        """Draw the boundary of what the tip of a tool on the platform reaches, coloured by a quantity.
 
         Args:
-            tripod: the machine in closed form.
-            quantity: the index, as :func:`pm3dof_pin.viewer.shell.workspace_shell` takes it.
-            tool_length: length of the tool along the platform's normal [m]; a third of the machine's size by default.
+            quantity: the quantity, as :func:`pm3dof_pin.viewer.shell.workspace_shell` takes it.
+            tool_length: length of the tool along its z axis [m]; by default none if the first coordinate is a length,
+                else a third of the machine's size.
             heights: number of sections.
             directions: number of points in each.
 
         Raises:
-            InvalidValueError: no such quantity, the tripod is not this mechanism, or its workspace has no such shell.
+            InvalidValueError: no such quantity, or the workspace has no such shell.
+            DescriptionError: the robot has no tool frame.
         """
-        if self.mechanism.tool_frame is None:
-            raise InvalidValueError("mechanism", self.mechanism, "one with a tool frame")
-        shell.require_same_machine(tripod, self.mechanism)
-        length = ellipsoids.round_length(0.42 * self._radius) if tool_length is None else tool_length
+        tool = self.mechanism.model.frames[self.mechanism.tool_frame_id].name
+        length = tool_length
+        if length is None:
+            is_position = self.mechanism.coordinates[0].unit == "m" and self.mechanism.coordinates[1].unit == "m"
+            length = 0.0 if is_position else ellipsoids.round_length(0.42 * self._radius)
         surface = shell.workspace_shell(
-            self.mechanism, tripod, quantity, tool_length=length, heights=heights, directions=directions
+            self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
         )
         shell.draw_shell(self.scene, "/workspace", surface)
-        body_path, in_body = self._body_at(self.mechanism.tool_frame)
+        body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
         bounds = [numbers([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
         self._show(
@@ -378,8 +378,9 @@ class Viewer(ShownScene):
                 key="workspace",
                 title="Workspace",
                 lines=[
-                    f"of the tip of a tool {1000.0 * length:g} mm long",
+                    f"of the tip of a tool {1000.0 * length:g} mm long" if length else "of the tool",
                     surface.title + (" (logarithmic)" if surface.logarithmic else ""),
+                    *([surface.part] if surface.part else []),
                 ],
                 bar={"colours": list(colours.INDEX_STOPS), "ends": bounds},
                 nodes=["/workspace", f"{body_path}/tool"],

@@ -14,7 +14,6 @@ from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.shell import Shell, scalar_quantities, scalar_quantity, tool_tips, workspace_shell
 
 LENGTH = 0.2
@@ -22,9 +21,7 @@ LENGTH = 0.2
 
 @pytest.fixture(scope="module")
 def shell(tripod: Tripod) -> Shell:
-    return workspace_shell(
-        Robot.load("pm3dof"), tripod, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36
-    )
+    return workspace_shell(Robot.load("pm3dof"), "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
 
 
 def poses_of(tips: np.ndarray) -> np.ndarray:
@@ -35,10 +32,11 @@ def poses_of(tips: np.ndarray) -> np.ndarray:
 
 
 def test_tips_are_on_the_platforms_normal() -> None:
-    poses = np.random.default_rng(0).uniform([-0.7, -0.7, 0.4], [0.7, 0.7, 0.6], (50, 3))
-    expected = placement(poses) @ np.array([0.0, 0.0, LENGTH, 1.0])
-    np.testing.assert_allclose(tool_tips(poses, LENGTH), expected[:, :3], atol=1e-15)
-    np.testing.assert_allclose(poses_of(tool_tips(poses, LENGTH)), poses, atol=1e-12)
+    coordinates = np.random.default_rng(0).uniform([-0.6, -0.6, 0.42], [0.6, 0.6, 0.54], (50, 3))
+    expected = placement(coordinates) @ np.array([0.0, 0.0, LENGTH, 1.0])
+    tips = tool_tips(Robot.load("pm3dof").solve(coordinates), LENGTH)
+    np.testing.assert_allclose(tips, expected[:, :3], atol=1e-12)
+    np.testing.assert_allclose(poses_of(tips), coordinates, atol=1e-11)
 
 
 def test_the_surface_is_closed_and_faces_outwards(shell: Shell) -> None:
@@ -89,7 +87,7 @@ def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
     names = scalar_quantities(mapped)
     assert {"condition_number", "felt_stiffness:z", "translational_stiffness:least", "commands:u2"} <= set(names)
     for name in names:
-        assert scalar_quantity(mapped, name).values(mapped, np.array([[0.1, 0.1, 0.49]])).shape == (1,)
+        assert scalar_quantity(mapped, name).values(mapped, mapped.robot.solve([[0.1, 0.1, 0.49]])).shape == (1,)
     assert scalar_quantity(mapped, "felt_stiffness:rx").unit == "N m/rad"
 
 
@@ -108,6 +106,13 @@ def test_bad_quantities(mapped: MappedRobot, name: str, words: str) -> None:
         scalar_quantity(mapped, name)
 
 
-def test_another_machines_workspace_is_refused(tripod: Tripod) -> None:
-    with pytest.raises(InvalidValueError, match="joints differ"):
-        Viewer(Robot.load("hexapod")).workspace(tripod)
+def test_positions_need_no_tool() -> None:
+    """The hexapod's is the boundary of the tool's own positions, its corners within all limits by a hair."""
+    robot = Robot.load("hexapod")
+    shell = workspace_shell(robot, "felt_stiffness:z", tool_length=0.0, heights=5, directions=12)
+    middle = np.array([0.0, 0.0, 0.135])
+    inside, outside = middle + 0.99 * (shell.vertices - middle), middle + 1.01 * (shell.vertices[:-2] - middle)
+    fill = np.zeros((len(inside), 3))
+    assert robot.solve(np.hstack([inside, fill])).within_limits.mean() > 0.9
+    assert not robot.solve(np.hstack([outside, fill[:-2]]), on_failure="nan").within_limits.any()
+    assert shell.part == ""

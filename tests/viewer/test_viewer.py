@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import BrowserError, FrameNotFoundError, InvalidValueError, OutputError
@@ -72,16 +70,6 @@ def test_shares(mechanism: Robot) -> None:
     assert shares["passive_leg"] > 0.999  # at home nothing else gives sideways
     with pytest.raises(InvalidValueError, match="an elastic model of"):
         Viewer(Robot.load("hexapod")).colour_legs(model)
-
-
-def test_the_tripod_has_to_be_this_mechanism(mechanism: Robot, tripod: Tripod) -> None:
-    with pytest.raises(InvalidValueError, match="joints differ"):
-        Viewer(Robot.load("hexapod")).workspace(tripod)
-    from dataclasses import replace
-
-    longer = Tripod(replace(TripodParameters.load(), link_length=0.36))
-    with pytest.raises(InvalidValueError, match="loops stay open"):
-        Viewer(mechanism).workspace(longer)
 
 
 def test_bad_input(mechanism: Robot) -> None:
