@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_flags import limit_names
 from pm3dof_pin.typing import Array, Engine
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
 
 Flags: TypeAlias = NDArray[np.uint32]
 

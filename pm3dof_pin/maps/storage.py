@@ -7,7 +7,7 @@ import io
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,13 +34,39 @@ def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    encoding = {str(name): {"zlib": True, "complevel": 4} for name in dataset.data_vars}
+    import netCDF4
+
+    # not by xarray, which asks first whether there is a dask scheduler and imports all of dask where it is installed
     with write_atomically(path) as temporary:
         try:
-            dataset.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
+                file.setncatts(dataset.attrs)
+                for dim, size in dataset.sizes.items():
+                    file.createDimension(str(dim), size)
+                for name in (*dataset.coords, *dataset.data_vars):
+                    _write_variable(file, dataset, str(name))
         except RuntimeError as error:  # what the NetCDF library makes of a full disk
             raise OutputError(path, str(error)) from error
     return Path(path)
+
+
+def _write_variable(file: Any, dataset: xr.Dataset, name: str) -> None:
+    variable = dataset[name].variable
+    values = variable.values
+    kind: Any = values.dtype
+    if kind.kind in "UO":
+        kind, values = str, values.astype(object)
+    options: dict[str, Any] = {"zlib": True, "complevel": 4} if name in dataset.data_vars else {}
+    if values.dtype.kind == "f":
+        options["fill_value"] = np.nan
+    stored = file.createVariable(name, kind, variable.dims, **options)
+    attributes = dict(variable.attrs)
+    # coordinates that are no dimensions have to be named, or they come back as variables
+    others = [str(c) for c in dataset.coords if c not in dataset.dims and set(dataset[c].dims) <= set(variable.dims)]
+    if name in dataset.data_vars and others:
+        attributes["coordinates"] = " ".join(others)
+    stored.setncatts(attributes)
+    stored[...] = values
 
 
 def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:

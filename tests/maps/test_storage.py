@@ -103,7 +103,7 @@ def test_a_disk_that_is_full(tripod: Tripod, tmp_path: Path, monkeypatch: pytest
 
     target = tmp_path / "section.nc"
     target.write_text("the old file")
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", fail)
+    monkeypatch.setattr("netCDF4.Dataset", fail)
     with pytest.raises(OutputError, match="HDF error"):
         write_netcdf(stiffness_section(tripod, RectangularGrid(shape=(3, 3))), target)
     assert [path.name for path in tmp_path.iterdir()] == ["section.nc"]
