@@ -48,7 +48,10 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True}
-autodoc_type_aliases = {name: name for name in ("ArrayLike", "Array", "Vector", "Matrix", "Unreachable")}
+autodoc_type_aliases = {
+    name: name
+    for name in ("ArrayLike", "Array", "Vector", "Matrix", "Mask", "Indices", "Objects", "OnFailure", "Engine")
+}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True

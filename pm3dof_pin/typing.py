@@ -12,6 +12,7 @@ Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.intp]
+Objects: TypeAlias = NDArray[np.object_]
 
 OnFailure: TypeAlias = Literal["raise", "nan"]
 """What happens to a pose that fails: an error, or NaN in its place."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
-from pm3dof_pin.chapter.tilt_grids import FilledGrid, Grid, PointGrid, RectangularGrid
+from pm3dof_pin.chapter.tilt_grids import FilledTiltGrid, PointGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
@@ -33,7 +33,11 @@ _LONG_NAMES = {
 
 
 def stiffness_section(
-    tripod: Tripod, grid: Grid | None = None, z_e: ArrayLike | None = None, *, excluded: Literal["nan", "keep"] = "nan"
+    tripod: Tripod,
+    grid: TiltGrid | None = None,
+    z_e: ArrayLike | None = None,
+    *,
+    excluded: Literal["nan", "keep"] = "nan",
 ) -> xr.Dataset:
     """Compute the chapter's stiffness over a section of the workspace.
 
@@ -79,7 +83,7 @@ def stiffness_section(
 
 
 def section_outline(
-    tripod: Tripod, grid: FilledGrid | None = None, z_e: float | None = None, directions: int = 720
+    tripod: Tripod, grid: FilledTiltGrid | None = None, z_e: float | None = None, directions: int = 720
 ) -> xr.Dataset | None:
     """Compute the chapter's stiffness along the boundary of a section: of its reachable part that the grid covers.
 

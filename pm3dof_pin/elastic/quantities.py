@@ -19,9 +19,9 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.traced import Roots, compressed
 from pm3dof_pin.exceptions import RigidDirectionError
-from pm3dof_pin.programs.elimination import Objects, is_zero, total, zeros
+from pm3dof_pin.programs.elimination import is_zero, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, less, maximum, minimum, select, sqrt
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Objects
 
 _SWEEPS = 6
 _TINY = 1e-300

@@ -28,7 +28,6 @@ from pm3dof_pin.programs.elimination import (
     ZERO,
     Doubt,
     Elimination,
-    Objects,
     Reflection,
     eliminate,
     is_zero,
@@ -43,6 +42,7 @@ from pm3dof_pin.programs.elimination import (
 from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
 from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, length_unit, response, widened
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.typing import Objects
 
 _LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the doubt's pivots
 

@@ -10,7 +10,7 @@ from pm3dof_pin.exceptions import ConvergenceError, ProgramError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.programs import cache, geometry
-from pm3dof_pin.programs.elimination import Doubt, Objects, total
+from pm3dof_pin.programs.elimination import Doubt, total
 from pm3dof_pin.programs.graph import Graph, Scalar, less, select
 from pm3dof_pin.programs.joints import Placement, Screw
 from pm3dof_pin.programs.llvm import Compiled
@@ -18,7 +18,7 @@ from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.typing import Array, Mask, Matrix
+from pm3dof_pin.typing import Array, Mask, Matrix, Objects
 
 _compiled: dict[str, Compiled | ProgramError] = {}
 """Programs by what they depend on; the error where there is none."""

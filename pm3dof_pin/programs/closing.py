@@ -26,10 +26,11 @@ from pm3dof_pin.programs.graph import (
     sin,
     sqrt,
 )
-from pm3dof_pin.programs.joints import Objects, cross, is_zero, objects
+from pm3dof_pin.programs.joints import cross, is_zero, objects
 from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.typing import Objects
 
 _ROUNDING = 1e-12
 """Determinants and pivots, scaled, that count as zero."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.programs.graph import Number, Scalar, absolute, less, maximum, minimum, select, sqrt
+from pm3dof_pin.typing import Objects
 
-Objects = NDArray[np.object_]
 Array = NDArray[np.float64]
 
 ZERO = 1e-9

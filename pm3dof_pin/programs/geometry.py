@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.graph import Graph, Number
+from pm3dof_pin.typing import Objects
 
 LIMIT_TOLERANCE = 1e-9
 """Excess over a limit that still counts as inside, for rounding [m, rad]."""
@@ -142,11 +143,11 @@ class Geometry:
             self._known[name] = self._graph.parameter(name, self._numbers[name])
         return self._known[name]  # type: ignore[return-value]
 
-    def vector(self, owner: str, entry: str) -> NDArray[np.object_]:
+    def vector(self, owner: str, entry: str) -> Objects:
         """Return a vector of the geometry, shape=(3,)."""
         return np.array([self.number(owner, f"{entry}{k}") for k in range(3)], dtype=object)
 
-    def rotation(self, owner: str) -> NDArray[np.object_]:
+    def rotation(self, owner: str) -> Objects:
         """Return the rotation of a placement, shape=(3, 3)."""
         return np.array([[self.number(owner, f"R{i}{j}") for j in range(3)] for i in range(3)], dtype=object)
 

@@ -12,14 +12,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.geometry import Geometry
 from pm3dof_pin.programs.graph import Number, cos, sin, sqrt
+from pm3dof_pin.typing import Objects
 
 Scalar: TypeAlias = "Number | float"
-Objects = NDArray[np.object_]
 
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 

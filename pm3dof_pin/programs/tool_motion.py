@@ -21,7 +21,6 @@ import numpy as np
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.elimination import (
     Doubt,
-    Objects,
     eliminate,
     is_zero,
     matrix_of,
@@ -34,6 +33,7 @@ from pm3dof_pin.programs.elimination import (
 from pm3dof_pin.programs.graph import sqrt
 from pm3dof_pin.programs.joints import Screw, cross
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.typing import Objects
 
 PIVOT = 1e-5
 """Pivots below this leave a rank in doubt."""

@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import broken_limits
-from pm3dof_pin.chapter.tilt_grids import Grid, PointGrid, PolarGrid, RectangularGrid
+from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.exceptions import InvalidValueError
 
 
@@ -37,7 +37,7 @@ def test_the_default_grid() -> None:
     "grid", [RectangularGrid(shape=(5, 4)), PolarGrid(0.5, 3, 9), PointGrid(np.array([[0.1, 0.2], [0.3, 0.4]]))]
 )
 @pytest.mark.parametrize("z_e", [0.45, [0.45, 0.5, 0.55]])
-def test_poses_stand_at_their_coordinates(grid: Grid, z_e: float | list[float]) -> None:
+def test_poses_stand_at_their_coordinates(grid: TiltGrid, z_e: float | list[float]) -> None:
     poses = grid.poses(z_e)
     coordinates = grid.coordinates()
     sizes = dict(zip(grid.dims, poses.shape[np.ndim(z_e) : -1], strict=True))
