@@ -28,6 +28,8 @@ from pm3dof_pin.typing import Array, Engine
 
 logger = logging.getLogger(__name__)
 
+_PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to find the program and its numbers
+
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
@@ -72,7 +74,7 @@ def sensitivities(
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     p = errors.zeros if values is None else errors.values(values)
-    if engine == "program" and len(poses):
+    if engine == "program" and len(poses) >= _PROGRAM_FROM:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
         try:
@@ -147,7 +149,7 @@ class _Loops:
             Velocities, shape=(n, nv, drives + errors); scaled closure velocities left open, shape=(n, drives + errors).
 
         Raises:
-            SingularConfigurationError: the tool can move with all commands held.
+            SingularConfigurationError: the tool can move while all drives stand still.
         """
         robot, nv = self._robot, self._model.nv
         driven = robot.actuated_indices
@@ -156,7 +158,7 @@ class _Loops:
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
         if not robot.closures:
-            self._require_driven(free)
+            self._require_tool_at_rest(free, np.eye(len(free)))
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
@@ -164,7 +166,7 @@ class _Loops:
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
-        self._require_held(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
+        self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
         pushed = closures[:, :, inputs]
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
@@ -247,18 +249,15 @@ class _Loops:
         linear = columns[:, :3] + np.cross(columns[:, 3:], point, axisa=1, axisc=1)
         return np.concatenate([linear, columns[:, 3:]], axis=1)
 
-    def _require_driven(self, free: NDArray[np.intp]) -> None:
-        self._require_held(free, np.broadcast_to(np.eye(len(free)), (len(self._columns), len(free), len(free))))
-
-    def _require_held(self, free: NDArray[np.intp], idle: Array) -> None:
-        """Check that the velocities which held commands leave possible do not move the tool."""
+    def _require_tool_at_rest(self, free: NDArray[np.intp], idle: Array) -> None:
+        """Check that the velocities which drives at rest leave possible do not move the tool."""
         length = self._robot.characteristic_length
         tool = self._tool()[:, :, free] * self._robot.velocity_scale[free]
         tool[:, :3] /= length
         loose = np.flatnonzero(np.abs(tool @ idle).max(axis=(1, 2), initial=0.0) > RANK_TOLERANCE)
         if loose.size:
             raise SingularConfigurationError(
-                f"{self._robot.name}: the tool can move with all commands held at pose "
+                f"{self._robot.name}: the tool can move while all drives stand still at pose "
                 f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
             )
 

@@ -169,6 +169,8 @@ def response(
             poses.
     """
     held = branches(tree, frame, passive, sources, doubt)
+    if not held and not readings:
+        raise ProgramError(f"'{frame}' is carried by no branch")
     count = len(sources) + len(readings)
     given = zeros(len(readings), count)
     for k in range(len(readings)):
