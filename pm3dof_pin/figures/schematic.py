@@ -40,7 +40,7 @@ def schematic_figure(tripod: Tripod) -> Figure:
     """
     points = _Points(tripod)
     with house_style():
-        figure = new_figure(10.2, 6.6)
+        figure = new_figure(9.2, 5.95)
         _draw_machine(_panel(figure, (0.0, 0.06, 0.52, 0.93)), points)
         _draw_base(_panel(figure, (0.515, 0.56, 0.235, 0.40), "Base platform from above"), points)
         _draw_platform(_panel(figure, (0.75, 0.56, 0.235, 0.40), "Moving platform from above"), points)
