@@ -92,8 +92,17 @@ def workspace_section(space: LimitSpace, level: float | None = None, directions:
     return workspace_sections(space, np.array([height]), directions)[0]
 
 
-def workspace_sections(space: LimitSpace, levels: Array, directions: int) -> list[WorkspaceSection]:
-    """Find the reachable part of each of several sections, shape=(n,); as :func:`workspace_section` n times."""
+def workspace_sections(
+    space: LimitSpace, levels: Array, directions: int, *, ranges: bool = True
+) -> list[WorkspaceSection]:
+    """Find the reachable part of each of several sections, shape=(n,); as :func:`workspace_section` n times.
+
+    Args:
+        space: coordinates and limits.
+        levels: the third coordinate of each, shape=(n,) [m, rad].
+        directions: number of rays.
+        ranges: whether their ranges are looked for, which takes half of the time; NaN without.
+    """
     if directions < 8:
         raise InvalidValueError("directions", directions, "at least 8 rays")
     samples = np.linspace(0.0, space.reach, int(np.ceil(space.reach / space.ray_step)) + 1)
@@ -102,7 +111,7 @@ def workspace_sections(space: LimitSpace, levels: Array, directions: int) -> lis
     for level in levels:
         found = crossings(space, azimuths, np.full(directions, level), samples)
         sections.append(WorkspaceSection(space, float(level), azimuths, *found, np.full((2, 2), np.nan)))
-    return _with_ranges(space, sections, 2.0 * np.pi / directions)
+    return _with_ranges(space, sections, 2.0 * np.pi / directions) if ranges else sections
 
 
 def boundary_points(section: WorkspaceSection) -> Array:

@@ -18,7 +18,6 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.maps.units import unit_of_entry
-from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
@@ -99,7 +98,8 @@ def workspace_shell(
         UnreachablePoseError: no pose is within the limits.
     """
     from pm3dof_pin.maps.limit_space import robot_space
-    from pm3dof_pin.maps.workspace import level_range, workspace
+    from pm3dof_pin.maps.workspace import level_range
+    from pm3dof_pin.maps.workspace_section import workspace_sections
 
     mapped = MappedRobot(robot)
     entry = scalar_quantity(mapped, quantity)
@@ -110,15 +110,15 @@ def workspace_shell(
     inset = _END * (high - low)
     # closer to each other near the ends, where the sections shrink fast
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
-    space = workspace(limits, low + inset + (high - low - 2.0 * inset) * places, directions)
-    sections = closed_sections(space)
+    levels = low + inset + (high - low - 2.0 * inset) * places
+    sections = closed_sections(workspace_sections(limits, levels, directions, ranges=False))
     poses = boundary_poses(robot, sections)
     values = entry.values(mapped, poses)
     if not np.isfinite(values).all():
         raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
     tips = tool_tips(poses, tool_length)
     count, part = len(sections), ""
-    if count < len(space.sections):
+    if count < heights:
         ends, scale, unit = [sections[0].level, sections[-1].level], 1.0, "m"
         if limits.units[2] == "rad":
             scale, unit = 180.0 / np.pi, "°"
@@ -182,7 +182,7 @@ def scalar_quantities(mapped: MappedRobot) -> list[str]:
     return names
 
 
-def closed_sections(space: Workspace) -> tuple[WorkspaceSection, ...]:
+def closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
     """Return the longest row of sections each of which is one closed line around its centre.
 
     Raises:
@@ -190,11 +190,13 @@ def closed_sections(space: Workspace) -> tuple[WorkspaceSection, ...]:
     """
     longest: list[WorkspaceSection] = []
     row: list[WorkspaceSection] = []
-    for section in space.sections:
+    for section in stack:
         row = [*row, section] if section.star_shaped else []
         longest = max(longest, row, key=len)
     if len(longest) < _LEAST_SECTIONS:
-        raise InvalidValueError("workspace", space.space.machine, "sections that are one closed line around a centre")
+        raise InvalidValueError(
+            "workspace", stack[0].space.machine, "sections that are one closed line around a centre"
+        )
     return tuple(longest)
 
 

@@ -101,6 +101,7 @@ class Viewer(ShownScene):
         self._sets = sets_of(mechanism)
         self._entries: dict[str, Entry] = {}
         self._scales: dict[tuple[str, ...], float] = {}
+        self._shown_beside = np.empty((0, 3))  # points that are to be in the picture besides the machine
         self._is_recording = False  # frames of a path, which no slider goes on from
         self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
         self._draw_bodies()
@@ -370,6 +371,7 @@ class Viewer(ShownScene):
             self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
         )
         shell.draw_shell(self.scene, "/workspace", surface)
+        self._shown_beside = surface.vertices
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
         bounds = [numbers([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
@@ -387,6 +389,8 @@ class Viewer(ShownScene):
                 of_pose=False,
             )
         )
+        if not self.is_served:
+            self.look(*self._direction)
 
     def play(
         self,
@@ -451,12 +455,13 @@ class Viewer(ShownScene):
         """
         self._direction = (azimuth, elevation, closeness)
         serial = self._panel.get("camera", {}).get("serial", 0) + 1
+        points = np.concatenate([outermost_points(self._bodies, self._configuration), self._shown_beside[::7]])
         self._panel["camera"] = {
             "box": bounding_box(self._bodies, self._configuration).tolist(),
             "azimuth": azimuth,
             "elevation": elevation,
             "closeness": _NEAR if closeness is None else closeness,
-            "points": [] if closeness else outermost_points(self._bodies, self._configuration).round(6).tolist(),
+            "points": [] if closeness else points.round(6).tolist(),
             "serial": serial,
         }
         self._update()
