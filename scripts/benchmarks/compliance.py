@@ -56,7 +56,8 @@ def bare_calls(mechanism: Mechanism, positions: np.ndarray) -> Callable[[], None
     return work
 
 
-def main() -> None:
+def main() -> dict[str, float]:
+    ratios: dict[str, float] = {}
     for robot, goal in GOALS.items():
         model = ElasticModel.load(robot)
         poses = reachable_poses(model.rigid, FEW, np.random.default_rng(0))
@@ -80,9 +81,12 @@ def main() -> None:
         print(f"  bare Pinocchio calls   {1e6 * bare:8.3f} us a pose")
         for name in ("compliance", "stiffness"):
             each = times[name] / POSES
+            ratios[f"{robot}: {name} against bare Pinocchio calls"] = bare / each
             print(f"  {name:<22} {1e6 * each:8.3f} us a pose, {bare / each:.0f} times faster (goal {goal})")
         print(f"  cartesian_compliance   {1e6 * times['report'] / FEW:8.1f} us")
         print(f"    and all its ranks    {1e6 * times['careful']:8.1f} us")
+
+    return ratios
 
 
 if __name__ == "__main__":

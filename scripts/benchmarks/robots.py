@@ -76,7 +76,8 @@ def uses(path: str) -> tuple[float, float]:
     return first, second
 
 
-def main() -> None:
+def main() -> dict[str, float]:
+    ratios: dict[str, float] = {}
     for name, path in ROBOTS.items():
         robot = Robot.load(path)
         model = ElasticModel(robot)
@@ -99,12 +100,17 @@ def main() -> None:
         print(f"  compliance                    {elastic * each:6.3f} us a pose; two threads {elastic / two:.2f} times")
         print(f"  both, one thread              {1.0 / ((closing + elastic) * each):6.2f} million poses a second")
         print(f"  random pose within limits     {draw:6.2f} us")
+        ratios[f"{name}: closing against Pinocchio"] = careful / (closing * each)
+        ratios[f"{name}: two threads against one"] = elastic / two
         if isinstance(cpp, str):
             print(f"  C++ Pinocchio: {cpp}")
         else:
+            ratios[f"{name}: compliance against Jacobians in C++"] = cpp / (elastic * each)
             print(
                 f"  C++ Pinocchio, Jacobians only {cpp:6.3f} us, {cpp / (elastic * each):.0f} times the compliance here"
             )
+
+    return ratios
 
 
 if __name__ == "__main__":
