@@ -1,0 +1,114 @@
+"""One contract for every robot and every dialect: what works for one of them works for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+Run = Callable[..., Any]
+Case = Any  # of conftest
+
+
+def _home(run: Run, case: Case) -> dict[str, float]:
+    """Values of the coordinates at home, in the command line's units."""
+    entries = run("info", *case.options, "--json").json["coordinates"]
+    return {entry["name"]: _shown(entry["home"], entry["unit"]) for entry in entries}
+
+
+def _shown(value: float, unit: str) -> float:
+    return float(np.degrees(value)) if unit == "rad" else value
+
+
+def _ranges(run: Run, case: Case, option: str, count: int) -> list[object]:
+    home, words = _home(run, case), list[object]()
+    for name, reach in case.axes:
+        words += [option, name, home[name] - reach, home[name] + reach, count]
+    return words
+
+
+def test_info_says_what_it_is(pm3dof: Run, case: Case) -> None:
+    result = pm3dof("info", *case.options, "--json").json
+    assert {"closure_residual", "mobility", "closures", "joints", "commands", "coordinates"} <= set(result)
+    assert result["closure_residual"] < 1e-12
+    assert all({"name", "unit"} <= set(entry) for entry in result["commands"] + result["coordinates"])
+
+
+def test_commands_of_a_pose_give_the_pose_back(pm3dof: Run, case: Case) -> None:
+    home = _home(pm3dof, case)
+    moved = home | {name: home[name] + 0.3 * reach for name, reach in case.axes}
+    pose = pm3dof("ik", *case.options, "--json", *moved.values()).json
+    units = [command["unit"] for command in pose["commands"]]
+    u = [_shown(value, unit) for value, unit in zip(pose["u"], units, strict=True)]
+    back = pm3dof("fk", *case.options, "--json", *u).json
+    np.testing.assert_allclose(list(back["pose"].values()), list(pose["pose"].values()), atol=1e-9)
+
+
+@pytest.mark.parametrize("command", ["stiffness", "statics", "modes"])
+def test_a_pose_is_analysed(pm3dof: Run, case: Case, command: str) -> None:
+    if command != "statics" and not case.springs:
+        assert "springs" in pm3dof(command, *case.options, status=1).err
+        return
+    pm3dof(command, *case.options, "--json")
+
+
+def _dataset(path: Path) -> Any:
+    import xarray as xr
+
+    with xr.open_dataset(path) as dataset:
+        return dataset.load()
+
+
+def test_a_map_over_two_coordinates(pm3dof: Run, case: Case) -> None:
+    if len(case.axes) < 2 or not case.springs:
+        return
+    pm3dof("stiffness-map", *case.options, *_ranges(pm3dof, case, "--over", 5), "--out", "map")
+    assert list(Path("map").glob("*.nc"))
+    assert list(Path("map").glob("*.csv"))
+    assert list(Path("map").glob("*.png"))
+
+
+def test_an_atlas_is_the_same_on_both_engines(pm3dof: Run, case: Case) -> None:
+    if not case.axes or not case.springs:
+        return
+    ranges = _ranges(pm3dof, case, "--range", 4)
+    quantities = ("--quantity", "compliance", "--precision", "double", "--no-pictures")
+    for engine in ("program", "pinocchio"):
+        pm3dof("atlas", *case.options, *ranges, *quantities, "--engine", engine, "--out", f"{engine}.nc")
+    program, pinocchio = _dataset(Path("program.nc")), _dataset(Path("pinocchio.nc"))
+    assert program["compliance"].dims[: len(case.axes)] == tuple(name for name, _ in case.axes)
+    size = np.sqrt(np.abs(np.einsum("...ii->...i", pinocchio["compliance"].values)))
+    scale = np.maximum(size[..., :, None] * size[..., None, :], 1e-30)
+    difference = (program["compliance"].values - pinocchio["compliance"].values) / scale
+    assert np.nanmax(np.abs(difference)) < 1e-9
+    np.testing.assert_array_equal(program["broken_limits"].values, pinocchio["broken_limits"].values)
+
+
+def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
+    if len(case.axes) < 2:
+        return
+    pm3dof("error-map", *case.options, *_ranges(pm3dof, case, "--over", 5), "--out", "errors", "--no-pictures")
+    assert list(Path("errors").glob("*.nc"))
+
+
+def test_measured_calibrated_compensated(pm3dof: Run, case: Case) -> None:
+    if case.name in ("four_bar", "walker"):
+        return
+    pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 30, "--seed", 1)
+    pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm")
+    home = _home(pm3dof, case)
+    result = pm3dof("compensate", *case.options, "--calibration", "calibrated", "--json", *home.values()).json
+    assert np.isfinite(result["u"]).all()
+
+
+def test_exported(pm3dof: Run, case: Case) -> None:
+    pm3dof("export", "urdf", *case.options, "--out", "exported")
+    assert any(Path("exported").rglob("*.urdf"))
+
+
+def test_a_page_is_written(pm3dof: Run, case: Case) -> None:
+    pm3dof("view", *case.options, "--html", "page.html")
+    assert 100_000 < Path("page.html").stat().st_size < 2_500_000
