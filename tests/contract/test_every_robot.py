@@ -65,10 +65,11 @@ def _dataset(path: Path) -> Any:
 def test_a_map_over_two_coordinates(pm3dof: Run, case: Case) -> None:
     if len(case.axes) < 2 or not case.springs:
         return
-    pm3dof("stiffness-map", *case.options, *_ranges(pm3dof, case, "--over", 5), "--out", "map")
+    pictures = () if case.name == "five_bar" else ("--no-pictures",)
+    pm3dof("stiffness-map", *case.options, *_ranges(pm3dof, case, "--over", 5), "--out", "map", *pictures)
     assert list(Path("map").glob("*.nc"))
     assert list(Path("map").glob("*.csv"))
-    assert list(Path("map").glob("*.png"))
+    assert bool(list(Path("map").glob("*.png"))) == (not pictures)
 
 
 def test_an_atlas_is_the_same_on_both_engines(pm3dof: Run, case: Case) -> None:
@@ -97,7 +98,7 @@ def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
 def test_measured_calibrated_compensated(pm3dof: Run, case: Case) -> None:
     if case.name in ("four_bar", "walker"):
         return
-    pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 30, "--seed", 1)
+    pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 20, "--seed", 1)
     pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm")
     home = _home(pm3dof, case)
     result = pm3dof("compensate", *case.options, "--calibration", "calibrated", "--json", *home.values()).json
