@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pm3dof_pin.cli.options import Config, Json, load_tripod
+from pm3dof_pin.cli.options import Json, load_tripod
 from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import Config
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.table_8_3 import TableRow
