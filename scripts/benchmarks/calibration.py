@@ -1,4 +1,4 @@
-"""One identification of 35 parameters from 60 poses, and one calibration by each method: seconds on one core."""
+"""One identification of 35 parameters from 60 poses, calibrations by each method, commands for many poses: seconds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.simulation.worlds import WORLDS, World
 
-POSES = 60
+POSES, BATCH = 60, 20_000
 
 
 def main() -> None:
@@ -32,6 +32,10 @@ def main() -> None:
             start = time.perf_counter()
             calibrate(measurements, errors, Options(method))
             print(f"  calibration by {method}: {time.perf_counter() - start:.2f} s")
+    wanted = reachable_poses(errors.robot, BATCH, generator)
+    start = time.perf_counter()
+    calibrate(measurements, errors, Options("lm+gp")).compensation.compensate(wanted)
+    print(f"commands for {BATCH} poses, the calibration included: {time.perf_counter() - start:.2f} s")
 
 
 if __name__ == "__main__":
