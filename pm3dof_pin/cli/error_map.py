@@ -62,7 +62,7 @@ def error_map(
     from pm3dof_pin.errors.error_map import error_map as error_map_at
     from pm3dof_pin.errors.error_map import section_grid
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.maps.error_section import error_section
+    from pm3dof_pin.maps.error_section import error_outline, error_section
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
     if samples is not None and (over or at):
@@ -83,7 +83,8 @@ def error_map(
             mapped = error_map_at(closing_errors(errors, poses), poses, eta=eta, distribution=distribution)
             place = "the workspace, at random"
         else:
-            section, mapped = error_section(closing_errors(errors), grid, eta=eta, distribution=distribution)
+            errors = closing_errors(errors)
+            section, mapped = error_section(errors, grid, eta=eta, distribution=distribution)
             steps = 2 + len(PICTURES) * (pictures and len(grid.dims) == 2)
             progress(1, steps)
             units = {coordinate.name: coordinate.unit for coordinate in errors.robot.coordinates}
@@ -94,8 +95,9 @@ def error_map(
                 from pm3dof_pin.figures.section_map import section_map
                 from pm3dof_pin.figures.style import save_figure
 
+                outline = error_outline(errors, grid, section)
                 for name, variable in PICTURES.items():
-                    files.append(save_figure(section_map(section, variable), out / name))
+                    files.append(save_figure(section_map(section, variable, outline), out / name))
                     progress(len(files), steps)
         ranking = mapped.ranking()
         files.append(_write_ranking(ranking, out / "error_ranking.csv"))

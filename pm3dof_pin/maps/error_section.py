@@ -68,3 +68,44 @@ def error_section(
         distribution=distribution,
         references="D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3",
     ), result
+
+
+def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, directions: int = 240) -> xr.Dataset | None:
+    """Compute the errors along the edge of a section over two coordinates, for a picture that ends there smoothly.
+
+    Args:
+        errors: the parameters of the section.
+        grid: its grid.
+        section: result of :func:`error_section`, whose eta and distribution are taken.
+        directions: number of points of the outline.
+
+    Returns:
+        A dataset along the dimension `point`; None if the edge is not one line that can be seen from the middle of the
+        grid.
+    """
+    import xarray as xr
+
+    from pm3dof_pin.maps.limit_space import robot_space
+    from pm3dof_pin.maps.workspace_section import workspace_section
+
+    robot, names = errors.robot, grid.dims
+    edge = workspace_section(robot_space(robot, names, grid.fixed), directions=directions)
+    ends = np.array([[values[0], values[-1]] for values in grid.axes.values()])
+    rays = edge.points - edge.space.centre
+    if not edge.star_shaped or np.any(edge.space.centre <= ends[:, 0]) or np.any(edge.space.centre >= ends[:, 1]):
+        return None
+    to_ends = np.where(rays > 0.0, ends[:, 1], ends[:, 0]) - edge.space.centre
+    shares = np.divide(to_ends, rays, out=np.full_like(rays, np.inf), where=rays != 0.0).min(axis=1)
+    # a little inside, where the limits hold to rounding
+    points = edge.space.centre + rays * np.minimum(1.0 - 1e-9, shares)[:, None]
+    values = np.tile([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates], (directions, 1))
+    columns = [[c.name for c in robot.coordinates].index(name) for name in names]
+    values[:, columns] = points
+    poses = robot.solve(values, on_failure="nan")
+    if not poses.solved.all():
+        return None
+    attributes = section.attrs
+    result = error_map(errors, poses, eta=attributes["eta_m_per_rad"], distribution=attributes["distribution"])
+    variables = {name: ("point", getattr(result, name), section[name].attrs) for name in QUANTITIES}
+    coordinates = {name: ("point", column, section[name].attrs) for name, column in zip(names, points.T, strict=True)}
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)

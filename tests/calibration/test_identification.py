@@ -182,7 +182,7 @@ def test_a_richer_machine_shows_in_the_noise_factor(tripod_errors: GeometricErro
 def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
     """What is measured is predicted exactly, by whichever of the redundant parameters."""
     everything = GeometricErrors(serial_arm) if name == "serial" else GeometricErrors.load("hexapod")
-    mechanism = everything.mechanism
+    mechanism = everything.robot
     generator = np.random.default_rng(0)
     spread = 1.5 if name == "serial" else 0.004
     commands = mechanism.home.commands + generator.uniform(-spread, spread, (60, 6))

@@ -22,7 +22,7 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.error_section import QUANTITIES, error_section
+from pm3dof_pin.maps.error_section import QUANTITIES, error_outline, error_section
 
 Run = Callable[..., Any]
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -77,7 +77,17 @@ def test_uniform_tolerances_are_narrower(tripod_errors: GeometricErrors, grid: G
 
 def test_pictures(tripod_errors: GeometricErrors, grid: Grid, tmp_path: Path) -> None:
     section, mapped = error_section(tripod_errors, grid, eta=0.2)
-    assert save_figure(section_map(section, "tip_rms"), tmp_path / "a.png").stat().st_size > 10_000
+    outline = error_outline(tripod_errors, grid, section)
+    assert outline is not None
+    inner = np.abs(section.theta_x.values).max()
+    assert np.abs(outline.theta_x.values).max() <= inner
+    radii = np.hypot(outline.theta_x, outline.theta_y)
+    beyond = tripod_errors.robot.solve(
+        np.column_stack([1.01 * outline.theta_x, 1.01 * outline.theta_y, np.full(240, 0.5)])
+    )
+    assert not beyond.within_limits[radii.values < 0.99 * inner].any()
+    np.testing.assert_array_less(section.tip_rms.min() - 1e-9, outline.tip_rms)
+    assert save_figure(section_map(section, "tip_rms", outline), tmp_path / "a.png").stat().st_size > 10_000
     assert save_figure(error_ranking(mapped.ranking()), tmp_path / "b.png").stat().st_size > 10_000
     with pytest.raises(InvalidValueError):
         error_ranking([])
