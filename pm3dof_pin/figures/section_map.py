@@ -35,6 +35,8 @@ _LEVELS = 20
 _ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 0.72])  # its sides
 _LINE = 0.2  # height of one of the title [inch]
+_PLAIN = range(-1, 4)  # powers of ten of numbers that are written out
+_LONGEST_LABEL = 42  # letters beside the picture
 _LONGEST_TITLE = 110  # letters in one line
 _LINES = 9  # lines of the grid that are drawn on the surface, along each of its dimensions
 
@@ -128,6 +130,7 @@ def _sheet(section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: st
     if np.isfinite(values).sum() < 3:
         raise InvalidValueError(name, f"{np.isfinite(values).sum()} values", "at least three poses to draw")
     exponent = math.floor(math.log10(np.nanmax(np.abs(values)) or 1.0))
+    exponent = exponent if exponent not in _PLAIN else 0
     across = [str(c) for c in section.coords if section[c].dims == variable.dims] or [str(dim) for dim in variable.dims]
     units = [str(section[coordinate].attrs["units"]) for coordinate in across]
     grid = _points(section, variable, across, exponent)
@@ -152,8 +155,16 @@ def _sheet(section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: st
         axes=(axis_label(across[0], units[0]), axis_label(across[1], units[1])),
         same_unit=units[0] == units[1],
         title=f"{title}{separator}{section_of}" if stands else title,
-        label=f"{what}{f', {entry}' if entry else ''} [$10^{{{exponent}}}$ {unit}]",
+        label=_label(f"{what}{f', {entry}' if entry else ''}", exponent, unit),
     )
+
+
+def _label(words: str, exponent: int, unit: str) -> str:
+    """Return the words on the axis of the values; the title has them too, so long ones are left out here."""
+    parts = [f"$10^{{{exponent}}}$"] if exponent else []
+    parts += [unit] if unit != "1" else []
+    bracket = f"[{' '.join(parts)}]" if parts else ""
+    return " ".join(filter(None, [words if len(words) <= _LONGEST_LABEL or not bracket else "", bracket]))
 
 
 def _points(dataset: xr.Dataset, values: xr.DataArray, across: Sequence[str], exponent: int) -> Array:

@@ -378,7 +378,7 @@ def has_free_motions(mapped: MappedRobot) -> bool:
     "free_stiffness",
     dims=(Dimension("free_motion", free_motion_names), Dimension("free_motion_2", free_motion_names)),
     unit=free_motion_unit,
-    long_name="stiffness of the motions that the robot is free to make",
+    long_name="stiffness of the free motions",
     exists=has_free_motions,
 )
 def _free_stiffness(evaluation: Evaluation) -> Array:
