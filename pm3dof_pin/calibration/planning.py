@@ -83,7 +83,8 @@ class PlanningProblem:
         >>> import numpy as np
         >>> import pm3dof_pin as pm
         >>> errors, generator = pm.GeometricErrors.load("pm3dof"), np.random.default_rng(0)
-        >>> problem = pm.PlanningProblem.sampled(errors, generator, candidates=200, test_poses=50)
+        >>> candidates, judges = (pm.reachable_poses(errors.robot, count, generator) for count in (200, 50))
+        >>> problem = pm.PlanningProblem(errors, candidates, judges)
         >>> len(problem.plan(12, "tip-optimal", generator, restarts=1).poses)
         12
 
