@@ -45,9 +45,9 @@ class LimitSpace:
         centre: where the rays of the sections start, shape=(2,) [m, rad].
         scale: what radius 1 is along each coordinate, shape=(2,) [m, rad].
         reach: radius beyond which no pose is within the limits.
-        ray_step: distance of radii at which the limits are looked at.
-        level_range: ends between which the third coordinate is looked at; its home alone if there are two [m, rad].
-        level_step: distance at which it is [m, rad].
+        ray_step: distance of radii at which the limits are checked.
+        level_range: ends between which the third coordinate is searched; zero if there are two [m, rad].
+        level_step: distance of levels at which the limits are checked [m, rad].
     """
 
     machine: str

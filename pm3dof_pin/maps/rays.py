@@ -34,7 +34,7 @@ class Crossings(NamedTuple):
 
 
 def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> Crossings:
-    """Look at the limits along rays, and close in every change by bisection to :data:`BOUNDARY_TOLERANCE`.
+    """Check the limits along rays, and close in every change by bisection to :data:`BOUNDARY_TOLERANCE`.
 
     A part of the set, or of its outside, that is thinner than the distance of the samples may be missed.
 
@@ -42,7 +42,7 @@ def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array)
         space: coordinates and limits.
         azimuths: direction of each ray, shape=(n,) [rad].
         levels: third coordinate of each ray, shape=(n,) [m, rad].
-        samples: growing radii at which the limits are looked at, for all rays or for each, shape=(k,) or (n, k).
+        samples: growing radii at which the limits are checked, for all rays or for each, shape=(k,) or (n, k).
     """
     radii = np.broadcast_to(samples, (len(azimuths), samples.shape[-1]))
     within = space.within(space.points(radii, azimuths[:, None]), levels[:, None])
