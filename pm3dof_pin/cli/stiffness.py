@@ -81,8 +81,8 @@ def stiffness(
     of the motions it is free to make. A pose that breaks a joint limit is still answered, with a message and exit
     status 1.
     """
-    from pm3dof_pin.elastic.condensation import cartesian_compliance
     from pm3dof_pin.elastic.elastic_model import ElasticModel
+    from pm3dof_pin.elastic.report import cartesian_compliance
 
     chosen = PoseChoice.of(pose, configuration, poses, out)
     machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)

@@ -203,7 +203,7 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
 
 
 def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity, others: OtherMotions | None) -> None:
-    from pm3dof_pin.elastic.condensation import cartesian_compliance
+    from pm3dof_pin.elastic.report import cartesian_compliance
     from pm3dof_pin.exceptions import SingularConfigurationError
 
     try:
@@ -215,7 +215,7 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity, others: 
 
 
 def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | None:
-    from pm3dof_pin.elastic.condensation import cartesian_compliance
+    from pm3dof_pin.elastic.report import cartesian_compliance
     from pm3dof_pin.exceptions import SingularConfigurationError
 
     try:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from pm3dof_pin.elastic.buckling import BucklingLoad, buckling_load
     from pm3dof_pin.elastic.condensation import (
         CartesianCompliance,
-        cartesian_compliance,
         transformed_compliance,
         transformed_stiffness,
         twist_transform,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
         loaded_equilibrium,
     )
     from pm3dof_pin.elastic.loads import Loads
+    from pm3dof_pin.elastic.report import cartesian_compliance
     from pm3dof_pin.elastic.springs import (
         AxialSpring,
         BeamSpring,
@@ -53,7 +53,7 @@ _HOMES = {
     "Spring": "springs",
     "SpringBlock": "elastic_model",
     "buckling_load": "buckling",
-    "cartesian_compliance": "condensation",
+    "cartesian_compliance": "report",
     "compliance": "batch",
     "equilibrium_path": "loaded",
     "evaluate": "batch",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.compiled import elastic_program
-from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
@@ -148,7 +148,7 @@ def evaluate(
         values[index] = np.nan
         try:
             if on_failure == "raise" or np.isfinite(rows[index]).all():
-                report = cartesian_compliance(elastic, rows[index], frame=name, engine="pinocchio")
+                report = condensed(elastic, rows[index], frame=name)
                 values[index] = quantity.computed(report).ravel()
             else:
                 failed[index] = True

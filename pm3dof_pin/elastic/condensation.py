@@ -27,10 +27,10 @@ from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
-from pm3dof_pin.exceptions import FreeDirectionError, ProgramError, RigidDirectionError
+from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Engine, Matrix, Vector
+from pm3dof_pin.typing import Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class _Decomposition:
 class CartesianCompliance:
     """The elastic behaviour of one frame at one configuration. Read-only.
 
-    Made by :func:`cartesian_compliance`. Twists are [v; omega], wrenches [f; m], at the frame's origin, world axes.
-    "Orthonormal in scaled numbers": with lengths divided by the characteristic length. What is not asked for is not
-    computed.
+    Made by :func:`~pm3dof_pin.elastic.report.cartesian_compliance`. Twists are [v; omega], wrenches [f; m], at the
+    frame's origin, world axes. "Orthonormal in scaled numbers": with lengths divided by the characteristic length. What
+    is not asked for is not computed.
 
     Attributes:
         frame: the frame.
@@ -65,7 +65,7 @@ class CartesianCompliance:
         configuration: Configuration | Vector,
         frame: str,
         tolerance: float,
-        matrices: Matrix | None,
+        matrices: Matrix | None = None,
     ) -> None:
         self.frame = frame
         self._model = model
@@ -197,66 +197,22 @@ class CartesianCompliance:
         return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"
 
 
-def cartesian_compliance(
+def condensed(
     model: ElasticModel,
     configuration: Configuration | ArrayLike,
     *,
     frame: str | None = None,
     tolerance: float = RANK_TOLERANCE,
-    engine: Engine = "program",
 ) -> CartesianCompliance:
-    """Compute the elastic behaviour of a frame, unloaded but for the wrenches that probe it.
+    """Compute the elastic behaviour of a frame from Pinocchio's Jacobians and singular values.
 
-    Compliance and stiffness of the tool come from its compiled program, where that leaves nothing in doubt; all else,
-    and other frames, from Pinocchio's Jacobians and singular values.
-
-    Example:
-        >>> import pm3dof_pin as pm
-        >>> model = pm.ElasticModel.load("pm3dof")
-        >>> tool = pm.cartesian_compliance(model, model.rigid.home)
-        >>> tool.exists, tool.stiffness.shape
-        (True, (6, 6))
-
-    Args:
-        model: the elastic mechanism.
-        configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a
-            configuration of the mechanism with virtual joints.
-        frame: the frame; the tool by default.
-        tolerance: singular values below this times their reference count as zero.
-        engine: "program", or "pinocchio" for singular values in any case.
-
-    Raises:
-        FrameNotFoundError: the model has no such frame.
-        DescriptionError: no frame is given, and the mechanism has no tool frame.
-        InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
+    Arguments and errors as for :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
     """
-    tool = model.mechanism.tool_frame
     name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
-    matrices = None
-    if engine == "program" and name == tool and tolerance == RANK_TOLERANCE:
-        if not isinstance(given, Configuration):
-            matrices = _from_program(model, given)
-        elif given.mechanism is model.rigid:
-            matrices = _from_program(model, given.q)
-    report = CartesianCompliance(model, given, name, tolerance, matrices)
-    if matrices is None:
-        _ = report.decomposition
+    report = CartesianCompliance(model, given, name, tolerance)
+    _ = report.decomposition  # errors come at once
     return report
-
-
-def _from_program(model: ElasticModel, q: Vector) -> Matrix | None:
-    """Return C and K of the tool, shape=(2, 6, 6); None where there is no program or a rank is in doubt."""
-    from pm3dof_pin.elastic.compiled import elastic_program
-    from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
-
-    tool = model.mechanism.tool_frame
-    assert tool is not None
-    try:
-        values, sound = elastic_program(model, tool, COMPLIANCE_AND_STIFFNESS, closed=False)(q[None], threads=1)
-    except ProgramError:
-        return None
-    return values.reshape(2, 6, 6) if sound[0] else None
 
 
 def _decomposed(model: ElasticModel, where: Configuration, frame: str, tolerance: float) -> _Decomposition:

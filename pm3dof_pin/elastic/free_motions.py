@@ -8,7 +8,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Unit
-from pm3dof_pin.elastic.condensation import cartesian_compliance
+from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.directions import direction_names
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import SingularConfigurationError
@@ -65,7 +65,7 @@ def free_motion_stiffness(
         DescriptionError: the robot has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    tool = cartesian_compliance(model, configuration, tolerance=tolerance)
+    tool = condensed(model, configuration, tolerance=tolerance)
     coordinates = configuration.mechanism.declared_coordinates
     dof = DegreesOfFreedom(configuration, tolerance)
     if len(coordinates) == dof.at_tool.rank.rank:

@@ -141,13 +141,13 @@ class LoadedState:
         """
         mechanism = self.model.mechanism
         q = pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
-        configuration = mechanism.configuration(q)
+        configuration = Configuration(mechanism, q)
         for _ in range(_CLOSING_STEPS):
             residual = configuration.closure_residual
             if residual == 0.0:
                 break
             q = pin.integrate(mechanism.model, q, -self.motions.closing @ configuration.closure_error)
-            closer = mechanism.configuration(q)
+            closer = Configuration(mechanism, q)
             if closer.closure_residual >= residual:
                 break
             configuration = closer

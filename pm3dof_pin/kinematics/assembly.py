@@ -79,7 +79,7 @@ def assemble(
     q, free = mechanism.place_joints(start, joints or {})
     equations = _Equations(mechanism, free, tool or {})
     point, steps = _iterate(equations, equations.at(q), tolerance, max_steps)
-    return Assembly(point.residual <= tolerance, steps, point.residual, mechanism.configuration(point.q))
+    return Assembly(point.residual <= tolerance, steps, point.residual, Configuration(mechanism, point.q))
 
 
 @dataclass(frozen=True, eq=False)

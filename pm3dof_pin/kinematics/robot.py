@@ -131,6 +131,17 @@ class Robot(Mechanism):
         """Values of the coordinates at home, shape=(number of coordinates,) [m, rad]."""
         return self.at([self.home.q])[0].coordinates
 
+    def configuration(self, q: ArrayLike) -> Configuration:
+        """Make the read-only configuration at q.
+
+        Args:
+            q: joint configuration, shape=(nq,) [m, rad]. The loops need not be closed.
+
+        Raises:
+            InvalidValueError: q has another shape, is not finite, or is not normalised.
+        """
+        return Configuration(self, q)
+
     def coordinate(self, name: str) -> Coordinate:
         """Return a coordinate by name.
 

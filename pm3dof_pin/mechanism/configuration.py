@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
-
-if TYPE_CHECKING:
-    from pm3dof_pin.mechanism.mechanism import Mechanism
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class LimitViolation:
 class Configuration:
     """A mechanism at one q: placements, Jacobians and closure errors. Read-only.
 
-    Made by :meth:`Mechanism.configuration`. The closure error and its Jacobian are computed when the object is made,
+    Made by :meth:`Robot.configuration`. The closure error and its Jacobian are computed when the object is made,
     frames when they are asked for, all from this q and nothing else; q cannot change, so nothing can be stale. The
     loops need not be closed: see :attr:`closure_residual`.
 

@@ -18,7 +18,6 @@ from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, Unit
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
-from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
 from pm3dof_pin.typing import Vector
 
@@ -226,17 +225,6 @@ class Mechanism:
         Compiled programs of the prototype serve all that differ from it in numbers only.
         """
         return self if self._prototype is None else self._prototype
-
-    def configuration(self, q: ArrayLike) -> Configuration:
-        """Make the read-only configuration at q.
-
-        Args:
-            q: joint configuration, shape=(nq,) [m, rad]. The loops need not be closed.
-
-        Raises:
-            InvalidValueError: q has another shape, is not finite, or is not normalised.
-        """
-        return Configuration(self, q)
 
     @property
     def tool_frame_id(self) -> int:

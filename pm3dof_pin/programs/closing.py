@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
 from pm3dof_pin.programs.graph import (
@@ -213,7 +214,7 @@ def _residual(equations: list[Equations]) -> Scalar:
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
     """Add the targets to the inputs; their samples are where the tool is."""
-    placements = [mechanism.configuration(q).tool_placement for q in samples]
+    placements = [Configuration(mechanism, q).tool_placement for q in samples]
     rows = np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
     return {name: graph.input(name, rows[:, k]) for k, name in enumerate(task.tool)}
 

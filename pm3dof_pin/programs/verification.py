@@ -7,6 +7,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.graph import Graph
@@ -64,7 +65,7 @@ def verify(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> 
 
 
 def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
-    configuration = mechanism.configuration(q)
+    configuration = Configuration(mechanism, q)
     placement = configuration.frame_placement(name)
     return np.concatenate(
         [placement.rotation.ravel(), placement.translation, configuration.frame_jacobian(name).ravel()]
@@ -73,7 +74,7 @@ def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
 
 def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
     """Return Pinocchio's rows of a closure, turned from the axes of frame a into those of the world."""
-    configuration = mechanism.configuration(q)
+    configuration = Configuration(mechanism, q)
     rotation = configuration.frame_placement(mechanism.closures[index].frame_a).rotation
     rows = configuration.constraint_jacobian[mechanism.loop_kinematics.rows[index]]
     turned: Array = np.concatenate([rotation @ part for part in np.split(rows, len(rows) // 3)])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import Motion
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration

@@ -272,9 +272,9 @@ class Viewer(ShownScene):
             InvalidValueError: the elastic model is not one of the mechanism, or the wrench is zero or not finite.
             SingularConfigurationError: no spring gives under the load.
             PM3DofError: there is no compliance here: see
-                :func:`~pm3dof_pin.elastic.condensation.cartesian_compliance`.
+                :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
         """
-        from pm3dof_pin.elastic.condensation import cartesian_compliance
+        from pm3dof_pin.elastic.report import cartesian_compliance
         from pm3dof_pin.elastic.shares import shares
         from pm3dof_pin.viewer.legs import leg_numbers, leg_shares, leg_springs
 

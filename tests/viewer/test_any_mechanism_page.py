@@ -11,8 +11,8 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.dynamics import holding_forces
-from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.dynamics import holding_forces
-from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.shares import shares
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits

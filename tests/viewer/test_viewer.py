@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.elastic.condensation import cartesian_compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import BrowserError, FrameNotFoundError, InvalidValueError, OutputError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
