@@ -10,11 +10,11 @@ from .dynamics.modes import natural_modes as natural_modes
 from .dynamics.statics import holding_forces as holding_forces
 from .elastic.batch import compliance as compliance
 from .elastic.batch import stiffness as stiffness
-from .elastic.report import cartesian_compliance as cartesian_compliance
 from .elastic.elastic_model import ElasticModel as ElasticModel
 from .elastic.free_motions import free_motion_stiffness as free_motion_stiffness
 from .elastic.loaded import loaded_equilibrium as loaded_equilibrium
 from .elastic.loads import Loads as Loads
+from .elastic.report import cartesian_compliance as cartesian_compliance
 from .errors.error_map import error_map as error_map
 from .errors.error_parameters import GeometricErrors as GeometricErrors
 from .errors.sensitivity import sensitivities as sensitivities
