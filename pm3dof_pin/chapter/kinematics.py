@@ -153,7 +153,7 @@ def inverse_kinematics(
         on_failure: "raise", or "nan" to mark poses out of reach in the result.
 
     Returns:
-        u, shape=(..., n) [m]. Joint limits are not checked: see :func:`~pm3dof_pin.chapter.limits.limit_violations`.
+        u, shape=(..., n) [m]. Joint limits are not checked: see :func:`~pm3dof_pin.chapter.limits.broken_limits`.
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
@@ -262,7 +262,7 @@ def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
     return Legs.at(tripod, pose_array, modes).wrenches @ motion_twists(pose_array)
 
 
-def actuation_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9).
 
     Args:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.chapter.kinematics import Legs, inverse_kinematics, passive_joint_angles
+from pm3dof_pin.chapter.kinematics import Legs
 from pm3dof_pin.chapter.tripod import Tripod
 
 
@@ -36,33 +34,6 @@ class Limit(IntFlag):
 
 LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
 """Names of the limits, from the lowest bit on."""
-
-
-@dataclass(frozen=True)
-class LimitViolation:
-    """One joint outside its range.
-
-    Attributes:
-        joint: name of the joint, as in the URDF, where the spherical joints `spherical1` .. are loop closures.
-        limit: the kind of limit.
-        value: the joint's coordinate [unit].
-        lower: lower end of its range [unit].
-        upper: upper end of its range [unit].
-        unit: "m" or "rad".
-    """
-
-    joint: str
-    limit: Limit
-    value: float
-    lower: float
-    upper: float
-    unit: str
-
-    def __str__(self) -> str:
-        """One line for a person, angles in degrees."""
-        factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)
-        value, lower, upper = (f"{number * factor:.{digits}f}" for number in (self.value, self.lower, self.upper))
-        return f"{self.joint} at {value} {unit}, outside {lower} .. {upper} {unit}"
 
 
 def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
@@ -97,36 +68,3 @@ def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike 
     for limit, where_broken in broken.items():
         flags |= np.where(where_broken, np.uint8(limit), np.uint8(0))
     return flags
-
-
-def limit_violations(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike = -1) -> list[LimitViolation]:
-    """List every joint that a single pose takes outside its range.
-
-    Args:
-        tripod: the machine.
-        pose: (theta_x, theta_y, z_e), shape=(3,) [rad, rad, m].
-        assembly_mode: -1 or +1 for every leg.
-
-    Raises:
-        UnreachablePoseError: a link is too short for the pose.
-        InvalidValueError: not one pose of finite numbers, or a mode that is not -1 or +1.
-    """
-    p = tripod.parameters
-    theta_x, theta_y, z_e = tripod.checked_pose(pose)
-    u = inverse_kinematics(tripod, pose, assembly_mode=assembly_mode)
-    angles = passive_joint_angles(tripod, pose, assembly_mode=assembly_mode)
-    u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
-    candidates = [
-        LimitViolation("platform_x_joint", Limit.TILT, theta_x, -p.universal_limit, p.universal_limit, "rad"),
-        LimitViolation("platform_y_joint", Limit.TILT, theta_y, -p.universal_limit, p.universal_limit, "rad"),
-        LimitViolation("passive_slider_joint", Limit.HEIGHT, z_e, z_low, z_high, "m"),
-    ]
-    for leg in range(p.leg_count):
-        first, second, swing = angles[leg]
-        candidates += [
-            LimitViolation(f"slider{leg + 1}_joint", Limit.STROKE, u[leg], u_min, u_max, "m"),
-            LimitViolation(f"universal{leg + 1}_first_joint", Limit.UNIVERSAL, first, -universal, universal, "rad"),
-            LimitViolation(f"universal{leg + 1}_second_joint", Limit.UNIVERSAL, second, -universal, universal, "rad"),
-            LimitViolation(f"spherical{leg + 1}", Limit.SPHERICAL, swing, 0.0, spherical, "rad"),
-        ]
-    return [entry for entry in candidates if not entry.lower <= entry.value <= entry.upper]

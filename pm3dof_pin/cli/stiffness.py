@@ -192,7 +192,9 @@ def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
 
     length = indices.characteristic_length(stiffness)
     principal = {
-        f"{motion}_others_{others}": indices.ellipsoid(indices.condensed_stiffness(compliance, motion, others)).values
+        f"{motion}_others_{others}": indices.principal_axes(
+            indices.condensed_stiffness(compliance, motion, others)
+        ).values
         for motion in ("translation", "rotation")
         for others in ("free", "held")
     }

@@ -95,7 +95,7 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
     return inverse
 
 
-def ellipsoid(matrix: ArrayLike) -> Ellipsoid:
+def principal_axes(matrix: ArrayLike) -> Ellipsoid:
     """Return principal values and axes of a symmetric 3 x 3 block, shape=(..., 3, 3).
 
     Of a stiffness block, the first axis is the softest direction; of a compliance block, the stiffest.

@@ -19,8 +19,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.traced import Roots, compressed
 from pm3dof_pin.exceptions import RigidDirectionError
-from pm3dof_pin.programs.elimination import is_zero, total, zeros
-from pm3dof_pin.programs.graph import Scalar, absolute, less, maximum, minimum, select, sqrt
+from pm3dof_pin.programs.elimination import total, zeros
+from pm3dof_pin.programs.graph import Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
 from pm3dof_pin.typing import Array, Objects
 
 _SWEEPS = 6
@@ -132,7 +132,7 @@ def _computed_stiffness(report: CartesianCompliance) -> Array:
 
 def _computed_principal(report: CartesianCompliance) -> Array:
     blocks = [indices.condensed_stiffness(report.compliance, motion) for motion in ("translation", "rotation")]
-    return np.stack([indices.ellipsoid(block).values for block in blocks])
+    return np.stack([indices.principal_axes(block).values for block in blocks])
 
 
 def _computed_conditioning(report: CartesianCompliance) -> Array:

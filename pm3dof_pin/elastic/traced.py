@@ -30,7 +30,6 @@ from pm3dof_pin.programs.elimination import (
     Elimination,
     Reflection,
     eliminate,
-    is_zero,
     matrix_of,
     product,
     reflect,
@@ -39,7 +38,7 @@ from pm3dof_pin.programs.elimination import (
     total,
     zeros,
 )
-from pm3dof_pin.programs.graph import Graph, Scalar, absolute, minimum, sqrt
+from pm3dof_pin.programs.graph import Graph, Scalar, absolute, is_zero, minimum, sqrt
 from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, length_unit, response, widened
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects

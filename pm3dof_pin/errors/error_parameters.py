@@ -360,7 +360,7 @@ def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tu
     if not robot.model.existJointName(place):
         raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":
-        return [("_along", _as_tuple(joint_axis(robot, place)))]
+        return [("_along", _as_tuple(robot.joint_axis(place)))]
     return [(f"_across{k}", direction) for k, direction in enumerate(across_directions(robot, place), start=1)]
 
 
@@ -374,26 +374,11 @@ def across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, flo
         JointNotFoundError: the model has no such joint.
         InvalidValueError: the joint has several degrees of freedom.
     """
-    along = joint_axis(robot, joint)
+    along = robot.joint_axis(joint)
     reference = np.array([1.0, 0.0, 0.0] if abs(along[2]) > _NEARLY_PARALLEL else [0.0, 0.0, 1.0])
     first = np.cross(reference, along)
     first /= np.linalg.norm(first)
     return _as_tuple(first), _as_tuple(np.cross(along, first))
-
-
-def joint_axis(robot: Robot, joint: str) -> Vector:
-    """Return the axis of a single-DoF joint in its own axes, a unit vector, shape=(3,).
-
-    Raises:
-        JointNotFoundError: the model has no such joint.
-        InvalidValueError: the joint has several degrees of freedom.
-    """
-    column = robot.single_joint(joint).v_index
-    model, data = robot.model, robot.model.createData()
-    jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), model.getJointId(joint))
-    twist = jacobian.reshape(6, model.nv)[:, column]
-    direction = twist[3:] if twist[3:].any() else twist[:3]
-    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _as_tuple(vector: Vector) -> tuple[float, float, float]:
@@ -409,7 +394,7 @@ def _fixed_bearings(robot: Robot, file: ErrorFile) -> Vector:
         if joint not in robot.actuated_joints:
             raise JointNotFoundError(joint, f"{file.path}: command_zeros", robot.actuated_joints)
         placement = neutral.frame_placement(joint)
-        axis = placement.rotation @ joint_axis(robot, joint)
+        axis = placement.rotation @ robot.joint_axis(joint)
         start = neutral.frame_placement(frame).translation
         bearings[robot.actuated_joints.index(joint)] = axis @ (start - placement.translation)
     return bearings

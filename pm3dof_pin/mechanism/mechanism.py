@@ -257,6 +257,20 @@ class Mechanism:
             raise InvalidValueError("joint", name, "a single-DoF joint")
         return joint
 
+    def joint_axis(self, name: str) -> Vector:
+        """Return the axis of a single-DoF joint in its own axes, a unit vector, shape=(3,).
+
+        Raises:
+            JointNotFoundError: the model has no such joint.
+            InvalidValueError: the joint has several degrees of freedom.
+        """
+        column = self.single_joint(name).v_index
+        data = self.model.createData()
+        jacobian = pin.computeJointJacobian(self.model, data, pin.neutral(self.model), self.model.getJointId(name))
+        twist = jacobian.reshape(6, self.model.nv)[:, column]
+        direction = twist[3:] if twist[3:].any() else twist[:3]
+        return np.asarray(direction / np.linalg.norm(direction))
+
     def velocity_indices(self, joints: Iterable[str]) -> NDArray[np.intp]:
         """Return the indices in v of single-DoF joints, in the order given.
 

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import TracedProgram
-from pm3dof_pin.programs.graph import Graph, Scalar, Truth, less, maximum, select, sqrt
-from pm3dof_pin.programs.joints import is_zero
+from pm3dof_pin.programs.graph import Graph, Scalar, Truth, is_zero, less, maximum, select, sqrt
 from pm3dof_pin.programs.loops import closure_equations, swing
 from pm3dof_pin.programs.tree import Tree
 

@@ -20,6 +20,7 @@ from pm3dof_pin.programs.graph import (
     Truth,
     absolute,
     cos,
+    is_zero,
     less,
     maximum,
     minimum,
@@ -27,7 +28,7 @@ from pm3dof_pin.programs.graph import (
     sin,
     sqrt,
 )
-from pm3dof_pin.programs.joints import cross, is_zero, objects
+from pm3dof_pin.programs.joints import cross, objects
 from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.programs.graph import Number, Scalar, absolute, less, maximum, minimum, select, sqrt
+from pm3dof_pin.programs.graph import Number, Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
 from pm3dof_pin.typing import Objects
 
 Array = NDArray[np.float64]
@@ -254,11 +254,6 @@ def product(a: Objects, b: Objects) -> Objects:
         for j in range(b.shape[1]):
             result[i, j] = total([x * y for x, y in zip(row, b[:, j], strict=True) if not (is_zero(x) or is_zero(y))])
     return result
-
-
-def is_zero(number: Scalar) -> bool:
-    """Tell whether a number is known to be 0 while recording."""
-    return number.is_zero if isinstance(number, Number) else number == 0.0
 
 
 def samples(number: Scalar) -> Array | float:

@@ -475,3 +475,8 @@ def _divide(a: Number, b: Number) -> Number:
     if a.value != 1.0:  # one reciprocal serves all that is divided by the same
         return _multiply(a, _divide(a.graph.constant(1.0), b))
     return _record(Number, "divide", a, b)
+
+
+def is_zero(number: Scalar) -> bool:
+    """Tell whether a number is known to be 0 while recording."""
+    return number.is_zero if isinstance(number, Number) else number == 0.0

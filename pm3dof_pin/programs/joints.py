@@ -15,17 +15,10 @@ import pinocchio as pin
 
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.geometry import Geometry
-from pm3dof_pin.programs.graph import Number, cos, sin, sqrt
+from pm3dof_pin.programs.graph import Scalar, cos, is_zero, sin, sqrt
 from pm3dof_pin.typing import Objects
 
-Scalar: TypeAlias = "Number | float"
-
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-
-
-def is_zero(number: Scalar) -> bool:
-    """Tell whether a number is known to be 0 while tracing."""
-    return number.is_zero if isinstance(number, Number) else number == 0.0
 
 
 def objects(numbers: Any) -> Objects:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.graph import Scalar, cos, less, maximum, select, sin
+from pm3dof_pin.programs.graph import Scalar, cos, is_zero, less, maximum, select, sin
 from pm3dof_pin.programs.graph import absolute as magnitude
-from pm3dof_pin.programs.joints import Placement, cross, is_zero, objects
+from pm3dof_pin.programs.joints import Placement, cross, objects
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 

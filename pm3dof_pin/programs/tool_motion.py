@@ -22,7 +22,6 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.elimination import (
     Doubt,
     eliminate,
-    is_zero,
     matrix_of,
     product,
     samples,
@@ -30,7 +29,7 @@ from pm3dof_pin.programs.elimination import (
     total,
     zeros,
 )
-from pm3dof_pin.programs.graph import sqrt
+from pm3dof_pin.programs.graph import is_zero, sqrt
 from pm3dof_pin.programs.joints import Screw, cross
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects

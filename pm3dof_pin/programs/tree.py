@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.geometry import Geometry
-from pm3dof_pin.programs.graph import Graph
-from pm3dof_pin.programs.joints import Link, Placement, Scalar, Screw, chain, is_zero, objects
+from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
+from pm3dof_pin.programs.joints import Link, Placement, Screw, chain, objects
 from pm3dof_pin.typing import Objects
 
 

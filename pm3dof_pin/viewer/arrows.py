@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.bodies import joint_placements
@@ -49,23 +47,16 @@ def actuator_axes(configuration: Configuration) -> tuple[Axis, ...]:
     axes = []
     for name in mechanism.actuated_joints:
         joint = mechanism.model.getJointId(name)
-        direction, turns = joint_axis(mechanism, joint)
         placement = placements[joint]
-        axes.append(Axis(name, placement[:3, 3], placement[:3, :3] @ direction, turns))
+        axes.append(
+            Axis(
+                name,
+                placement[:3, 3],
+                placement[:3, :3] @ mechanism.joint_axis(name),
+                not mechanism.single_joint(name).translates,
+            )
+        )
     return tuple(axes)
-
-
-def joint_axis(mechanism: Mechanism, joint: int) -> tuple[Array, bool]:
-    """Return the axis of a joint with one freedom, in the joint's frame, and whether it turns (or slides).
-
-    The axis of a sliding joint, shape=(3,), is the direction of its motion.
-    """
-    model = mechanism.model
-    data = model.createData()
-    jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), joint)
-    twist = np.array(jacobian[:, model.joints[joint].idx_v])  # of the joint's frame, in its own axes
-    turns = bool(np.linalg.norm(twist[3:]) > 0.5)
-    return (twist[3:] if turns else twist[:3]), turns
 
 
 def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:

@@ -116,7 +116,7 @@ def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str
     """
     if not (math.isfinite(scale) and scale > 0.0):
         raise InvalidValueError("scale", scale, "a positive length for one unit")
-    principal = indices.ellipsoid(matrix)
+    principal = indices.principal_axes(matrix)
     return DrawnEllipsoid(principal.values, principal.axes, np.asarray(position, dtype=float), scale, unit)
 
 

@@ -20,8 +20,8 @@ from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.closing import Task
-from pm3dof_pin.programs.elimination import Doubt, is_zero, least_squares, matrix_of, total, zeros
-from pm3dof_pin.programs.graph import Graph, Scalar, maximum
+from pm3dof_pin.programs.elimination import Doubt, least_squares, matrix_of, total, zeros
+from pm3dof_pin.programs.graph import Graph, Scalar, is_zero, maximum
 from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.loops import closure_equations, swing
 from pm3dof_pin.programs.program import Program

@@ -21,7 +21,6 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.tool_motion import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
-from pm3dof_pin.viewer.arrows import joint_axis
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import Quantity
 from pm3dof_pin.viewer.page_programs import PagePrograms
@@ -57,7 +56,7 @@ class Sliders:
         actuators = []
         for name in robot.actuated_joints:
             joint = int(model.getJointId(name))
-            actuators.append({"joint": joint, "axis": joint_axis(robot, joint)[0].tolist()})
+            actuators.append({"joint": joint, "axis": robot.joint_axis(name).tolist()})
         return {
             "home": robot.home.q.tolist(),
             "length": robot.characteristic_length,

@@ -9,7 +9,7 @@ import numpy as np
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
-from pm3dof_pin.chapter.kinematics import actuation_jacobian, link_jacobian
+from pm3dof_pin.chapter.kinematics import link_jacobian, slider_jacobian
 from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 
@@ -30,7 +30,7 @@ def main() -> None:
     def one_by_one() -> None:
         p = tripod.parameters
         for pose in poses:
-            j_a, j_t = link_jacobian(tripod, pose), actuation_jacobian(tripod, pose)
+            j_a, j_t = link_jacobian(tripod, pose), slider_jacobian(tripod, pose)
             np.diag(p.link_stiffness * j_a.T @ j_a + p.actuator_stiffness * j_t.T @ j_t)
 
     whole = best_time(lambda: (chapter_stiffness(tripod, poses, on_failure="nan"), broken_limits(tripod, poses)))

@@ -7,13 +7,13 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
-from pm3dof_pin.chapter.kinematics import actuation_jacobian, link_jacobian
+from pm3dof_pin.chapter.kinematics import link_jacobian, slider_jacobian
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 
 
 def test_diagonal_equals_the_matrix_formula(tripod: Tripod, reachable_poses: np.ndarray) -> None:
     poses = reachable_poses[:1000]
-    j_a, j_t = link_jacobian(tripod, poses), actuation_jacobian(tripod, poses)
+    j_a, j_t = link_jacobian(tripod, poses), slider_jacobian(tripod, poses)
     length = poses[:, 2] - tripod.clamp_height
     bending = 899.6698 / length**3
     matrix = 1.5177e10 * np.swapaxes(j_a, 1, 2) @ j_a + 9.5950e7 * np.swapaxes(j_t, 1, 2) @ j_t

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
-from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.chapter.limits import Limit, broken_limits
 
 
 def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:
@@ -29,32 +27,10 @@ def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:
         assert np.any(flags & limit)
 
 
-def test_violations_name_what_the_flags_say(tripod: Tripod) -> None:
-    generator = np.random.default_rng(4)
-    for pose in generator.uniform([-1.0, -1.0, 0.36], [1.0, 1.0, 0.6], (300, 3)):
-        flags = Limit(int(broken_limits(tripod, pose)))
-        if flags & Limit.REACH:
-            continue
-        violations = limit_violations(tripod, pose)
-        named = Limit.NONE
-        for violation in violations:
-            named |= violation.limit
-            assert not violation.lower <= violation.value <= violation.upper
-        assert named == flags
-
-
 def test_home_keeps_every_limit(tripod: Tripod) -> None:
     assert broken_limits(tripod, tripod.home) == 0
-    assert limit_violations(tripod, tripod.home) == []
-
-
-def test_message_has_joint_value_and_range_in_degrees(tripod: Tripod) -> None:
-    violations = limit_violations(tripod, [np.radians(52.0), 0.0, 0.5])
-    assert "platform_x_joint at 52.00 deg, outside -50.00 .. 50.00 deg" in [str(entry) for entry in violations]
 
 
 def test_out_of_reach(tripod: Tripod) -> None:
     assert broken_limits(tripod, [0.0, 0.0, 0.9]) & Limit.REACH
     assert broken_limits(tripod, [np.nan, 0.0, 0.5]) != 0
-    with pytest.raises(UnreachablePoseError):
-        limit_violations(tripod, [0.0, 0.0, 0.9])

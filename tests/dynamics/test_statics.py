@@ -11,11 +11,11 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import (
-    actuation_jacobian,
     inverse_kinematics,
     link_vectors,
     motion_twists,
     placement,
+    slider_jacobian,
 )
 from pm3dof_pin.dynamics import holding_forces
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, SingularConfigurationError
@@ -66,7 +66,7 @@ def test_forces_are_the_slope_of_the_potential_energy(
             / (2 * h.sum())
             for h in np.diag(step)
         ]
-        expected = np.linalg.solve(actuation_jacobian(tripod, pose).T, slope)
+        expected = np.linalg.solve(slider_jacobian(tripod, pose).T, slope)
         forces = holding_forces(at(pose), payloads={"O_e": payload}).actuator_forces
         np.testing.assert_allclose(forces, expected, rtol=1e-6)
 
@@ -82,7 +82,7 @@ def test_a_wrench_at_the_tool_is_held_by_virtual_work(
             holding_forces(configuration, wrenches={"O_e": wrench}).actuator_forces
             - holding_forces(configuration).actuator_forces
         )
-        work = actuation_jacobian(tripod, pose).T @ change + motion_twists(pose).T @ wrench
+        work = slider_jacobian(tripod, pose).T @ change + motion_twists(pose).T @ wrench
         np.testing.assert_allclose(work, 0.0, atol=1e-10)
 
 

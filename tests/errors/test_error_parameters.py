@@ -11,7 +11,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.error_file import read_error_file
-from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, joint_axis
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -48,12 +48,12 @@ def test_each_place_moves_by_its_displacement(tripod_errors: GeometricErrors) ->
         atol=1e-15,
     )
     turn = pin.log3(moved.frame_placement("slider2_joint").rotation)
-    assert turn @ joint_axis(tripod_errors.robot, "slider2_joint") == pytest.approx(0.0, abs=1e-15)
+    assert turn @ tripod_errors.robot.joint_axis("slider2_joint") == pytest.approx(0.0, abs=1e-15)
     assert np.linalg.norm(turn) == pytest.approx(np.hypot(p["slider2_joint.r_across1"], p["slider2_joint.r_across2"]))
 
 
 def test_turning_about_across1_changes_the_slope_and_about_across2_the_heading(tripod_errors: GeometricErrors) -> None:
-    guide = tripod_errors.robot.model.jointPlacements[4].rotation @ joint_axis(tripod_errors.robot, "slider1_joint")
+    guide = tripod_errors.robot.model.jointPlacements[4].rotation @ tripod_errors.robot.joint_axis("slider1_joint")
     for name, unchanged in (("slider1_joint.r_across1", np.arctan2), ("slider1_joint.r_across2", np.arctan2)):
         model = tripod_errors.apply({name: 1e-3}).model
         moved = model.jointPlacements[model.getJointId("slider1_joint")].rotation @ guide

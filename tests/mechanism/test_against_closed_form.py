@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.kinematics import actuation_jacobian as closed_form_jacobian
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, joint_positions, motion_twists, placement
+from pm3dof_pin.chapter.kinematics import slider_jacobian as closed_form_jacobian
 from pm3dof_pin.kinematics.actuation import actuation_jacobian
 from pm3dof_pin.kinematics.robot import Robot
 
