@@ -30,7 +30,7 @@ Conditions = Mapping[str, Array | float]
 """Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
 
 _MAX_ITERATIONS = 30
-_SETTLED = 1e-13
+_SETTLED = 1e-13  # of the drives' joints, beside the rounding of what their counters show
 _MEETS = 1e-6  # what a nominal machine may miss of a wanted pose [m, tip-weighted]
 _CHUNK = 4096  # poses at a time, so that memory does not grow with their number
 
@@ -209,13 +209,16 @@ class Compensation:
 
     def _corrected(self, commands: Array, conditions: Conditions) -> Array:
         corrected = commands
+        scales = np.array([command.scale for command in self.errors.robot.commands])
+        settled = np.maximum(_SETTLED * np.abs(scales), 4.0 * np.spacing(np.abs(commands).max(initial=0.0)))
         for _ in range(_MAX_ITERATIONS):
             following = commands - self._learned(corrected, conditions)
-            change = float(np.abs(following - corrected).max(initial=0.0))
+            change = np.abs(following - corrected)
             corrected = following
-            if change <= _SETTLED:
+            if np.all(change <= settled):
                 return corrected
-        raise ConvergenceError("iterating the corrected command", change, "m or rad", _MAX_ITERATIONS)
+        worst = float((change / np.abs(scales)).max())
+        raise ConvergenceError("iterating the corrected command", worst, "m or rad", _MAX_ITERATIONS)
 
     def _deviations(self, nominal: Poses, model: Poses, conditions: Conditions) -> Array:
         if self.values is None:

@@ -9,7 +9,7 @@ import numpy as np
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
-from pm3dof_pin.errors.command_correction import nearest_poses
+from pm3dof_pin.errors.command_correction import command_scales, nearest_poses
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
@@ -30,8 +30,8 @@ class HeldOut:
         floor: tip error with the best commands, the measurements' noise included, shape=(n,) [m].
         noise: tip error that the measurements' noise amounts to, root mean square over its distribution, shape=(n,)
             [m].
-        excess: by how much the corrected commands miss the best ones, root mean square over the drives, shape=(n,) [m,
-            rad].
+        excess: by how much the corrected commands miss the best ones, root mean square over the drives' joints,
+            shape=(n,) [m, rad].
     """
 
     rows: Indices
@@ -76,7 +76,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     if measurements.measured == "pose":
         best = pseudo_errors(measurements, nominal, options.eta, seen=_FLOOR_SEEN).left
     reached = errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
-    missed = np.einsum("nij,nj->ni", true.control, true.deviations - predicted)
+    missed = np.einsum("nij,nj->ni", true.control, (true.deviations - predicted) / command_scales(nominal))
     excess = np.einsum("nij,nj->ni", control_inverse(true.control), missed)  # what is not seen is not judged
     return HeldOut(
         rows,

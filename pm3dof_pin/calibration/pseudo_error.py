@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.errors.command_correction import command_jacobians, descend
+from pm3dof_pin.errors.command_correction import command_jacobians, command_scales, descend
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -31,7 +31,7 @@ class PseudoErrors:
         covariances: of du, from the measurements' noise, shape=(n, number of commands, same).
         before: tip-weighted residuals of the model at the commands, shape=(n, 3 or 6) [m].
         left: those at the deviated commands: what no command corrects, shape=(n, 3 or 6) [m].
-        control: tip-weighted motion of what is seen by the commands, shape=(n, 3 or 6, number of commands).
+        control: tip-weighted motion of what is seen by the drives' joints, shape=(n, 3 or 6, number of commands).
     """
 
     deviations: Array
@@ -42,7 +42,7 @@ class PseudoErrors:
 
 
 def control_inverse(control: Array, seen: float = SEEN) -> Array:
-    """Return the pseudo-inverse of tip-weighted motions by the commands, without unobservable directions.
+    """Return the pseudo-inverse of tip-weighted motions by the drives' joints, without unobservable directions.
 
     Args:
         control: shape=(n, 3 or 6, number of commands).
@@ -67,17 +67,18 @@ def pseudo_errors(
         SingularConfigurationError: at a command the tool can move while all drives stand still.
     """
     weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
+    scales = command_scales(model)
 
     def residuals(poses: Poses) -> Array:
         return np.asarray(measurements.residuals(poses) * weights)
 
     def control(poses: Poses) -> Array:
-        return np.asarray(measurements.derivatives(poses, command_jacobians(poses)) * weights[:, None])
+        return np.asarray(measurements.derivatives(poses, command_jacobians(poses) * scales) * weights[:, None])
 
     def step(poses: Poses) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", control_inverse(control(poses), seen), residuals(poses)))
+        return np.asarray(scales * np.einsum("nij,nj->ni", control_inverse(control(poses), seen), residuals(poses)))
 
     deviations, poses = descend(model, measurements.commands, step, residuals)
     reached = control(poses)
-    spread = control_inverse(reached, seen) * (weights * measurements.sigmas)[:, None, :]
+    spread = scales[:, None] * control_inverse(reached, seen) * (weights * measurements.sigmas)[:, None, :]
     return PseudoErrors(deviations, spread @ np.swapaxes(spread, 1, 2), residuals(model), residuals(poses), reached)

@@ -28,6 +28,14 @@ def command_jacobians(poses: Poses) -> Array:
     return sensitivities(GeometricErrors(poses.robot, ()), poses).commands
 
 
+def command_scales(poses: Poses) -> Array:
+    """Return counter units per unit of each drive's joint, shape=(number of commands,).
+
+    What is judged by size, as which directions are seen, is judged in the joints' units: a counter may have any.
+    """
+    return np.array([command.scale for command in poses.robot.commands])
+
+
 def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     """Return the change of commands that undoes most of small pose errors, shape=(n, number of commands).
 
@@ -58,8 +66,11 @@ def nearest_poses(poses: Poses, wanted: Array, eta: float = TIP_LENGTH, *, on_fa
     def residuals(poses: Poses) -> Array:
         return pose_difference(wanted, poses.transforms) * tip_weights(eta)
 
+    scales = command_scales(poses)
+
     def step(poses: Poses) -> Array:
-        return best_commands(command_jacobians(poses), pose_difference(wanted, poses.transforms), eta)
+        difference = pose_difference(wanted, poses.transforms)
+        return scales * best_commands(command_jacobians(poses) * scales, difference, eta)
 
     return descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]
 

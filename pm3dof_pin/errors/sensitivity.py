@@ -24,7 +24,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descen
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array, Engine, Mask
 
 logger = logging.getLogger(__name__)
 
@@ -114,15 +114,27 @@ def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
     """Return the errors without those with which the loops cannot close.
 
     A planar four-bar with parallel axes cannot close when one axis is tilted: it would bend or bind. Such an error is
-    no matter of kinematics. Each parameter is judged by itself.
+    no matter of kinematics. Each parameter is judged by itself; one that moves nothing by itself, such as the turn of a
+    rod about its own axis, is judged beside the others as well.
 
     Args:
         errors: the parameters.
         poses: assembled poses of the robot as described.
     """
-    _, strain = _Loops(errors, poses, errors.zeros).followed_rates()
-    strains = strain[:, len(poses.robot.actuated_joints) :].max(axis=0, initial=0.0)
-    return errors.without(name for name, value in zip(errors.names, strains, strict=True) if value > RANK_TOLERANCE)
+    loops = _Loops(errors, poses, errors.zeros)
+    fitting = errors.without(_names(errors, loops.strains() > RANK_TOLERANCE))
+    idle = set(_names(errors, loops.idle())) if poses.robot.closures else set()
+    if not idle.intersection(fitting.names):
+        return fitting
+    beside = np.array(
+        [0.0 if name in idle else p.tolerance for name, p in zip(fitting.names, fitting.parameters, strict=True)]
+    )
+    crooked = _Loops(fitting, Poses(fitting.apply(beside), poses.q), beside)
+    return fitting.without(idle.intersection(_names(fitting, crooked.strains() > RANK_TOLERANCE)))
+
+
+def _names(errors: GeometricErrors, chosen: Mask) -> list[str]:
+    return [name for name, is_chosen in zip(errors.names, chosen, strict=True) if is_chosen]
 
 
 class _Loops:
@@ -139,6 +151,16 @@ class _Loops:
         self._joints, twists = _tree(self._model, poses.q)
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
         self._beyond = {place: self._carried(place) for place in dict.fromkeys(p.place for p in errors.parameters)}
+
+    def strains(self) -> Array:
+        """Return how far the loops cannot follow each error, scaled, at the worst pose, shape=(errors,)."""
+        _, strain = self.followed_rates()
+        return np.asarray(strain[:, len(self._robot.actuated_joints) :].max(axis=0, initial=0.0))
+
+    def idle(self) -> Mask:
+        """Tell which errors move neither a closure nor the tool at any pose, shape=(errors,)."""
+        moved = np.concatenate([self._closures(), self._tool()], axis=1)[:, :, self._model.nv :]
+        return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
     def followed_rates(self) -> tuple[Array, Array]:
         """Return the velocities that follow one unit of each drive's coordinate and of each error.

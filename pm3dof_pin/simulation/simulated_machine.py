@@ -221,17 +221,34 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
     return closable(GeometricErrors(robot, everything), poses)
 
 
+def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
+    """Return waves without those across a guideway with which the loops cannot close, as out of a planar robot's plane.
+
+    Args:
+        robot: the robot.
+        waves: the waves of its drives.
+    """
+    if not robot.closures or not waves.straightness:
+        return waves
+    across = GeometricErrors(robot, _across(robot))
+    poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+    closing = iter(np.isin(across.names, closable(across, poses).names))
+    kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
+    return replace(waves, straightness=tuple((first, second) for first, second in kept))
+
+
 def _beside_their_lines(robot: Robot, offsets: Array) -> Robot:
     """Return a robot whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
-    if not offsets.any():
-        return robot
-    parameters, values = [], {}
-    for joint, distances in zip(robot.actuated_joints, offsets, strict=True):
-        for k, (direction, distance) in enumerate(zip(across_directions(robot, joint), distances, strict=True)):
-            name = f"{joint}.beside{k}"
-            parameters.append(GeometricParameter(name, joint, "translation", direction, "waviness", 1.0))
-            values[name] = float(distance)
-    return GeometricErrors(robot, parameters).apply(values)
+    return GeometricErrors(robot, _across(robot)).apply(offsets.ravel()) if offsets.any() else robot
+
+
+def _across(robot: Robot) -> list[GeometricParameter]:
+    """Return how far the carriage of each drive stands beside its guideway, in the two directions across it."""
+    return [
+        GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
+        for joint in robot.actuated_joints
+        for k, direction in enumerate(across_directions(robot, joint))
+    ]
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

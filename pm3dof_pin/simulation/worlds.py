@@ -13,7 +13,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, with_all_parameters
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, waves_that_close, with_all_parameters
 from pm3dof_pin.typing import Array
 
 WorldName = Literal["everything", "geometry"]
@@ -76,7 +76,7 @@ class World:
         links = {loop.frame_a: _LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
-            waviness=GuideWaviness.random(len(robot.actuated_joints), generator),
+            waviness=waves_that_close(robot, GuideWaviness.random(len(robot.actuated_joints), generator)),
             thermal=ThermalGrowth(errors.fixed_bearings, members=links),
         )
         return cls(machine, _WARMEST)

@@ -38,6 +38,7 @@ CASES = (
     Case("three_rps", ("--robot", "three_rps"), ()),
     Case("delta", ("--robot", str(MACHINES / "delta" / "delta.urdf")), (("x", 0.03), ("y", 0.03))),
     Case("five_bar", ("--robot", str(MACHINES / "five_bar")), (("x", 0.02), ("y", 0.02))),
+    Case("three_rpr", ("--robot", str(MACHINES / "three_rpr")), (("px", 0.01), ("py", 0.01))),
     Case("four_bar", ("--robot", str(MACHINES / "four_bar" / "four_bar.closures.yaml")), (("crank_joint", 20.0),)),
     Case("walker", ("--robot", str(MACHINES / "walker/walker.xml"), "--tool-frame", "left_sole"), (), springs=False),
     Case("ur5", ("--robot", "ur5", "--tool-frame", "tool0"), (("x", 0.02), ("y", 0.02)), springs=False),

@@ -1,0 +1,54 @@
+"""What a counter counts in makes no difference to what the machine does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.simulation.worlds import World
+
+MACHINE = Path(__file__).parents[1] / "machines" / "three_rpr"
+
+
+def _calibrated(robot: Robot) -> tuple[Measurements, np.ndarray, np.ndarray, np.ndarray]:
+    """Return measurements, and in the joints' units: corrections at ten poses and how commands miss the best ones."""
+    scales = np.array([command.scale for command in robot.commands])
+    poses = reachable_poses(robot, 30, np.random.default_rng(3))
+    errors = closable(GeometricErrors(robot), poses)
+    world = World.random("everything", errors, np.random.default_rng(4))
+    measured = world.measure(poses.commands, np.random.default_rng(5))
+    calibration = calibrate(measured, errors, Options(method="lm"))
+    answer = calibration.compensation.compensate(poses[:10])
+    judged = held_out_errors(calibration)
+    return measured, (answer.commands - answer.nominal_commands) / scales, judged.excess, judged.floor
+
+
+def test_counters_of_micrometres_backwards_against_metres() -> None:
+    robot = Robot.load(MACHINE)
+    plain = robot.replace(commands=[replace(c, offset=0.0, scale=1.0) for c in robot.commands])
+    measured, corrections, excess, floor = _calibrated(robot)
+    measured_plainly, corrections_plainly, excess_plainly, floor_plainly = _calibrated(plain)
+    np.testing.assert_allclose(measured.positions, measured_plainly.positions, atol=1e-9)
+    np.testing.assert_allclose(corrections, corrections_plainly, atol=1e-9)
+    np.testing.assert_allclose(excess, excess_plainly, atol=1e-8)
+    np.testing.assert_allclose(floor, floor_plainly, atol=1e-8)
+
+
+def test_all_errors_that_a_planar_machine_is_left_with_close_together() -> None:
+    """A rod turned about itself moves nothing until its tip stands beside the axis: then out of the plane."""
+    robot = Robot.load(MACHINE)
+    poses = reachable_poses(robot, 10, np.random.default_rng(0))
+    errors = closable(GeometricErrors(robot), poses)
+    assert not {"cyl2.rx", "cyl3.rx"}.intersection(errors.names)
+    assert {"tip2.tx", "tip2.ty", "cyl2.ty", "swing3.rz"}.issubset(errors.names)
+    crooked = errors.apply(3.0 * errors.sample(np.random.default_rng(1)))
+    assert crooked.forward(poses.commands, guess=poses.q).solved.all()
