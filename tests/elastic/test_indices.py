@@ -14,7 +14,7 @@ from pm3dof_pin.elastic.indices import (
     condition_number,
     directional_stiffness,
     eigenvalues,
-    ellipsoid,
+    principal_axes,
     stiffness,
 )
 from pm3dof_pin.exceptions import InvalidValueError
@@ -72,7 +72,7 @@ def test_condensed_blocks(matrices: np.ndarray) -> None:
 
 def test_ellipsoid_of_a_known_matrix() -> None:
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    result = ellipsoid(turn @ np.diag([5.0, 1.0, 3.0]) @ turn.T)
+    result = principal_axes(turn @ np.diag([5.0, 1.0, 3.0]) @ turn.T)
     np.testing.assert_allclose(result.values, [1.0, 3.0, 5.0])
     assert abs(result.axes[:, 0] @ turn[:, 1]) == pytest.approx(1.0)
     assert np.linalg.det(result.axes) == pytest.approx(1.0)
@@ -95,7 +95,7 @@ def test_a_free_motion_has_no_compliance() -> None:
 def test_poses_out_of_reach_stay_nan(matrices: np.ndarray) -> None:
     some = matrices[:3].copy()
     some[1] = np.nan
-    for values in (compliance(some), eigenvalues(some, 0.1), ellipsoid(some[:, :3, :3]).values):
+    for values in (compliance(some), eigenvalues(some, 0.1), principal_axes(some[:, :3, :3]).values):
         assert np.all(np.isnan(values[1]))
         assert np.all(np.isfinite(values[[0, 2]]))
 
