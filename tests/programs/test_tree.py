@@ -8,6 +8,7 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.graph import Graph
@@ -130,7 +131,7 @@ def test_parameters_serve_another_mechanism_of_the_same_structure():
     tree = Tree(graph, first, q)
     result = evaluated(graph, {"p": tree.frame("a_tip").translation}, second, q)
     for k, positions in enumerate(q):
-        expected = second.configuration(positions).frame_placement("a_tip").translation
+        expected = Configuration(second, positions).frame_placement("a_tip").translation
         np.testing.assert_allclose(result["p"][k], expected, atol=1e-13)
 
 
