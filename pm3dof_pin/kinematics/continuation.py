@@ -16,6 +16,7 @@ neither on the number of threads nor on other poses of a walk.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -191,9 +192,9 @@ class Continuation:
         moving[rows] = True
         return np.array(inputs[:, :nq]), inputs[:, 2 * nq + 1], moving
 
-    def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
+    def _residuals(self, q: Matrix, targets: Matrix, threads: int | None = None) -> Vector:
         """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
-        outputs = self._step(self._inputs(q, self._given_numbers(targets)))
+        outputs = self._step(self._inputs(q, self._given_numbers(targets)), threads)
         residuals: Vector = outputs[:, -1]
         return residuals
 
@@ -230,12 +231,13 @@ class Continuation:
 
     # marching
 
-    def march(self, grid: Grid) -> Solution:
+    def march(self, grid: Grid, threads: int | None = None) -> Solution:
         """Find the poses of a product grid.
 
         Args:
             grid: a grid over the coordinates. Poses depend on the whole of it: a part of a grid marched alone may
                 differ in the last digits, since its poses start from other neighbours.
+            threads: number of threads at most; the number of processors by default.
 
         Returns:
             The poses in the order of `grid.values`, flat.
@@ -248,35 +250,36 @@ class Continuation:
         q[first] = self.walk(values[first][None]).q[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
-            part: tuple[Any, ...] = (..., *first[dimension + 1 :], slice(None))
-            for direction in (1, -1):
-                self._march_lines(q[part], numbers[part], axis, first[dimension], direction)
+            part: tuple[Any, ...] = (*[slice(None)] * (dimension + 1), *first[dimension + 1 :])
+            lines, given = (x[part].reshape(math.prod(shape[:dimension]), len(axis), -1) for x in (q, numbers))
+            start = first[dimension]
+            self._march_lines(lines[:, start:], given[:, start:], axis[start:], 1, threads)
+            known = min(2, len(axis) - start)
+            back = slice(start + known - 1, None, -1)
+            self._march_lines(lines[:, back], given[:, back], axis[back], known, threads)
         flat_values = values.reshape(-1, values.shape[-1])
-        solution = self._check(q.reshape(-1, self._nq), flat_values)
+        solution = self._check(q.reshape(-1, self._nq), flat_values, threads)
         if not np.isnan(solution.q[:, 0]).any():
             return solution
         q = solution.q.reshape(q.shape)
         self._fill(q, values)
-        return self._check(q.reshape(-1, self._nq), flat_values)
+        return self._check(q.reshape(-1, self._nq), flat_values, threads)
 
-    def _march_lines(self, lines: Array, numbers: Array, axis: Vector, first: int, direction: int) -> None:
-        """Go along the last dimension of a part of the grid from one index to its end, in place."""
-        count, stop = lines.shape[-2], lines.shape[-2] if direction > 0 else -1
-        q = lines[..., first, :].reshape(-1, self._nq)
-        before = None
-        if 0 <= first - direction < count:
-            before = lines[..., first - direction, :].reshape(-1, self._nq)
-            before = np.where(np.isfinite(before), before, q)
-        for index in range(first + direction, stop, direction):
-            predicted = q
-            if before is not None and (last := axis[index - direction] - axis[index - 2 * direction]):
-                predicted = self._predicted(q, before, (axis[index] - axis[index - direction]) / last)
-            before = q
-            q, accepted = self._newton(
-                predicted, numbers[..., index, :].reshape(len(q), -1), _MARCH_JUMP, _REGULAR, self._home_mode
-            )
-            q[~accepted] = np.nan
-            lines[..., index, :] = q.reshape(lines[..., index, :].shape)
+    def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
+        """Go along lines of a grid, in place, shape=(n, points, nq), of which the first points are known."""
+        steps = np.diff(axis, prepend=axis[0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.nan_to_num(steps[known:] / steps[known - 1 : -1], posinf=0.0, neginf=0.0)
+        mode = 2.0 * self._home_mode
+        compiled, parameters = self._step
+        compiled.march(
+            *(lines, numbers, parameters, shares, self._linear),
+            tolerance=_NEARLY_CLOSED,
+            max_steps=_STEPS,
+            margins=(_REGULAR - mode, 2.0 - mode),
+            longest=_MARCH_JUMP,
+            threads=threads,
+        )
 
     def _fill(self, q: Array, values: Array) -> None:
         """Find what a march has left, by walks from home, then from solved neighbours, in place."""
@@ -304,7 +307,9 @@ class Continuation:
 
     def _given_numbers(self, values: Array) -> Array:
         """Return coordinates as the program takes them."""
-        numbers: Array = ((values - self._offsets) / self._scales)[..., self._order]
+        numbers: Array = np.take(values, self._order, axis=-1)
+        numbers -= self._offsets[self._order]
+        numbers /= self._scales[self._order]
         return numbers
 
     def _newton(
@@ -348,12 +353,12 @@ class Continuation:
                     return np.array(result.configuration.q)
         return missing
 
-    def _check(self, q: Matrix, values: Matrix | None = None) -> Solution:
+    def _check(self, q: Matrix, values: Matrix | None = None, threads: int | None = None) -> Solution:
         """Check configurations; with values of the coordinates also whether the tool is there."""
-        outputs = self._checks.named(q)
+        outputs = self._checks.named(q, threads)
         residual, broken = outputs["residual"], outputs["broken"].astype(np.uint32)
         if values is not None and self._tool:
-            residual = self._residuals(q, values)
+            residual = self._residuals(q, values, threads)
         unsolved = ~(residual <= CLOSURE_TOLERANCE)
         if unsolved.any():
             q = q.copy()

@@ -220,6 +220,7 @@ class Robot(Mechanism):
         guess: Configuration | ArrayLike | None = None,
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
+        threads: int | None = None,
     ) -> Poses:
         """Find the poses at values of the coordinates.
 
@@ -230,12 +231,13 @@ class Robot(Mechanism):
             guess: configurations to start from, shape=(nq,) or (..., nq).
             on_failure: "raise", or "nan" for poses that are out of reach.
             engine: what closes the loops.
+            threads: the number of processors by default. The result does not depend on it.
 
         Raises:
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
             InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise".
         """
-        return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine)
+        return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
 
     def forward(
         self,
@@ -351,6 +353,7 @@ class Robot(Mechanism):
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
         engine: Engine,
+        threads: int | None = None,
     ) -> Poses:
         names = ", ".join(coordinate.name for coordinate in coordinates)
         targets = _numbers(what, values.values if isinstance(values, Grid) else values)
@@ -374,7 +377,7 @@ class Robot(Mechanism):
         if continuation is None:
             found = (close_all(self, self.home.q, coordinates, rows, starts)[0],)
         elif isinstance(values, Grid) and starts is None:
-            found = continuation.march(values)
+            found = continuation.march(values, threads)
         else:
             found = continuation.walk(rows, starts)
         failed = np.flatnonzero(np.isnan(found[0]).any(axis=-1))

@@ -272,7 +272,7 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 def compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store; the map of broken limits last, as the sign that it is done."""
     place = atlas.slices(block)
-    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine)
+    poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
     wanted = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
     chosen = poses.reshape(atlas.grid.part(place).size)[wanted]
     evaluation = Evaluation(atlas.mapped, chosen, engine=atlas.engine, threads=1)

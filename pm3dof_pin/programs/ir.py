@@ -50,13 +50,23 @@ _QUARTER_PI = (0.5 * _HALF_PI[0], 0.5 * _HALF_PI[1])
 _ROUND = 1.5 * 2.0**52  # added and taken away again it rounds; the last bits of the sum are the whole number
 _SIGN = 1 << 63
 
+# arguments of the functions
+_ROWS = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
+_LINES = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"
+_STEPS = "double %tolerance, i64 %most"
+_MARCH = (
+    "i64 %inputs_step, i64 %given_step, i64 %before, i64 %count, ptr %shares, ptr %linear, double %lower, "
+    "double %upper, double %longest"
+)
+
 
 def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str = "") -> str:
-    """Return the text of a module with the functions `evaluate` and, if the program can be iterated, `iterate`.
+    """Return the text of a module with the function `evaluate` and, where the program allows, `iterate` and `march`.
 
-    Both take ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts and
-    strides as 64-bit integers. `iterate` takes a tolerance and the greatest number of steps besides; its rows of
-    outputs are the last state, the residual that the last step began with, and the number of steps.
+    The first two take ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts
+    and strides as 64-bit integers. `iterate` takes a tolerance and the greatest number of steps besides; its rows of
+    outputs are the last state, the residual that the last step began with, and the number of steps. For `march` see
+    :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
 
     Args:
         program: the program.
@@ -70,6 +80,8 @@ def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str 
     text.evaluate()
     if can_iterate(program):
         text.iterate()
+    if can_march(program):
+        text.march()
     return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
 
 
@@ -81,6 +93,11 @@ def state_size(program: Program) -> int:
 def can_iterate(program: Program) -> bool:
     """Whether the outputs can be the next values of the first inputs, and a residual."""
     return 1 <= state_size(program) <= len(program.inputs)
+
+
+def can_march(program: Program) -> bool:
+    """Whether the program closes loops, its state being q, `margin` and `jump`."""
+    return can_iterate(program) and tuple(program.outputs) == ("q", "margin", "jump", "residual")
 
 
 class _Module:
@@ -394,26 +411,37 @@ class _Module:
 
     def evaluate(self) -> None:
         """Emit the loop over blocks of poses."""
-        self.begin_blocks("evaluate", "")
-        self.gather(len(self.program.inputs))
+        self.begin_function("evaluate", _ROWS)
+        self.begin_blocks("loop")
+        self.gather(self.rows_of("inputs"), len(self.program.inputs))
         self.call_line()
-        self.scatter(len(self.program.results), "%block_outputs")
-        self.end_blocks("loop")
+        self.scatter(self.rows_of("outputs"), len(self.program.results), "%block_outputs")
+        self.end_blocks()
 
     def iterate(self) -> None:
         """Emit the loop over blocks of poses, and in it the loop over steps."""
         n = state_size(self.program)
-        self.begin_blocks("iterate", ", double %tolerance, i64 %most")
+        self.begin_function("iterate", _ROWS, _STEPS)
         tolerance = self.spread("%tolerance")
-        self.gather(len(self.program.inputs))
+        self.begin_blocks("done")
+        self.gather(self.rows_of("inputs"), len(self.program.inputs))
         self.do("br label %step")
+        self.steps("loop", tolerance)
+        self.store_vector("%residual_next", "%block_inputs", n * self.lanes)
+        self.store_vector("%steps_next", "%block_inputs", (n + 1) * self.lanes)
+        self.scatter(self.rows_of("outputs"), n + 2, "%block_inputs")
+        self.end_blocks()
+
+    def steps(self, before: str, tolerance: str) -> None:
+        """Emit the loop over steps of a block, entered from the label `before`, and the label `done` after it."""
+        n = state_size(self.program)
         self.label("step")
         zeros = "zeroinitializer"
         everywhere = f"<{', '.join(['i1 true'] * self.lanes)}>"
-        self.do("%taken = phi i64 [ 0, %loop ], [ %taken_next, %step ]")
-        self.do(f"%active = phi {self.truths} [ {everywhere}, %loop ], [ %active_next, %step ]")
-        self.do(f"%residual = phi {self.vector} [ {zeros}, %loop ], [ %residual_next, %step ]")
-        self.do(f"%steps = phi {self.vector} [ {zeros}, %loop ], [ %steps_next, %step ]")
+        self.do(f"%taken = phi i64 [ 0, %{before} ], [ %taken_next, %step ]")
+        self.do(f"%active = phi {self.truths} [ {everywhere}, %{before} ], [ %active_next, %step ]")
+        self.do(f"%residual = phi {self.vector} [ {zeros}, %{before} ], [ %residual_next, %step ]")
+        self.do(f"%steps = phi {self.vector} [ {zeros}, %{before} ], [ %steps_next, %step ]")
         self.call_line()
         for k in range(n):
             old = self.load_vector("%block_inputs", k * self.lanes)
@@ -431,25 +459,68 @@ class _Module:
         again = self.emit(f"and i1 {some}, {self.emit('icmp slt i64 %taken_next, %most')}")
         self.do(f"br i1 {again}, label %step, label %done")
         self.label("done")
-        self.store_vector("%residual_next", "%block_inputs", n * self.lanes)
-        self.store_vector("%steps_next", "%block_inputs", (n + 1) * self.lanes)
-        self.scatter(n + 2, "%block_inputs")
-        self.end_blocks("done")
+
+    def march(self) -> None:
+        """Emit the loop over blocks of lines, the loop along them, and in it the loop over steps."""
+        n = state_size(self.program)
+        size, lanes = n - 2, self.lanes
+        self.begin_function("march", _LINES, _STEPS, _MARCH, previous=size, current=size)
+        tolerance, lower, upper, most = (self.spread(f"%{x}") for x in ("tolerance", "lower", "upper", "longest"))
+        self.begin_blocks("closed")
+        self.gather(self.rows_of("inputs"), size, "%current")
+        self.do("%back = sub i64 0, %before")
+        self.gather(self.rows_of("inputs", "%back"), size, "%previous")
+        for k in range(size):
+            now, before = (self.load_vector(f"%{x}", k * lanes) for x in ("current", "previous"))
+            known = self.select(self.compare("ord", before, before), before, now)
+            self.store_vector(known, "%previous", k * lanes)
+        self.do("br label %along")
+        self.label("along")
+        self.do("%index = phi i64 [ 1, %loop ], [ %index_next, %done ]")
+        share = self.load("%shares", self.emit("sub i64 %index, 1"))
+        for k in range(size):
+            now, before = (self.load_vector(f"%{x}", k * lanes) for x in ("current", "previous"))
+            factor = self.spread(self.emit(f"fmul double {share}, {self.load('%linear', k)}"))
+            ahead = self.add(now, self.multiply(self.subtract(now, before), factor))
+            self.store_vector(ahead, "%block_inputs", k * lanes)
+            self.store_vector(now, "%previous", k * lanes)
+        self.store_vector(self.splat(1.0), "%block_inputs", size * lanes)
+        self.store_vector(self.splat(0.0), "%block_inputs", (size + 1) * lanes)
+        self.do("%given_place = mul i64 %index, %given_step")
+        given = self.rows_of("given", "%given_place")
+        self.gather(given, len(self.program.inputs) - n, self.address("%block_inputs", n * lanes))
+        self.do("br label %step")
+        self.steps("along", tolerance)
+        margin, jump = (self.load_vector("%block_inputs", (size + k) * lanes) for k in range(2))
+        accepted = self.compare("ole", "%residual_next", tolerance)
+        for condition in (
+            self.compare("ogt", margin, lower),
+            self.compare("olt", margin, upper),
+            self.compare("ole", jump, most),
+        ):
+            accepted = self.emit(f"and {self.truths} {accepted}, {condition}")
+        for k in range(size):
+            found = self.load_vector("%block_inputs", k * lanes)
+            self.store_vector(self.select(accepted, found, self.splat(float("nan"))), "%current", k * lanes)
+        self.do("%place = mul i64 %index, %inputs_step")
+        self.scatter(self.rows_of("inputs", "%place"), size, "%current")
+        self.do("%index_next = add i64 %index, 1")
+        self.do("%further = icmp sle i64 %index_next, %count")
+        self.do("br i1 %further, label %along, label %closed")
+        self.label("closed")
+        self.end_blocks()
 
     # loops over blocks of poses; past the end the last pose stands in the lanes, and is written once more
 
-    def begin_blocks(self, name: str, more: str) -> None:
+    def begin_function(self, name: str, *arguments: str, **buffers: int) -> None:
+        """Begin a function on blocks of rows, with the table of what all poses share, and buffers of vectors."""
         program, p = self.program, self.pointer
-        self.begin(
-            name,
-            f"{p} noalias %inputs, i64 %in_stride, {p} noalias %parameters, {p} noalias %outputs, i64 %out_stride, "
-            f"i64 %n{more}",
-            internal=False,
-        )
+        self.begin(name, ", ".join(arguments).replace("ptr", f"{p} noalias"), internal=False)
         sizes = {
             "shared": max(1, len(self.shared)),
             "block_inputs": self.lanes * (len(program.inputs) + 2),
             "block_outputs": self.lanes * max(1, len(program.results)),
+            **{buffer: self.lanes * max(1, size) for buffer, size in buffers.items()},
         }
         for buffer, size in sizes.items():
             array = self.emit(f"alloca [{size} x double], align 64")
@@ -457,10 +528,12 @@ class _Module:
             self.do(f"%{buffer} = bitcast {typed} {array} to {p}")
         self.do(f"call void @prepare({p} %parameters, {p} %shared)")
         self.do("%last = sub i64 %n, 1")
+
+    def begin_blocks(self, latch: str) -> None:
+        """Begin the loop over blocks, whose last label is `latch`."""
         self.do("%some = icmp sgt i64 %n, 0")
         self.do("br i1 %some, label %loop, label %end")
         self.label("loop")
-        latch = {"evaluate": "loop", "iterate": "done"}[name]
         self.do(f"%first = phi i64 [ 0, %entry ], [ %next, %{latch} ]")
         self.rows = []
         for lane in range(self.lanes):
@@ -468,12 +541,17 @@ class _Module:
             inside = self.emit(f"icmp slt i64 {row}, %last")
             self.rows.append(self.emit(f"select i1 {inside}, i64 {row}, i64 %last"))
 
-    def end_blocks(self, latch: str) -> None:
+    def end_blocks(self) -> None:
         self.do(f"%next = add i64 %first, {self.lanes}")
         self.do("%more = icmp slt i64 %next, %n")
         self.do("br i1 %more, label %loop, label %end")
         self.label("end")
         self.end()
+
+    def rows_of(self, array: str, offset: str = "0") -> list[str]:
+        """Emit pointers to the rows of an array that belong to the lanes, some numbers further on."""
+        places = [self.emit(f"mul i64 {row}, %{array}_stride") for row in self.rows]
+        return [self.address(f"%{array}", self.emit(f"add i64 {place}, {offset}")) for place in places]
 
     def call_line(self) -> None:
         p = self.pointer
@@ -499,26 +577,22 @@ class _Module:
         mask = ", ".join(f"i32 {index}" for index in picked)
         return self.emit(f"shufflevector {self.vector} {a}, {self.vector} {b}, <{self.lanes} x i32> <{mask}>")
 
-    def gather(self, n: int) -> None:
-        """Emit reading n columns of the rows into the block of inputs, a vector for each column."""
-        bases = [self.emit(f"mul i64 {row}, %in_stride") for row in self.rows]
-        pointers = [self.address("%inputs", base) for base in bases]
+    def gather(self, pointers: list[str], n: int, block: str = "%block_inputs") -> None:
+        """Emit reading n columns of the rows into a block, a vector for each column."""
         if n >= self.lanes:
             for first in self.chunks(n):
                 columns = self.transpose([self.load_vector(pointer, first) for pointer in pointers])
                 for k, column in enumerate(columns):
-                    self.store_vector(column, "%block_inputs", (first + k) * self.lanes)
+                    self.store_vector(column, block, (first + k) * self.lanes)
             return
         for k in range(n):
             vector = "poison"
             for lane, pointer in enumerate(pointers):
                 vector = self.emit(f"insertelement {self.vector} {vector}, double {self.load(pointer, k)}, i32 {lane}")
-            self.store_vector(vector, "%block_inputs", k * self.lanes)
+            self.store_vector(vector, block, k * self.lanes)
 
-    def scatter(self, n: int, block: str) -> None:
+    def scatter(self, pointers: list[str], n: int, block: str) -> None:
         """Emit writing a block of n vectors to n columns of the rows."""
-        bases = [self.emit(f"mul i64 {row}, %out_stride") for row in self.rows]
-        pointers = [self.address("%outputs", base) for base in bases]
         if n >= self.lanes:
             for first in self.chunks(n):
                 columns = [self.load_vector(block, (first + k) * self.lanes) for k in range(self.lanes)]

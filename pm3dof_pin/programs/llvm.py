@@ -130,9 +130,11 @@ class Compiled:
             pointer, size = ctypes.c_void_p, ctypes.c_int64
             common = (pointer, size, pointer, pointer, size, size)
             self._evaluate = self._function("evaluate", *common)
-            self._iterate = (
-                self._function("iterate", *common, ctypes.c_double, size) if ir.can_iterate(program) else None
-            )
+            number = ctypes.c_double
+            steps = (*common, number, size)
+            march = (*steps, size, size, size, size, pointer, pointer, number, number, number)
+            self._iterate = self._function("iterate", *steps) if ir.can_iterate(program) else None
+            self._march = self._function("march", *march) if ir.can_march(program) else None
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -202,6 +204,71 @@ class Compiled:
         self._run(self._iterate, rows, parameters, results, threads, tolerance, max_steps)
         return Iteration(results[:, :n], results[:, n], results[:, n + 1])
 
+    def march(
+        self,
+        lines: NDArray[np.float64],
+        given: NDArray[np.float64],
+        parameters: ArrayLike,
+        shares: ArrayLike,
+        linear: ArrayLike,
+        *,
+        tolerance: float,
+        max_steps: int,
+        margins: tuple[float, float],
+        longest: float,
+        threads: int | None = None,
+    ) -> None:
+        """Iterate along lines, in place: every pose starts from the one before, with a linear prediction.
+
+        Only for programs that close loops, :func:`~pm3dof_pin.programs.closing.closing_program`. A pose is NaN, and all
+        after it are, where the residual is not small in the end, the margin is not between bounds, or the jump is too
+        long.
+
+        Args:
+            lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of every line are known, one or two as
+                `shares` tells; of two the first may be NaN.
+            given: the inputs after the state, shape=(n, m, number of them), rows contiguous.
+            parameters: shape=(number of parameters,).
+            shares: lengths of the steps to the poses that are not known as parts of those before them, shape=(m - 1,)
+                or (m - 2,).
+            linear: 1 for entries of q that are predicted, 0 for others, shape=(nq,).
+            tolerance: see :meth:`iterate`.
+            max_steps: see :meth:`iterate`.
+            margins: between which the margin must be.
+            longest: jump that is not too long.
+            threads: number of threads at most; the number of processors by default.
+
+        Raises:
+            InvalidValueError: the program closes no loops, or an array has another shape.
+        """
+        program = self.program
+        if self._march is None:
+            raise InvalidValueError("outputs", program.outputs, "q, margin, jump, residual")
+        n, m, nq = lines.shape
+        shares, linear = (np.ascontiguousarray(values, dtype=np.float64) for values in (shares, linear))
+        known = m - len(shares)
+        expected = (n, m, len(program.inputs) - nq - 2)
+        if nq != ir.state_size(program) - 2 or given.shape != expected or known not in (1, 2) or len(linear) != nq:
+            raise InvalidValueError(
+                "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
+            )
+        for name, values in (("lines", lines), ("given", given)):
+            if values.dtype != np.float64 or (values.strides[2] != 8 and values.shape[2] > 1):
+                raise InvalidValueError(name, f"{values.dtype} array of strides {values.strides}", "contiguous rows")
+        if not len(shares):
+            return
+        step = lines.strides[1] // 8
+        self._run(
+            self._march,
+            lines[:, known - 1],
+            parameters,
+            given[:, known - 1],
+            threads,
+            *(tolerance, max_steps, step, given.strides[1] // 8, step * (known - 1), len(shares)),
+            *(_address(shares), _address(linear), *margins, longest),
+            length=2 * len(shares),
+        )
+
     def _run(
         self,
         function: Callable[..., None],
@@ -210,8 +277,9 @@ class Compiled:
         outputs: NDArray[np.float64],
         threads: int | None,
         *more: float,
+        length: int = 1,
     ) -> None:
-        """Call a function on the rows, in parts of them where there are threads."""
+        """Call a function on the rows, in parts of them where there are threads; `length` evaluations are a row."""
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
         if shared.shape != (len(self.program.parameters),):
             expected = f"shape ({len(self.program.parameters)},)"
@@ -231,7 +299,7 @@ class Compiled:
                 *more,
             )
 
-        parts = n * len(self.program) // _OPERATIONS_A_PART
+        parts = n * length * len(self.program) // _OPERATIONS_A_PART
         if parts > 1:
             threads = threads or _processors()
             parts = min(4 * threads, parts)

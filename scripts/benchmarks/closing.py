@@ -39,7 +39,7 @@ def main() -> None:
         random = np.random.default_rng(0).uniform(home - width, home + width, (RANDOM, len(home)))
         first = timed(lambda: robot.solve(home))  # noqa: B023
         runs = {
-            "grid": (lambda: robot.solve(grid).broken_limits, grid.size),  # noqa: B023
+            "grid": (lambda: robot.solve(grid, threads=1).broken_limits, grid.size),  # noqa: B023
             "random": (lambda: robot.solve(random).broken_limits, RANDOM),  # noqa: B023
             "pinocchio": (lambda: robot.solve(random[:CAREFUL], engine="pinocchio").broken_limits, CAREFUL),  # noqa: B023
         }
