@@ -21,7 +21,7 @@ from pm3dof_pin.cli.map_options import (
 )
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
-from pm3dof_pin.cli.pose_arguments import Config, RobotName, load_robot
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -81,8 +81,10 @@ def atlas(
     ] = None,
     engine: EngineOption = EngineName.PROGRAM,
     list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and exit.")] = False,
-    as_json: Json = False,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
+    as_json: Json = False,
 ) -> None:
     """Quantities over the workspace of a robot as labelled arrays: angles in degrees, lengths in metres.
 
@@ -103,7 +105,7 @@ def atlas(
         raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
-    loaded = load_robot(robot, config=config)
+    loaded = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     existing = {name: entry for name, entry in QUANTITIES.items() if entry.exists(MappedRobot(loaded))}
     if list_quantities:
         mapped = MappedRobot(loaded)

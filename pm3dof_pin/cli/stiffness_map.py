@@ -12,7 +12,7 @@ from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Json, finite_number, load_tripod, tilt_angle
 from pm3dof_pin.cli.output import message, print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import Config, load_robot
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
@@ -61,8 +61,10 @@ def stiffness_map(
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     engine: EngineOption = EngineName.PROGRAM,
-    as_json: Json = False,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
+    as_json: Json = False,
 ) -> None:
     """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
 
@@ -70,12 +72,12 @@ def stiffness_map(
     stiffness, condition number and first natural frequency over two coordinates; where the tool is rigid in some
     direction, the stiffness of its free motions.
     """
-    if robot is None and not over and not values and engine is EngineName.PROGRAM:
+    if robot is None and not over and not values and tool_frame is None and engine is EngineName.PROGRAM:
         _map_of_chapter(out, height, tilt or _DEFAULT_TILT, points or _DEFAULT_POINTS, pictures, as_json, config)
         return
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
-    loaded = load_robot(robot or "pm3dof", config=config)
+    loaded = load_robot(robot or "pm3dof", config=config, tool_frame=tool_frame, package_paths=package_path)
     from pm3dof_pin.maps.quantities import MappedRobot
 
     if over and len(over) != 2:

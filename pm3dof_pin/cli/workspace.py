@@ -9,14 +9,15 @@ import typer
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import CoordinateValue, EngineName, EngineOption, Values, robot_grid
-from pm3dof_pin.cli.options import Json, load_tripod
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, load_tripod
 from pm3dof_pin.cli.output import message, print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import Config, load_robot
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.figures.workspace import PrintedRanges
+    from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
     from pm3dof_pin.maps.workspace import Workspace
 
@@ -53,8 +54,10 @@ def workspace(
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     engine: EngineOption = EngineName.PROGRAM,
-    as_json: Json = False,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
     config: Config = None,
+    as_json: Json = False,
 ) -> None:
     """The reachable set under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
 
@@ -65,10 +68,16 @@ def workspace(
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    of_chapter = robot is None and not coordinate and not values and engine is EngineName.PROGRAM
-    tripod = load_tripod(config) if of_chapter else None
+    given = robot or coordinate or values or tool_frame or engine is not EngineName.PROGRAM
+    tripod = None
     with progress_bar("workspace") as progress:
-        space = _chapter_space(tripod) if tripod else _robot_space(robot, config, coordinate, values, engine)
+        if given:
+            name = robot or THE_TRIPOD
+            loaded = load_robot(name, config=config, tool_frame=tool_frame, package_paths=package_path)
+            space = _robot_space(loaded, coordinate, values, engine)
+        else:
+            tripod = load_tripod(config)
+            space = _chapter_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
         progress(1, 4 if picture else 3)
@@ -99,16 +108,11 @@ def _chapter_space(tripod: Tripod) -> LimitSpace:
 
 
 def _robot_space(
-    robot: str | None,
-    config: Path | None,
-    names: list[str] | None,
-    values: list[CoordinateValue] | None,
-    engine: EngineName,
+    loaded: Robot, names: list[str] | None, values: list[CoordinateValue] | None, engine: EngineName
 ) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space
 
-    loaded = load_robot(robot or "pm3dof", config=config)
     fixed = robot_grid(loaded, [], values or ()).fixed
     try:
         return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine.value)
