@@ -36,6 +36,7 @@ from pm3dof_pin.programs.elimination import (
     samples,
     solve_upper,
     total,
+    typical,
     zeros,
 )
 from pm3dof_pin.programs.graph import Graph, Scalar, absolute, is_zero, minimum, sqrt
@@ -461,7 +462,7 @@ def triangular(rows: Objects) -> Objects:
 
 def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
     """Apply the reflection that leaves only the largest entry of a row to other rows."""
-    places = sorted(entries, key=lambda c: -float(np.median(np.abs(samples(entries[c])))))
+    places = sorted(entries, key=lambda c: -typical(np.abs(samples(entries[c]))))
     reflection = reflect([entries[c] for c in places], places)
     for row in rows:
         reflection.apply(row)
@@ -476,5 +477,5 @@ def rank(rows: Objects) -> int:
     values = np.empty((count, *rows.shape))
     for (i, j), entry in np.ndenumerate(rows):
         values[:, i, j] = samples(entry)
-    sizes = np.linalg.svd(values, compute_uv=False)
-    return int(np.median((sizes > ZERO).sum(axis=1)))
+    sizes = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
+    return int(typical((sizes > ZERO).sum(axis=1)))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper
+from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, typical
 from pm3dof_pin.programs.graph import (
     Graph,
     Number,
@@ -293,8 +293,8 @@ class _System:
             return False
         entries = [x.samples if isinstance(x, Number) else np.array([float(x)]) for x in matrix.ravel()]
         values = np.stack(np.broadcast_arrays(*entries), axis=-1).reshape(-1, *matrix.shape)
-        singular = np.linalg.svd(values, compute_uv=False)
-        return bool(np.median(singular[:, -1]) > _RANK * np.median(singular[:, 0]))
+        singular = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
+        return typical(singular[:, -1]) > _RANK * typical(singular[:, 0])
 
 
 def _scaled(equations: Equations, scale: float, slides: set[int]) -> Equations:
@@ -404,7 +404,7 @@ def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Sc
 
 def _usual(number: Scalar) -> float:
     """Return the median magnitude at the samples, 0 where that is rounding."""
-    median = float(np.median(np.abs(number.samples if isinstance(number, Number) else number)))
+    median = typical(np.abs(number.samples if isinstance(number, Number) else number))
     return median if median > _ROUNDING else 0.0
 
 

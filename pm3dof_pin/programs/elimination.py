@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.graph import Number, Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
 from pm3dof_pin.typing import Objects
 
@@ -144,7 +145,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     active = list(range(len(rows)))
     waiting = list(columns)
     original = {c: _lengths([row[c] for row in rows]) for c in waiting}
-    largest = max((float(np.median(lengths)) for lengths in original.values()), default=0.0)
+    largest = max((typical(lengths) for lengths in original.values()), default=0.0)
     done: list[int] = []
     dropped: list[int] = []
     pivots: list[int] = []
@@ -154,13 +155,13 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
         sizes = {}
         for c, front in fronts.items():
             lengths = _lengths([rows[i][c] for i in front])
-            if not front or lengths.max() <= ZERO * largest:
+            if not front or not np.nanmax(lengths) > ZERO * largest:
                 doubt.drop([rows[i][c] for i in front])
                 for i in front:
                     rows[i][c] = 0.0
                 dropped.append(c)
             else:
-                sizes[c] = float(np.median(lengths) / np.median(original[c]))
+                sizes[c] = typical(lengths) / typical(original[c])
         waiting = list(sizes)
         if not waiting:
             break
@@ -261,6 +262,18 @@ def samples(number: Scalar) -> Array | float:
     return number.samples if isinstance(number, Number) else float(number)
 
 
+def typical(values: Array | float) -> float:
+    """Return the median over the sample poses at which a number exists; a singular sample pose may have none.
+
+    Raises:
+        ProgramError: it exists at no sample pose.
+    """
+    finite = np.asarray(values)[np.isfinite(values)]
+    if not finite.size:
+        raise ProgramError("a number of the program exists at none of its sample poses")
+    return float(np.median(finite))
+
+
 def zeros(rows: int, columns: int) -> Objects:
     """Return a matrix of zeros."""
     matrix = np.empty((rows, columns), dtype=object)
@@ -284,5 +297,5 @@ def _lengths(entries: Sequence[Scalar]) -> Array:
 
 
 def _largest_first(indices: Sequence[int], entries: Sequence[Scalar]) -> list[int]:
-    sizes = {k: float(np.median(np.abs(samples(entry)))) for k, entry in zip(indices, entries, strict=True)}
+    sizes = {k: typical(np.abs(samples(entry))) for k, entry in zip(indices, entries, strict=True)}
     return sorted(indices, key=lambda k: -sizes[k])
