@@ -9,6 +9,7 @@ and each joint gets a body of its own.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,10 +55,13 @@ class JointSettings:
     Attributes:
         stiffness: of its spring [N/m or N m/rad].
         unlimited: its range does not count.
+        range: of a hinge or slide [rad, m], which Pinocchio shifts by `ref`, and of a slide takes for degrees where
+            angles are in degrees; None where none is given.
     """
 
     stiffness: float
     unlimited: bool
+    range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,7 @@ class _Reader:
         self.joints: dict[str, JointSettings] = {}
         self.defaults = {name: settings for tree in root.findall("default") for name, settings in _classes(tree, {})}
         self.taken: set[str] = set()
+        self.degrees = all(compiler.get("angle") != "radian" for compiler in root.iter("compiler"))
         self.autolimits = all(compiler.get("autolimits") != "false" for compiler in root.iter("compiler"))
 
     def read(self) -> Mjcf:
@@ -221,7 +226,12 @@ class _Reader:
         if stiffness and settings.get("type", "hinge") not in ("hinge", "slide"):
             _logger.warning("%s: the spring of joint '%s' is not read", self.path, joint.get("name"))
             stiffness = 0.0
-        self.joints[joint.attrib["name"]] = JointSettings(stiffness, unlimited)
+        kind, ends = settings.get("type", "hinge"), self._numbers(joint, settings.get("range", ""))
+        limits = None
+        if kind in ("hinge", "slide") and ends:
+            unit = math.radians(1.0) if kind == "hinge" and self.degrees else 1.0
+            limits = (unit * ends[0], unit * ends[-1])
+        self.joints[joint.attrib["name"]] = JointSettings(stiffness, unlimited, limits)
 
     def _equalities(self) -> Iterator[EqualityConstraint]:
         for index, element in enumerate(element for section in self.root.findall("equality") for element in section):

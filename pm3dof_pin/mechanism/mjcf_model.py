@@ -46,6 +46,8 @@ def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, Closures
         if settings.unlimited or joint.nq > 1:  # Pinocchio keeps free joints within 1.01 m of the origin
             entries = slice(joint.idx_q, joint.idx_q + joint.nq)
             model.lowerPositionLimit[entries], model.upperPositionLimit[entries] = -UNLIMITED, UNLIMITED
+        elif settings.range is not None:
+            model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q] = settings.range
     closures = _closures(model, mjcf)
     drives = _drives(model, mjcf)
     springs = [

@@ -166,6 +166,19 @@ def test_what_pinocchio_does_not_take(tmp_path: Path, caplog: pytest.LogCaptureF
     np.testing.assert_allclose(robot.named_configurations["qpos0"][:4], model.qpos0[:4])
 
 
+@pytest.mark.parametrize("angle", ["degree", "radian"])
+def test_limits_are_mujocos(tmp_path: Path, angle: str) -> None:
+    """Pinocchio shifts ranges by `ref` and takes those of slides for degrees."""
+    text = f"""<mujoco><compiler angle="{angle}"/>
+    <default><default class="long"><joint type="slide" range="-0.1 0.8"/></default></default>
+    <worldbody><body name="a"><joint name="s" class="long" axis="1 0 0" ref="0.5"/><geom size="0.1" mass="1"/>
+    <body name="b"><joint name="h" range="-0.3 0.3" ref="0.2"/><geom size="0.1" mass="1"/></body></body></worldbody>
+    </mujoco>"""
+    robot, model = _load(tmp_path, text)
+    limits = np.stack([robot.model.lowerPositionLimit, robot.model.upperPositionLimit], axis=1)
+    np.testing.assert_allclose(limits, model.jnt_range, rtol=1e-12)
+
+
 def test_home_is_the_initial_configuration_without_a_key_of_that_name(tmp_path: Path) -> None:
     robot, model = _load(tmp_path, SEVERAL_BODIES.replace('name="home"', 'name="bent"'))
     np.testing.assert_allclose(robot.named_configurations["home"][:4], model.qpos0[:4])
