@@ -38,17 +38,17 @@ class BoundProgram(NamedTuple):
     compiled: Compiled
     parameters: Vector
 
-    def __call__(self, inputs: Matrix, threads: int | None = None) -> Matrix:
+    def __call__(self, inputs: Matrix, out: Matrix | None = None) -> Matrix:
         """Evaluate the program at many poses, shape=(n, number of outputs)."""
-        return self.compiled(inputs, self.parameters, threads=threads)
+        return self.compiled(inputs, self.parameters, out)
 
     def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
         """Repeat the program until its residual is small."""
         return self.compiled.iterate(inputs, self.parameters, tolerance=tolerance, max_steps=max_steps)
 
-    def named(self, inputs: Matrix, threads: int | None = None) -> dict[str, Array]:
+    def named(self, inputs: Matrix) -> dict[str, Array]:
         """Evaluate the program at many poses; return the groups of its outputs by name."""
-        return self.compiled.program.split(self(inputs, threads))
+        return self.compiled.program.split(self(inputs))
 
 
 class ProgramSource:

@@ -30,6 +30,7 @@ from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
+from pm3dof_pin.programs.ir import HISTORY
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ _AT_REST = 0.99  # of the squared error that is left after a round
 _DAMPING = 0.1  # of the first of them
 _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
+_GREATEST_SHARE = 20.0  # of a pose in the prediction of another; that of equally spaced ones is 6
+_CHECKED_AT_ONCE = 4096
 _SINGULAR = 1e-5  # regularity below which a pose is left to damped steps
 _REGULAR = 1e-3  # regularity of a configuration away from singular ones
 
@@ -56,7 +59,8 @@ class Solution(NamedTuple):
         q: joint configurations, shape=(n, nq) [m, rad].
         residual: greatest closure error, shape=(n,) [m, rad]; None if it is not known.
         broken_limits: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k.
-        transforms: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame.
+        transforms: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after
+            a march.
     """
 
     q: Matrix
@@ -192,9 +196,9 @@ class Continuation:
         moving[rows] = True
         return np.array(inputs[:, :nq]), inputs[:, 2 * nq + 1], moving
 
-    def _residuals(self, q: Matrix, targets: Matrix, threads: int | None = None) -> Vector:
+    def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
         """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
-        outputs = self._step(self._inputs(q, self._given_numbers(targets)), threads)
+        outputs = self._step(self._inputs(q, self._given_numbers(targets)))
         residuals: Vector = outputs[:, -1]
         return residuals
 
@@ -246,7 +250,7 @@ class Continuation:
         names = [coordinate.name for coordinate in self._coordinates]
         at_home = dict(zip(names, self.read(self._home[None])[0], strict=True))
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
-        q = np.full((*shape, self._nq), np.nan)
+        q = np.empty((*shape, self._nq))  # every pose of it will be marched to
         q[first] = self.walk(values[first][None]).q[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
@@ -254,26 +258,23 @@ class Continuation:
             lines, given = (x[part].reshape(math.prod(shape[:dimension]), len(axis), -1) for x in (q, numbers))
             start = first[dimension]
             self._march_lines(lines[:, start:], given[:, start:], axis[start:], 1, threads)
-            known = min(2, len(axis) - start)
+            known = min(HISTORY + 1, len(axis) - start)
             back = slice(start + known - 1, None, -1)
             self._march_lines(lines[:, back], given[:, back], axis[back], known, threads)
         flat_values = values.reshape(-1, values.shape[-1])
-        solution = self._check(q.reshape(-1, self._nq), flat_values, threads)
+        solution = self._check(q.reshape(-1, self._nq), flat_values, placed=False)
         if not np.isnan(solution.q[:, 0]).any():
             return solution
         q = solution.q.reshape(q.shape)
         self._fill(q, values)
-        return self._check(q.reshape(-1, self._nq), flat_values, threads)
+        return self._check(q.reshape(-1, self._nq), flat_values, placed=False)
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
         """Go along lines of a grid, in place, shape=(n, points, nq), of which the first points are known."""
-        steps = np.diff(axis, prepend=axis[0])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.nan_to_num(steps[known:] / steps[known - 1 : -1], posinf=0.0, neginf=0.0)
         mode = 2.0 * self._home_mode
         compiled, parameters = self._step
         compiled.march(
-            *(lines, numbers, parameters, shares, self._linear),
+            *(lines, numbers, parameters, _shares(axis)[known:]),
             tolerance=_NEARLY_CLOSED,
             max_steps=_STEPS,
             margins=(_REGULAR - mode, 2.0 - mode),
@@ -353,19 +354,44 @@ class Continuation:
                     return np.array(result.configuration.q)
         return missing
 
-    def _check(self, q: Matrix, values: Matrix | None = None, threads: int | None = None) -> Solution:
-        """Check configurations; with values of the coordinates also whether the tool is there."""
-        outputs = self._checks.named(q, threads)
-        residual, broken = outputs["residual"], outputs["broken"].astype(np.uint32)
-        if values is not None and self._tool:
-            residual = self._residuals(q, values, threads)
+    def _check(self, q: Matrix, values: Matrix | None = None, *, placed: bool = True) -> Solution:
+        """Check configurations.
+
+        Args:
+            q: the configurations; what is not solved becomes NaN in a copy.
+            values: of the coordinates, to check that the tool is there.
+            placed: whether placements of the tool are wanted.
+        """
+        n, program = len(q), self._checks.compiled.program
+        residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
+        transforms = np.empty((n, 4, 4)) if placed and "transform" in program.outputs else None
+        room = np.empty((min(n, _CHECKED_AT_ONCE), len(program.results)))
+        for first in range(0, n, _CHECKED_AT_ONCE):  # the results of so many stay near the processor
+            part = slice(first, first + _CHECKED_AT_ONCE)
+            outputs = program.split(self._checks(q[part], room[: len(q[part])]))
+            broken[part] = outputs["broken"]
+            if values is not None and self._tool:
+                residual[part] = self._residuals_of_placed(q[part], values[part], outputs)
+            else:
+                residual[part] = outputs["residual"]
+            if transforms is not None:
+                transforms[part] = outputs["transform"]
         unsolved = ~(residual <= CLOSURE_TOLERANCE)
         if unsolved.any():
             q = q.copy()
             q[unsolved], residual[unsolved], broken[unsolved] = np.nan, np.nan, 1
-            if "transform" in outputs:
-                outputs["transform"][unsolved] = np.nan
-        return Solution(q, residual, broken, outputs.get("transform"))
+            if transforms is not None:
+                transforms[unsolved] = np.nan
+        return Solution(q, residual, broken, transforms)
+
+    def _residuals_of_placed(self, q: Matrix, values: Matrix, outputs: dict[str, Array]) -> Vector:
+        """Return what :meth:`_residuals` does, from the checks where the tool's position is all that is given."""
+        if not set(self._tool) <= {"x", "y", "z"}:
+            return self._residuals(q, values)
+        numbers = self._given_numbers(values)[:, len(self._given) :]
+        place = outputs["transform"][:, ["xyz".index(component) for component in self._tool], 3]
+        residuals: Vector = np.maximum(outputs["residual"], np.abs(place - numbers).max(axis=1))
+        return residuals
 
 
 def _solved_neighbours(q: Array) -> Array:
@@ -381,6 +407,26 @@ def _solved_neighbours(q: Array) -> Array:
             index[dimension] = source
             into[...] = np.where(np.isfinite(into), into, q[tuple(index)])
     return neighbours
+
+
+def _shares(axis: Vector) -> Matrix:
+    """Return how a polynomial through the points before it predicts each point of an axis.
+
+    Returns:
+        Minus the weights of the second to last point before it, the third to last and so on, shape=(n, HISTORY). Zeros
+        for points that are not there, and wherever the points are too unequal for a polynomial.
+    """
+    shares = np.zeros((len(axis), HISTORY))
+    for count in range(2, HISTORY + 2):
+        points = np.arange(count, len(axis) if count > HISTORY else min(count + 1, len(axis)))
+        back = axis[points[:, None] - np.arange(1, count + 1)]
+        ways = axis[points, None] - back
+        for j in range(1, count):
+            others = [k for k in range(count) if k != j]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                shares[points, j - 1] = -np.prod(ways[:, others] / (back[:, j, None] - back[:, others]), axis=1)
+    shares[~(np.abs(shares).max(axis=1) < _GREATEST_SHARE)] = 0.0
+    return shares
 
 
 def _linear_positions(mechanism: Mechanism) -> Vector:

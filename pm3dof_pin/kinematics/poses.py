@@ -104,6 +104,8 @@ class Poses:
     @cached_property
     def solved(self) -> Mask:
         """Whether a configuration with closed loops was found, shape=(...)."""
+        if "broken_limits" in self.__dict__:
+            return frozen(np.asarray((self.broken_limits & REACH) == 0))
         return frozen(np.asarray(np.isfinite(self.q).all(axis=-1)))
 
     @cached_property
@@ -124,6 +126,8 @@ class Poses:
             DescriptionError: the robot has no tool frame.
         """
         model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
+        if "residual" in self.__dict__:  # found by programs, which can place the tool too
+            return self.robot.at(self.q).transforms
         transforms = np.full((*self.shape, 4, 4), np.nan)
         for index in map(tuple, np.argwhere(self.solved)):
             pin.forwardKinematics(model, data, self.q[index])

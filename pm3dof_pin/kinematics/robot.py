@@ -380,7 +380,7 @@ class Robot(Mechanism):
             found = continuation.march(values, threads)
         else:
             found = continuation.walk(rows, starts)
-        failed = np.flatnonzero(np.isnan(found[0]).any(axis=-1))
+        failed = np.flatnonzero(np.isnan(found[0][:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             first = failed[:1]
             residual = float(close_all(self, self.home.q, coordinates, rows[first], None)[1][0])

@@ -14,6 +14,9 @@ from pm3dof_pin.programs.program import Program
 ANGLE_RANGE = 1e6
 """Largest magnitude of an angle that sine and cosine accept [rad]; NaN beyond it."""
 
+HISTORY = 3
+"""Poses before the last one from which a march predicts the next."""
+
 # minimax polynomials and the three parts of pi/2 as in fdlibm (Sun Microsystems 1993), for |angle| <= pi/4, and
 # |tangent| <= 7/16
 _SIN = (
@@ -55,8 +58,8 @@ _ROWS = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %ou
 _LINES = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"
 _STEPS = "double %tolerance, i64 %most"
 _MARCH = (
-    "i64 %inputs_step, i64 %given_step, i64 %before, i64 %count, ptr %shares, ptr %linear, double %lower, "
-    "double %upper, double %longest"
+    "i64 %inputs_step, i64 %given_step, i64 %known, i64 %count, ptr %shares, double %lower, double %upper, "
+    "double %longest"
 )
 
 
@@ -464,26 +467,35 @@ class _Module:
         """Emit the loop over blocks of lines, the loop along them, and in it the loop over steps."""
         n = state_size(self.program)
         size, lanes = n - 2, self.lanes
-        self.begin_function("march", _LINES, _STEPS, _MARCH, previous=size, current=size)
+        names = ("current", *(f"previous_{back}" for back in range(1, HISTORY + 1)))
+        self.begin_function("march", _LINES, _STEPS, _MARCH, **dict.fromkeys(names, size))
         tolerance, lower, upper, most = (self.spread(f"%{x}") for x in ("tolerance", "lower", "upper", "longest"))
         self.begin_blocks("closed")
         self.gather(self.rows_of("inputs"), size, "%current")
-        self.do("%back = sub i64 0, %before")
-        self.gather(self.rows_of("inputs", "%back"), size, "%previous")
-        for k in range(size):
-            now, before = (self.load_vector(f"%{x}", k * lanes) for x in ("current", "previous"))
-            known = self.select(self.compare("ord", before, before), before, now)
-            self.store_vector(known, "%previous", k * lanes)
+        for back in range(1, HISTORY + 1):
+            is_known = self.emit(f"icmp slt i64 {back}, %known")
+            place = self.emit(f"mul i64 {self.emit(f'select i1 {is_known}, i64 {-back}, i64 0')}, %inputs_step")
+            self.gather(self.rows_of("inputs", place), size, f"%previous_{back}")
+            for k in range(size):
+                now, before = (self.load_vector(x, k * lanes) for x in ("%current", f"%previous_{back}"))
+                usable = self.select(self.compare("ord", before, before), before, now)
+                self.store_vector(usable, f"%previous_{back}", k * lanes)
         self.do("br label %along")
         self.label("along")
         self.do("%index = phi i64 [ 1, %loop ], [ %index_next, %done ]")
-        share = self.load("%shares", self.emit("sub i64 %index, 1"))
+        first_share = self.emit(f"mul i64 {self.emit('sub i64 %index, 1')}, {HISTORY}")
+        shares_here = self.address("%shares", first_share)
+        shares = [self.spread(self.load(shares_here, back)) for back in range(HISTORY)]
         for k in range(size):
-            now, before = (self.load_vector(f"%{x}", k * lanes) for x in ("current", "previous"))
-            factor = self.spread(self.emit(f"fmul double {share}, {self.load('%linear', k)}"))
-            ahead = self.add(now, self.multiply(self.subtract(now, before), factor))
+            points = [
+                self.load_vector(x, k * lanes) for x in ("%current", *(f"%previous_{j + 1}" for j in range(HISTORY)))
+            ]
+            ahead = points[0]
+            for share, point in zip(shares, points[1:], strict=True):
+                ahead = self.add(ahead, self.multiply(self.subtract(points[0], point), share))
             self.store_vector(ahead, "%block_inputs", k * lanes)
-            self.store_vector(now, "%previous", k * lanes)
+            for back, point in enumerate(points[:-1], start=1):
+                self.store_vector(point, f"%previous_{back}", k * lanes)
         self.store_vector(self.splat(1.0), "%block_inputs", size * lanes)
         self.store_vector(self.splat(0.0), "%block_inputs", (size + 1) * lanes)
         self.do("%given_place = mul i64 %index, %given_step")

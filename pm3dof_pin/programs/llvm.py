@@ -132,7 +132,7 @@ class Compiled:
             self._evaluate = self._function("evaluate", *common)
             number = ctypes.c_double
             steps = (*common, number, size)
-            march = (*steps, size, size, size, size, pointer, pointer, number, number, number)
+            march = (*steps, size, size, size, size, pointer, number, number, number)
             self._iterate = self._function("iterate", *steps) if ir.can_iterate(program) else None
             self._march = self._function("march", *march) if ir.can_march(program) else None
         except (RuntimeError, OSError) as error:
@@ -210,7 +210,6 @@ class Compiled:
         given: NDArray[np.float64],
         parameters: ArrayLike,
         shares: ArrayLike,
-        linear: ArrayLike,
         *,
         tolerance: float,
         max_steps: int,
@@ -218,20 +217,21 @@ class Compiled:
         longest: float,
         threads: int | None = None,
     ) -> None:
-        """Iterate along lines, in place: every pose starts from the one before, with a linear prediction.
+        """Iterate along lines, in place: every pose starts from a prediction made of those before it.
+
+        The prediction is the last pose plus, for each of the poses before that, a share of the way from it to the last.
 
         Only for programs that close loops, :func:`~pm3dof_pin.programs.closing.closing_program`. A pose is NaN, and all
         after it are, where the residual is not small in the end, the margin is not between bounds, or the jump is too
         long.
 
         Args:
-            lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of every line are known, one or two as
-                `shares` tells; of two the first may be NaN.
+            lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of every line are known; all but the last
+                of these may be NaN.
             given: the inputs after the state, shape=(n, m, number of them), rows contiguous.
             parameters: shape=(number of parameters,).
-            shares: lengths of the steps to the poses that are not known as parts of those before them, shape=(m - 1,)
-                or (m - 2,).
-            linear: 1 for entries of q that are predicted, 0 for others, shape=(nq,).
+            shares: for each of the poses that are not known, with the pose before the last first; zeros for poses that
+                are not there, shape=(number of poses not known, :data:`~pm3dof_pin.programs.ir.HISTORY`).
             tolerance: see :meth:`iterate`.
             max_steps: see :meth:`iterate`.
             margins: between which the margin must be.
@@ -245,10 +245,10 @@ class Compiled:
         if self._march is None:
             raise InvalidValueError("outputs", program.outputs, "q, margin, jump, residual")
         n, m, nq = lines.shape
-        shares, linear = (np.ascontiguousarray(values, dtype=np.float64) for values in (shares, linear))
+        shares = np.ascontiguousarray(shares, dtype=np.float64)
         known = m - len(shares)
-        expected = (n, m, len(program.inputs) - nq - 2)
-        if nq != ir.state_size(program) - 2 or given.shape != expected or known not in (1, 2) or len(linear) != nq:
+        expected = (n, m, len(program.inputs) - nq - 2), (m - known, ir.HISTORY)
+        if nq != ir.state_size(program) - 2 or (given.shape, shares.shape) != expected or known < 1:
             raise InvalidValueError(
                 "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
             )
@@ -264,8 +264,8 @@ class Compiled:
             parameters,
             given[:, known - 1],
             threads,
-            *(tolerance, max_steps, step, given.strides[1] // 8, step * (known - 1), len(shares)),
-            *(_address(shares), _address(linear), *margins, longest),
+            *(tolerance, max_steps, step, given.strides[1] // 8, known, len(shares)),
+            *(_address(shares), *margins, longest),
             length=2 * len(shares),
         )
 

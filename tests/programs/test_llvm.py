@@ -156,13 +156,14 @@ def line_of_roots(lanes=None):
     return llvm.compile(graph.program("line", outputs), lanes)
 
 
-def marched_root(roots, squares, shares, k):
+def marched_root(roots, square, shares):
     """March one step in plain Python."""
-    start = roots[k - 1] + (roots[k - 1] - roots[k - 2]) * shares[k] if k > 1 else roots[k - 1]
-    x, margin, jump, left, steps = start, 1.0, 0.0, math.inf, 0
+    last = roots[-1]
+    x = last + sum(share * (last - before) for share, before in zip(shares, roots[-2::-1], strict=False))
+    margin, jump, left, steps = 1.0, 0.0, math.inf, 0
     while left > 1e-8 and steps < 2:
-        left = abs(x * x - squares[k])
-        new = 0.5 * (x + squares[k] / x)
+        left = abs(x * x - square)
+        new = 0.5 * (x + square / x)
         x, margin, jump, steps = new, margin - 0.5, jump + abs(new - x), steps + 1
     return x if left <= 1e-8 and margin > -0.1 and jump < 0.1 else math.nan
 
@@ -171,31 +172,35 @@ def marched_root(roots, squares, shares, k):
 def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(lanes, monkeypatch):
     monkeypatch.setattr(llvm, "_OPERATIONS_A_PART", 100)
     n, m = 19, 12
-    along = np.cumsum(np.random.default_rng(6).uniform(0.5e-5, 2e-5, m))
-    shares = np.array([0.0, 0.0, *(np.diff(along)[1:] / np.diff(along)[:-1])])
-    squares = np.linspace(1.0, 9.0, n)[:, None] + along
-    squares[4, 7] += 1.0  # a jump of a kind that no step makes good
+    squares = np.linspace(1.0, 9.0, n)[:, None] + 1e-5 * np.arange(m)
+    squares[4, 7] += 1.0  # a jump that no step makes good
+    shares = np.zeros((m - 1, ir.HISTORY))
+    shares[3:, :2] = 1.5, -0.25
+    shares[5:, 2] = -0.1
     settings = {"tolerance": 1e-8, "max_steps": 2, "margins": (-0.1, 2.0), "longest": 0.1}
     wide = np.full((n, m, 2), np.nan)
     wide[:, 0, 0] = np.sqrt(squares[:, 0])
     again = wide.copy()
     program = line_of_roots(lanes)
-    program.march(wide[..., :1], squares[..., None], (), shares[1:], [1.0], **settings, threads=1)
-    program.march(again[..., :1], squares[..., None], (), shares[1:], [1.0], **settings, threads=3)
+    program.march(wide[..., :1], squares[..., None], (), shares, **settings, threads=1)
+    program.march(again[..., :1], squares[..., None], (), shares, **settings, threads=3)
     assert np.isnan(wide[..., 1]).all()
     assert np.array_equal(wide, again, equal_nan=True)
     roots = wide[..., 0]
     for line, numbers in zip(roots, squares, strict=True):
         expected = [line[0]]
         for k in range(1, m):
-            expected.append(marched_root(expected, numbers, shares, k))
+            expected.append(marched_root(expected, numbers[k], shares[k - 1]))
         np.testing.assert_allclose(line, expected, rtol=1e-14)
     assert np.isnan(roots[4, 7:]).all()
     assert np.isfinite(np.delete(roots, 4, axis=0)).all()
     back = roots.copy()
-    back[:, :-2] = np.nan  # two known poses, and back along the line
-    program.march(*(back[:, ::-1, None], squares[:, ::-1, None], (), 1.0 / shares[:1:-1], [1.0]), **settings, threads=1)
+    back[:, :-3] = np.nan  # three known poses, of the fifth line only the last, and back along the lines
+    back[4, -3] = np.sqrt(squares[4, -3])
+    program.march(back[:, ::-1, None], squares[:, ::-1, None], (), shares[2:], **settings, threads=1)
     np.testing.assert_allclose(np.delete(back, 4, axis=0), np.delete(roots, 4, axis=0), rtol=1e-14)
+    np.testing.assert_allclose(back[4, 8:10], np.sqrt(squares[4, 8:10]), rtol=1e-14)
+    assert np.isnan(back[4, :8]).all()
 
 
 def test_errors():
@@ -209,10 +214,12 @@ def test_errors():
     with pytest.raises(InvalidValueError, match="max_steps = 0"):
         find.iterate(np.zeros((3, 2)), tolerance=1.0, max_steps=0)
     with pytest.raises(InvalidValueError, match="margin, jump"):
-        find.march(*np.zeros((2, 3, 4, 1)), (), [0.0] * 3, [1.0], tolerance=1, max_steps=1, margins=(0, 1), longest=1)
-    with pytest.raises(InvalidValueError, match=r"lines = .* expected \(3, 4, 1\)"):
+        find.march(
+            *np.zeros((2, 3, 4, 1)), (), np.zeros((3, ir.HISTORY)), tolerance=1, max_steps=1, margins=(0, 1), longest=1
+        )
+    with pytest.raises(InvalidValueError, match=r"lines = .* \(3, 4, 1\)"):
         line_of_roots().march(
-            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), [0.0] * 3, [1.0]),
+            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), np.zeros((3, ir.HISTORY))),
             **{"tolerance": 1.0, "max_steps": 1, "margins": (0.0, 1.0), "longest": 1.0},
         )
     with pytest.raises(InvalidValueError, match="a residual"):
