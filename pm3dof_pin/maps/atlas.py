@@ -34,7 +34,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes, flag_type, limit_names
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Engine
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -273,14 +273,18 @@ def compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store; the map of broken limits last, as the sign that it is done."""
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
+    size = math.prod(poses.shape)
     wanted = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
-    chosen = poses.reshape(atlas.grid.part(place).size)[wanted]
+    chosen = poses.reshape(size) if wanted.size == size else poses.reshape(size)[wanted]
     evaluation = Evaluation(atlas.mapped, chosen, engine=atlas.engine, threads=1)
     for quantity in atlas.selected:
         shape = quantity.shape_for(atlas.mapped)
-        values: Array = np.full((math.prod(poses.shape), *shape), np.nan)
-        if wanted.size:
-            values[wanted] = quantity.compute(evaluation)
+        if wanted.size == size:
+            values = quantity.compute(evaluation)
+        else:
+            values = np.full((size, *shape), np.nan)
+            if wanted.size:
+                values[wanted] = quantity.compute(evaluation)
         atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
     return block

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,17 +100,23 @@ class AtlasStore:
 
     def write(self, name: str, place: Place, values: Any) -> None:
         """Write the values of one array at one block."""
-        import zarr
-
-        array = _array(zarr.open_group(self.parts, mode="r+"), name)
+        array = self._arrays[name]
         with np.errstate(over="ignore"):  # beyond single precision a number is infinite
-            array[place] = np.asarray(values).astype(array.dtype)
+            array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
     def read(self, name: str, place: Place) -> Any:
         """Read the values of one array at one block."""
+        return self._arrays[name][place]
+
+    @cached_property
+    def _arrays(self) -> dict[str, zarr.Array[Any]]:
         import zarr
 
-        return _array(zarr.open_group(self.parts, mode="r"), name)[place]
+        group = zarr.open_group(self.parts, mode="r+")
+        return {variable.name: _array(group, variable.name) for variable in self.variables}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # arrays are opened in each process
 
     def remove(self) -> None:
         """Remove the unfinished store."""

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import Limit, broken_limits, limit_violations
+from pm3dof_pin.chapter.limits import broken_limits
 from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid
 from pm3dof_pin.chapter.workspace import tripod_space
@@ -99,9 +99,7 @@ def test_mask_and_gaps_against_single_poses(tripod: Tripod, section: xr.Dataset)
     theta_x, theta_y = _tilts(section)
     generator = np.random.default_rng(6)
     for i, j in zip(*(generator.integers(size, size=150) for size in theta_x.shape), strict=True):
-        named = Limit.NONE
-        for violation in limit_violations(tripod, [theta_x[i, j], theta_y[i, j], float(section.z_e)]):
-            named |= violation.limit
+        named = broken_limits(tripod, [theta_x[i, j], theta_y[i, j], float(section.z_e)])
         assert section.broken_limits.values[i, j] == named
         for name in (*MOTION, *CONSTRAINED, "stiffness_global"):
             assert np.isnan(section[name].values[i, j]) == bool(named)
