@@ -14,7 +14,6 @@ import itertools
 import json
 import math
 import os
-import pickle
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -147,7 +146,7 @@ class Atlas:
         """What the result says of itself; two atlases with the same attributes have the same numbers."""
         robot = self.mapped.robot
         specification = {
-            "description": hashlib.sha256(pickle.dumps(self._description(), protocol=5)).hexdigest(),
+            "description": hashlib.sha256(self._description().encode()).hexdigest(),
             "axes": {name: [float(v[0]), float(v[-1]), len(v)] for name, v in self.grid.axes.items()},
             "values": hashlib.sha256(b"".join(v.tobytes() for v in self.grid.axes.values())).hexdigest(),
             "fixed": dict(self.grid.fixed),
@@ -164,9 +163,13 @@ class Atlas:
             **{f"fixed_{name}": value for name, value in self.grid.fixed.items()},
         }
 
-    def _description(self) -> tuple[Any, ...]:
-        springs = self.robot.springs if isinstance(self.robot, ElasticModel) else ()
-        return self.mapped.robot, springs
+    def _description(self) -> str:
+        """Every number and name that the poses and quantities depend on."""
+        robot = self.mapped.robot
+        parts = [robot.closures, robot.commands, robot.coordinates, robot.limit_groups, robot.springs]
+        if isinstance(self.robot, ElasticModel):
+            parts += [(block.name, block.coefficients.tolist(), block.length) for block in self.robot.blocks]
+        return "\n".join([robot.model.saveToString(), *map(repr, parts)])
 
     def _variable(self, quantity: Quantity) -> Variable:
         labels = {dim.name: dim.labels(self.mapped) for dim in quantity.dims}

@@ -14,6 +14,7 @@ from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.workspace_section import workspace_section
 
 MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")
@@ -95,11 +96,12 @@ def test_values_at_random_poses(tripod: Tripod, section: xr.Dataset) -> None:
             assert section[name].values[i, j] == pytest.approx(value, rel=3e-5), name
 
 
-def test_mask_and_gaps_against_single_poses(tripod: Tripod, section: xr.Dataset) -> None:
+def test_mask_and_gaps_against_pinocchio(mechanism: Robot, section: xr.Dataset) -> None:
     theta_x, theta_y = _tilts(section)
     generator = np.random.default_rng(6)
     for i, j in zip(*(generator.integers(size, size=150) for size in theta_x.shape), strict=True):
-        named = broken_limits(tripod, [theta_x[i, j], theta_y[i, j], float(section.z_e)])
+        pose = mechanism.solve([theta_x[i, j], theta_y[i, j], float(section.z_e)], engine="pinocchio")
+        named = int(pose.broken_limits)
         assert section.broken_limits.values[i, j] == named
         for name in (*MOTION, *CONSTRAINED, "stiffness_global"):
             assert np.isnan(section[name].values[i, j]) == bool(named)
