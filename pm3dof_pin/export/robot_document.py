@@ -167,7 +167,7 @@ def read_robot(
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
     mechanism = Robot.load(name_or_path, package_paths=package_paths)
-    files = as_urdf(mechanism)
+    files = as_urdf(mechanism, floating=False)
     if files is not mechanism.files:
         mechanism = Robot.load(files.urdf)
     urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)

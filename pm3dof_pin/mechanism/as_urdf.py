@@ -1,8 +1,9 @@
 """Any robot as a plain URDF with a closures file: for tools, and for whatever edits a URDF.
 
 A spherical joint, which URDF does not have, becomes hinges about x, y and z in one point, which do the same as long as
-the second stays away from 90 degrees. Links between them, and others that move without mass, get a mass of 0.01 g,
-which simulators need and statics do not feel.
+the second stays away from 90 degrees; for tools that know no floating joint, slides along x, y and z come before these.
+Links between them, and others that move without mass, get a mass of 0.01 g, which simulators need and statics do not
+feel.
 """
 
 from __future__ import annotations
@@ -36,15 +37,30 @@ NEGLIGIBLE_MOMENT = 1e-9
 """Moment of inertia of such links about every axis [kg m^2]."""
 
 _logger = logging.getLogger(__name__)
-_NO_LIMITS = {"lower": "-6.283185307179586", "upper": "6.283185307179586", "effort": "0.0", "velocity": "0.0"}
+_LIMITS = {
+    kind: {"lower": f"-{most}", "upper": most, "effort": "0.0", "velocity": "0.0"}
+    for kind, most in {"revolute": "6.283185307179586", "prismatic": "1000.0"}.items()
+}
+_BALL = (("", "x", "revolute"), ("_y", "y", "revolute"), ("_z", "z", "revolute"))
+_SIMPLE_JOINTS = {
+    "Spherical": _BALL,
+    "FreeFlyer": (
+        ("", "x", "prismatic"),
+        ("_along_y", "y", "prismatic"),
+        ("_along_z", "z", "prismatic"),
+        *((f"_about_{axis}", axis, kind) for _, axis, kind in _BALL),
+    ),
+}
+"""What stands for joints that URDF, or a tool, does not have: what to add to the name, axis, and kind."""
 
 
-def as_urdf(mechanism: Mechanism) -> RobotFiles:
+def as_urdf(mechanism: Mechanism, *, floating: bool = True) -> RobotFiles:
     """Return the files of a robot, its tree a URDF with hinges and slides only, but for a floating base.
 
     Args:
         mechanism: a mechanism that was read from files. If these are a URDF whose joints are all its own, they are
             returned as they are; otherwise others are written, which last as long as the process.
+        floating: whether free joints stay floating ones, or become slides and hinges as well.
 
     Raises:
         DescriptionError: the mechanism was not read from files, or a joint is of a kind that cannot be written.
@@ -55,16 +71,18 @@ def as_urdf(mechanism: Mechanism) -> RobotFiles:
     names = (
         {str(joint.get("name")) for joint in read_xml(files.path).iter("joint")} if files.format == "urdf" else set()
     )
-    plain = all(joint.nv == 1 or "FreeFlyer" in joint.shortname() for joint in list(mechanism.model.joints)[1:])
+    kept = ("FreeFlyer",) if floating else ()
+    joints = list(mechanism.model.joints)[1:]
+    plain = all(joint.nv == 1 or any(kind in joint.shortname() for kind in kept) for joint in joints)
     if names and plain and set(list(mechanism.model.names)[1:]) <= names:
         return files
     folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     urdf = folder / f"{files.name}.urdf"
-    _write(urdf, _tree(mechanism, files))
+    _write(urdf, _tree(mechanism, files, floating))
     closures = urdf.with_name(files.name + CLOSURES_SUFFIX)
     closures.write_text(yaml.safe_dump(_closures(mechanism), sort_keys=False, width=120), encoding="utf-8")
-    _write(urdf.with_suffix(".srdf"), _named_configurations(mechanism, files))
+    _write(urdf.with_suffix(".srdf"), _named_configurations(mechanism, files, floating))
     if files.errors.is_file():
         shutil.copy(files.errors, urdf.with_suffix(".errors.yaml"))
     return RobotFiles(files.name, urdf, closures, urdf.with_suffix(".srdf"), "urdf", files.package_paths)
@@ -79,7 +97,7 @@ def _write(path: Path, root: ElementTree.Element) -> None:
 # The tree
 
 
-def _tree(mechanism: Mechanism, files: RobotFiles) -> ElementTree.Element:
+def _tree(mechanism: Mechanism, files: RobotFiles, floating: bool) -> ElementTree.Element:
     model = mechanism.model
     robot = ElementTree.Element("robot", name=mechanism.name)
     frames = [frame for frame in list(model.frames)[1:] if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME)]
@@ -91,7 +109,7 @@ def _tree(mechanism: Mechanism, files: RobotFiles) -> ElementTree.Element:
             _add_inertial(element, model.inertias[joint])
         element.extend(shapes.get(joint, []))
     for joint in range(1, model.njoints):
-        _add_joint(robot, mechanism, joint, links[model.parents[joint]], links[joint])
+        _add_joint(robot, mechanism, joint, (links[model.parents[joint]], links[joint]), floating)
     for frame in frames:
         if frame.name != links[frame.parentJoint]:
             ElementTree.SubElement(robot, "link", name=frame.name)
@@ -108,20 +126,26 @@ def _name_of_link(model: pin.Model, joint: int) -> str:
     return "base" if joint == 0 else f"{model.names[joint]}_link"
 
 
-def _add_joint(robot: ElementTree.Element, mechanism: Mechanism, index: int, parent: str, child: str) -> None:
+def _add_joint(
+    robot: ElementTree.Element, mechanism: Mechanism, index: int, links: tuple[str, str], floating: bool
+) -> None:
+    parent, child = links
     model, name, joint = mechanism.model, mechanism.model.names[index], mechanism.model.joints[index]
     kind = joint.shortname()
-    if "FreeFlyer" in kind:
+    if "FreeFlyer" in kind and floating:
         element = ElementTree.SubElement(robot, "joint", name=name, type="floating")
         _add_ends(element, parent, child, model.jointPlacements[index])
         return
-    if "Spherical" in kind:
-        placement, carriers = model.jointPlacements[index], (f"{name}_x", f"{name}_xy", child)
-        for suffix, axis, link in zip(("", "_y", "_z"), np.eye(3), carriers, strict=True):
+    parts = _SIMPLE_JOINTS.get(next((known for known in _SIMPLE_JOINTS if known in kind), ""), ())
+    if parts:
+        placement = model.jointPlacements[index]
+        for suffix, axis, moves in parts:
+            link = child if suffix == parts[-1][0] else f"{name}_{moves}_{axis}"
             if link != child:
                 carrier = ElementTree.SubElement(robot, "link", name=link)
                 _add_inertial(carrier, pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), NEGLIGIBLE_MOMENT * np.eye(3)))
-            _add_hinge(robot, f"{name}{suffix}", "revolute", parent, link, placement, axis, _NO_LIMITS)
+            along = np.eye(3)["xyz".index(axis)]
+            _add_hinge(robot, name + suffix, moves, parent, link, placement, along, _LIMITS[moves])
             parent, placement = link, pin.SE3.Identity()
         return
     if joint.nv != 1:
@@ -255,27 +279,28 @@ def _plain(value: Any) -> Any:
     return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
-def _named_configurations(mechanism: Mechanism, files: RobotFiles) -> ElementTree.Element:
+def _named_configurations(mechanism: Mechanism, files: RobotFiles, floating: bool) -> ElementTree.Element:
     root = ElementTree.Element("robot", name=mechanism.name)
     for name, q in mechanism.named_configurations.items():
         state = ElementTree.SubElement(root, "group_state", name=name, group="all")
-        for joint, values in _joint_values(mechanism, q):
+        for joint, values in _joint_values(mechanism, q, floating):
             ElementTree.SubElement(state, "joint", name=joint, value=_text(values))
     if files.srdf is not None:
         root.extend(copy.deepcopy(element) for element in read_xml(files.srdf).iter("disable_collisions"))
     return root
 
 
-def _joint_values(mechanism: Mechanism, q: Vector) -> Iterator[tuple[str, Vector]]:
+def _joint_values(mechanism: Mechanism, q: Vector, floating: bool) -> Iterator[tuple[str, Vector]]:
     for name, joint in list(zip(mechanism.model.names, mechanism.model.joints, strict=True))[1:]:
         values = q[joint.idx_q : joint.idx_q + joint.nq]
-        if "Spherical" in joint.shortname():
-            turn = pin.Quaternion(np.array(values)).toRotationMatrix()
+        kind = joint.shortname()
+        if "Spherical" in kind or ("FreeFlyer" in kind and not floating):
+            turn = pin.Quaternion(np.array(values[-4:])).toRotationMatrix()
             # R = Rx(a) Ry(b) Rz(c), and its transpose is Rz(-c) Ry(-b) Rx(-a)
             angles = [-angle for angle in _roll_pitch_yaw(turn.T)]
-            yield from (
-                (name + suffix, np.array([angle])) for suffix, angle in zip(("", "_y", "_z"), angles, strict=True)
-            )
+            parts = _SIMPLE_JOINTS["Spherical" if "Spherical" in kind else "FreeFlyer"]
+            for (suffix, _, _), value in zip(parts, [*values[:-4], *angles], strict=True):
+                yield name + suffix, np.array([value])
         else:
             yield name, np.asarray(values)
 

@@ -162,7 +162,7 @@ def test_a_missing_mesh_is_named(four_bar: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('type="continuous"', 'type="floating"', "joint 'crank_joint': expected a fixed, revolute"),
+        ('type="continuous"', 'type="planar"', "joint 'crank_joint': expected one that URDF has"),
         ("<mesh filename=", "<capsule filename=", "<visual>: expected a box, cylinder, sphere, mesh"),
     ],
 )

@@ -105,3 +105,18 @@ def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
 def test_a_mechanism_made_by_hand_has_no_files() -> None:
     with pytest.raises(DescriptionError, match="expected a mechanism that was read from some"):
         as_urdf(Robot(pin.buildSampleModelManipulator()))
+
+
+def test_a_free_joint_as_slides_and_hinges(tmp_path: Path) -> None:
+    (tmp_path / "box.xml").write_text(
+        """<mujoco model="box"><worldbody><body name="box" pos="0.1 0.2 0.3" euler="20 30 40"><freejoint name="free"/>
+        <geom size="0.1" mass="1"/><body name="arm"><joint name="arm"/><geom size="0.1" mass="1"/>
+        <site name="tool" pos="0.4 0.1 0"/></body></body></worldbody>
+        <keyframe><key name="thrown" qpos="1 2 3 0.5 0.5 -0.1 0.7 0.2"/></keyframe></mujoco>"""
+    )
+    robot = Robot.load(tmp_path / "box.xml")
+    plain = Robot.load(as_urdf(robot, floating=False).urdf)
+    assert all(joint.nv == 1 for joint in list(plain.model.joints)[1:])
+    for name in ("home", "thrown"):
+        expected, found = (r.configuration(r.named_configurations[name]) for r in (robot, plain))
+        np.testing.assert_allclose(found.tool_placement.homogeneous, expected.tool_placement.homogeneous, atol=1e-12)
