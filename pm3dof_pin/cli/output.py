@@ -42,7 +42,7 @@ def fixed(number: float, digits: int) -> str:
 
 
 def stop_on_broken_limits(violations: Sequence[object]) -> None:
-    """Name every broken limit on standard error, a line each, and leave with status 1, if there are any."""
+    """Name every broken limit on standard error, a line each, and exit with status 1, if there are any."""
     for violation in violations:
         message(f"pm3dof: joint limit broken: {violation}")
     if violations:

@@ -299,7 +299,7 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
 
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
-    """Write columns about many poses with the limits they break, and leave with status 1 if some break one."""
+    """Write columns about many poses with the limits they break, and exit with status 1 if some break one."""
     from pm3dof_pin.cli.output import LIMIT_BROKEN, print_result
     from pm3dof_pin.kinematics.pose_file import columns_text, write_columns
 

@@ -292,12 +292,12 @@ class ElasticModel:
                 raise self._error(spring.name, f"length: '{length.joint}' turns, expected a joint that slides")
 
     def _translates(self, spring: str, name: str) -> bool:
-        """Tell whether a joint, which is to have one freedom, slides."""
+        """Tell whether a joint, which is to be a single-DoF joint, slides."""
         model = self.rigid.model
         if not model.existJointName(name):
             raise JointNotFoundError(name, f"{self.rigid.source}: spring '{spring}'", list(model.names)[1:])
         if model.joints[model.getJointId(name)].nv != 1:
-            raise self._error(spring, f"joint '{name}' has several freedoms, expected one")
+            raise self._error(spring, f"joint '{name}' has several degrees of freedom, expected one")
         return self.rigid.single_joint(name).translates
 
     def _error(self, spring: str, expected: str) -> DescriptionError:

@@ -153,5 +153,5 @@ def _check_joints(mechanism: Robot) -> None:
     model = mechanism.model
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         if joint.shortname() in _WITHOUT_DERIVATIVES:
-            expected = f"is a {joint.shortname()}, expected joints with one freedom each for a loaded stiffness"
+            expected = f"is a {joint.shortname()}, expected single-DoF joints for a loaded stiffness"
             raise DescriptionError(mechanism.source, f"joint '{name}'", expected)

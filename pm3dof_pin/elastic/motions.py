@@ -32,7 +32,7 @@ from pm3dof_pin.typing import Matrix
 
 @dataclass(frozen=True, eq=False)
 class ElasticMotions:
-    """The freedoms of an elastic mechanism at one configuration, as velocities of all its joints.
+    """The possible motions of an elastic mechanism at one configuration, as velocities of all its joints.
 
     Attributes:
         configuration: where, of the mechanism with virtual joints.

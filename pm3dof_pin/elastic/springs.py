@@ -2,7 +2,7 @@
 
 An entry is a mapping with a `name`, a `type` and the keys of that type:
 
-- joint: a spring at a joint with one freedom; `joint`, `stiffness`, `unit` (N/m, or N m/rad).
+- joint: a spring at a single-DoF joint; `joint`, `stiffness`, `unit` (N/m, or N m/rad).
 - axial: give along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
 - cantilever: the tip of an Euler-Bernoulli cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness`
   (G J), `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N],
@@ -38,7 +38,7 @@ _DEFINITENESS = 1e-12
 
 @dataclass(frozen=True)
 class JointSpring:
-    """A spring at a joint with one freedom: an actuator's or a bearing's. At rest in the configuration looked at.
+    """A spring at a single-DoF joint: an actuator's or a bearing's, at rest in the configuration examined.
 
     Attributes:
         name: its name.
@@ -84,7 +84,7 @@ class JointLength:
     """A length that a joint changes, L = at_zero + q.
 
     Attributes:
-        joint: a joint with one freedom that translates.
+        joint: a prismatic joint.
         at_zero: L where the joint stands at zero [m].
     """
 

@@ -1,4 +1,4 @@
-"""Virtual joints: where a body gives, joints with one freedom each are put into the tree, never by hand.
+"""Virtual joints: where a body gives, single-DoF joints are put into the tree, never by hand.
 
 The tree is rebuilt on Pinocchio's level. Bodies keep their inertias, frames their names and indices, joints their
 names, limits and constants, and with all virtual joints at zero the mechanism is the rigid one. A spring's joints stand

@@ -118,7 +118,7 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         heading,
         "<p>Cross-validation: each fifth of the poses is predicted from the others. Tip errors in µm, as "
         "measured, so noise is in all of them. The floor is left with the best possible commands: with fewer drives "
-        "than a pose has freedoms, commands cannot correct everything. The last line compares commands.</p>",
+        "than a pose has degrees of freedom, commands cannot correct everything. The last line compares commands.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
         _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
         f"<p>Beside noise, {1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are neither "

@@ -47,7 +47,7 @@ class Column:
 
     Attributes:
         screw: the motion at unit rate.
-        frames: frames that it moves, among those of the closures and the frame looked at.
+        frames: frames that it moves, among those of the closures and the frame examined.
     """
 
     screw: Screw
