@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.visuals import read_visuals
@@ -86,10 +87,11 @@ def bodies_of(mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | No
     Args:
         mechanism: the mechanism.
         visuals: Pinocchio's visual geometry, or the path of the file that holds it; by default the file that the
-            mechanism was read from. Where there is none, or it has no visuals, a stick figure is drawn.
+            mechanism was read from. Where there is none, it has no visuals, or a mesh is missing of the file that the
+            mechanism was read from, a stick figure is drawn.
 
     Raises:
-        DescriptionError: the URDF is unreadable, or a mesh that it names is missing.
+        DescriptionError: the file given is unreadable, or a mesh that it names is missing.
     """
     geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
     if geometry is not None and geometry.ngeoms:
@@ -138,8 +140,15 @@ def _corner_points(bodies: tuple[Body, ...], configuration: Configuration) -> Ar
 
 
 def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:
-    files = mechanism.files if urdf is None else find_robot(urdf)
-    return read_visuals(mechanism.model, files) if files is not None else None
+    if urdf is not None:
+        return read_visuals(mechanism.model, find_robot(urdf))
+    if mechanism.files is None:
+        return None
+    try:
+        return read_visuals(mechanism.model, mechanism.files)
+    except DescriptionError as error:
+        _logger.warning("%s: drawn as a stick figure; --package-path says where packages are", error)
+        return None
 
 
 def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Body, ...]:

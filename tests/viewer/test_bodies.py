@@ -95,7 +95,7 @@ def test_packages_from_elsewhere(write_robot: Write, tmp_path_factory: pytest.Te
     urdf = write_robot(URDF.format(mesh=MESH.format(file="package://parts/ball.stl")))
     assert len(bodies_of(Robot.load(urdf, package_paths=[folder]))[1].parts) == 2
     with pytest.raises(DescriptionError, match=r"ball\.stl"):
-        bodies_of(Robot.load(urdf))
+        bodies_of(Robot.load(urdf), urdf)
 
 
 def test_shapes_of_mjcf(tmp_path: Path) -> None:
@@ -111,10 +111,14 @@ def test_shapes_of_mjcf(tmp_path: Path) -> None:
     np.testing.assert_allclose(arm.parts[-1].placement[:3, :3], np.diag([0.1, 0.2, 0.3]), atol=1e-12)
 
 
-def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path) -> None:
+def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Files of strangers come without their meshes: a stick figure, and a warning that says why."""
     urdf = write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "gone.stl")))
+    robot = Robot.load(urdf)
+    assert [body.name for body in bodies_of(robot)] == ["universe", "turn"]
+    assert "gone.stl" in caplog.text
     with pytest.raises(DescriptionError, match=r"robot\.urdf: visual: .*gone\.stl"):
-        bodies_of(Robot.load(urdf))
+        bodies_of(robot, urdf)
 
 
 def test_the_urdf_is_found_beside_either_closures_file(write_robot: Write) -> None:
