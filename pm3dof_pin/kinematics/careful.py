@@ -78,7 +78,7 @@ class _JointsGiven:
         joints = [coordinate.joint for coordinate in coordinates if coordinate.joint is not None]
         self._singles = [mechanism.single_joint(name) for name in joints]
         self._indices = mechanism.velocity_indices(joints)
-        self._free = np.setdiff1d(np.arange(mechanism.model.nv), self._indices)
+        self._free = np.delete(np.arange(mechanism.model.nv), self._indices)
         self._scale = mechanism.velocity_scale[self._free]
         self._offsets = np.array([coordinate.offset for coordinate in coordinates])
         self._factors = np.array([coordinate.scale for coordinate in coordinates])

@@ -18,12 +18,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
@@ -274,7 +275,7 @@ class Continuation:
         mode = 2.0 * self._home_mode
         compiled, parameters = self._step
         compiled.march(
-            *(lines, numbers, parameters, _shares(axis)[known:]),
+            *(lines, numbers, parameters, _shares(axis.tobytes())[known:]),
             tolerance=_NEARLY_CLOSED,
             max_steps=_STEPS,
             margins=(_REGULAR - mode, 2.0 - mode),
@@ -409,13 +410,15 @@ def _solved_neighbours(q: Array) -> Array:
     return neighbours
 
 
-def _shares(axis: Vector) -> Matrix:
+@lru_cache(maxsize=64)  # the parts of a grid have axes in common
+def _shares(values: bytes) -> Matrix:
     """Return how a polynomial through the points before it predicts each point of an axis.
 
     Returns:
         Minus the weights of the second to last point before it, the third to last and so on, shape=(n, HISTORY). Zeros
         for points that are not there, and wherever the points are too unequal for a polynomial.
     """
+    axis = np.frombuffer(values)
     shares = np.zeros((len(axis), HISTORY))
     for count in range(2, HISTORY + 2):
         points = np.arange(count, len(axis) if count > HISTORY else min(count + 1, len(axis)))
@@ -426,7 +429,7 @@ def _shares(axis: Vector) -> Matrix:
             with np.errstate(divide="ignore", invalid="ignore"):
                 shares[points, j - 1] = -np.prod(ways[:, others] / (back[:, j, None] - back[:, others]), axis=1)
     shares[~(np.abs(shares).max(axis=1) < _GREATEST_SHARE)] = 0.0
-    return shares
+    return frozen(shares)
 
 
 def _linear_positions(mechanism: Mechanism) -> Vector:

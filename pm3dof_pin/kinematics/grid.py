@@ -71,9 +71,15 @@ class Grid:
     @cached_property
     def values(self) -> Array:
         """The coordinates of every pose, shape=(*shape, number of coordinates) [m, rad]."""
-        mesh = dict(zip(self.axes, np.meshgrid(*self.axes.values(), indexing="ij"), strict=True))
-        columns = [mesh.get(c.name, np.full(self.shape, self.fixed.get(c.name, np.nan))) for c in self.coordinates]
-        return frozen(np.stack(columns, axis=-1))
+        values = np.empty((*self.shape, len(self.coordinates)))
+        dims = self.dims
+        for column, coordinate in enumerate(self.coordinates):
+            if coordinate.name in dims:
+                after = len(dims) - 1 - dims.index(coordinate.name)
+                values[..., column] = np.reshape(self.axes[coordinate.name], (-1, *[1] * after))
+            else:
+                values[..., column] = self.fixed[coordinate.name]
+        return frozen(values)
 
     def part(self, slices: tuple[slice, ...]) -> Grid:
         """Return the part of the grid between indices along each dimension."""

@@ -285,9 +285,10 @@ def compute_block(atlas: Atlas, block: Block) -> Block:
         if wanted.size == size:
             values = quantity.compute(evaluation)
         else:
-            values = np.full((size, *shape), np.nan)
+            values = np.full((size, *shape), np.nan, dtype=atlas.store.dtype(quantity.name))
             if wanted.size:
-                values[wanted] = quantity.compute(evaluation)
+                with np.errstate(over="ignore"):  # beyond single precision a number is infinite
+                    values[wanted] = quantity.compute(evaluation)
         atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
     return block

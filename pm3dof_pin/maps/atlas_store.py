@@ -98,6 +98,10 @@ class AtlasStore:
         chunk = (str(first // size) for first, size in zip(block, self.block_shape, strict=True))
         return self.parts.joinpath(BROKEN_LIMITS, "c", *chunk).is_file()
 
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """Return the type of an array."""
+        return self._arrays[name].dtype
+
     def write(self, name: str, place: Place, values: Any) -> None:
         """Write the values of one array at one block."""
         array = self._arrays[name]
@@ -176,8 +180,8 @@ class AtlasStore:
                 dtype=variable.dtype,
                 chunks=self.block_shape + own_shape,
                 fill_value=variable.fill_value,
-                # the quickest of those measured, and a fifth to a half of the bytes
-                compressors=BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"),
+                # of those measured: 40 % of the time of zstd, 120 % of its bytes
+                compressors=BloscCodec(cname="lz4", clevel=9, shuffle="shuffle"),
                 dimension_names=[*self.coordinates, *variable.own_dims],
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
                 config={"write_empty_chunks": True},  # a block of zeros is a finished block too

@@ -151,7 +151,7 @@ class Mechanism:
         self.commands = self._checked_commands(tuple(commands))
         self.declared_coordinates = tuple(coordinates) or self._motion_coordinates()
         self.actuated_indices = self.velocity_indices(self.actuated_joints)
-        self.passive_indices = frozen(np.setdiff1d(np.arange(model.nv), self.actuated_indices))
+        self.passive_indices = frozen(np.delete(np.arange(model.nv), self.actuated_indices))
 
         self.lower_limits = frozen(_limits(model, model.lowerPositionLimit, -np.inf))
         self.upper_limits = frozen(_limits(model, model.upperPositionLimit, np.inf))

@@ -83,7 +83,7 @@ def main() -> dict[str, float]:
         model = ElasticModel(robot)
         grid = map_of(robot)
         poses = robot.solve(grid, on_failure="nan")
-        closing = least(lambda robot=robot, grid=grid: robot.solve(grid, on_failure="nan").within_limits)
+        closing = least(lambda robot=robot, grid=grid: robot.solve(grid, on_failure="nan", threads=1).within_limits)
         elastic = least(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=1))
         two = least(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=2))
         each = 1e6 / grid.size
