@@ -2,7 +2,8 @@
 
 A *walk* goes from a start along a straight line in the space of the coordinates, in legs short enough to stay in one
 assembly mode. A *march* fills a product grid from its point nearest to home, outward along axis after axis: every pose
-starts from its neighbour, with a linear predictor. Newton's steps are programs of :mod:`pm3dof_pin.programs.closing`.
+starts from its neighbours on a line, which predict it. Newton's steps are programs of
+:mod:`pm3dof_pin.programs.closing`, and lines are followed in machine code.
 
 A pose is accepted if the loops are closed to rounding, the joints ended near where they were predicted, and no closing
 system is singular or has changed its orientation, which would be another assembly mode. What is not accepted is tried

@@ -11,6 +11,7 @@ import pytest
 
 from pm3dof_pin.kinematics import continuation as continuation_module
 from pm3dof_pin.kinematics.continuation import Continuation
+from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
 
@@ -80,6 +81,22 @@ def test_a_march_finds_what_walks_find(name):
     np.testing.assert_array_equal(marched.broken_limits, walked.broken_limits)
     assert np.isfinite(marched.residual).all()
     np.testing.assert_allclose(robot.at(marched.q).commands, robot.at(walked.q).commands, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta", "five_bar"])
+def test_axes_may_be_uneven_and_come_back(name):
+    robot = load(name)
+    home = robot.home_coordinates
+    steps = np.array([-1.0, -1.0, -0.9, 0.2, 0.2, 0.21, 1.0, -0.5])
+    widths = [0.05 * robot.characteristic_length if c.unit == "m" else 0.1 for c in robot.coordinates]
+    fixed = {c.name: float(value) for c, value in zip(robot.coordinates, home, strict=True)}
+    axes = {c.name: fixed.pop(c.name) + widths[k] * steps for k, c in enumerate(robot.coordinates[:2])}
+    grid = Grid(robot.coordinates, axes, fixed)
+    marched, walked = robot.solve(grid), robot.solve(grid.values)
+    np.testing.assert_allclose(marched.commands, walked.commands, atol=1e-12)
+    np.testing.assert_allclose(marched.transforms, walked.transforms, atol=1e-12)
+    np.testing.assert_allclose(marched.coordinates, grid.values, atol=1e-12)
+    assert np.array_equal(marched.q, robot.solve(grid, threads=1).q)
 
 
 def test_a_march_over_more_than_the_workspace():
