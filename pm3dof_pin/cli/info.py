@@ -37,6 +37,8 @@ def info(
     machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
     result = _files(files) | _tree(machine) | _closures(machine) | _mobility(machine) | _readings(machine)
     result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
+    reason = machine.why_careful()
+    result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
     result["missing"] = _missing(result, machine)
     result["robots"] = robot_names()
     print_result(result, _lines(result, machine), as_json=as_json)
@@ -194,6 +196,9 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
         f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
+        "many poses: by compiled programs"
+        if result["engine_reason"] is None
+        else f"many poses: by Pinocchio, one by one, as there is no program: {result['engine_reason']}",
         f"description {result['description']}",
         *(
             f"{key.replace('_', ' ').replace('srdf', 'SRDF')} {result[key]}"

@@ -394,20 +394,30 @@ class Robot(Mechanism):
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
 
+    def why_careful(self) -> str | None:
+        """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""
+        solver = self._solver(self.coordinates)
+        return solver if isinstance(solver, str) else None
+
     def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
         """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
+        solver = self._solver(coordinates)
+        return None if isinstance(solver, str) else solver
+
+    def _solver(self, coordinates: tuple[Coordinate, ...]) -> Continuation | str:
+        """Return what solves for these coordinates by programs, or why nothing does."""
         from pm3dof_pin.kinematics.continuation import Continuation  # one pose on Pinocchio needs no compiler
 
-        if coordinates not in self._continuations:
+        if coordinates not in self._solvers:
             try:
-                self._continuations[coordinates] = Continuation(self, coordinates)
+                self._solvers[coordinates] = Continuation(self, coordinates)
             except (ProgramError, ConvergenceError) as error:
                 _logger.info("%s: solved without programs: %s", self.name, error)
-                self._continuations[coordinates] = None
-        return self._continuations[coordinates]
+                self._solvers[coordinates] = str(error)
+        return self._solvers[coordinates]
 
     @cached_property
-    def _continuations(self) -> dict[tuple[Coordinate, ...], Continuation | None]:
+    def _solvers(self) -> dict[tuple[Coordinate, ...], Continuation | str]:
         return {}
 
     def _tool_mobility(self) -> int:
