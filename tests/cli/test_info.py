@@ -180,11 +180,12 @@ def test_the_packages_own_robot_lacks_nothing() -> None:
     assert "u1          command  0.155272  0.325272  0.240272     m" in text
 
 
-def test_it_says_what_solves_many_poses(answer: Any, tmp_path: Path) -> None:
-    """By programs; or by Pinocchio, and why: two tips that no joint can bring together have no closed pose to start from."""
-    assert answer("info", "--robot", "hexapod")["engine"] == "program"
+def test_it_says_what_solves_many_poses(tmp_path: Path) -> None:
+    """By programs; or by Pinocchio, and why: two tips that no joint brings together have no closed pose to start at."""
+    assert info("--robot", "hexapod")["engine"] == "program"
     urdf = tmp_path / "apart.urdf"
-    arm = '<link name="{0}"/><joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>{1}</joint>'
+    joint = '<joint name="{0}_joint" type="continuous"><parent link="base"/><child link="{0}"/>{1}</joint>'
+    arm = '<link name="{0}"/>' + joint
     urdf.write_text(
         '<robot name="apart"><link name="base"/>'
         + arm.format("left", '<origin xyz="0 0 0"/>')
@@ -194,6 +195,6 @@ def test_it_says_what_solves_many_poses(answer: Any, tmp_path: Path) -> None:
     urdf.with_suffix(".closures.yaml").write_text(
         "closed_loop: [[left, right]]\ntype: ['3d']\nname_mot: [left_joint]\n"
     )
-    result = answer("info", "--robot", urdf)
+    result = info("--robot", urdf)
     assert result["engine"] == "pinocchio"
     assert "did not converge" in result["engine_reason"]
