@@ -139,7 +139,8 @@ class ErrorMap:
             )
             for k, parameter in enumerate(self.errors.parameters)
         ]
-        return sorted(shares, key=lambda share: -share.share)
+        # parameters of equal share, as those of like legs, stay in their order
+        return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
 
     def least_sensitive(self, part: float = 0.2) -> NDArray[np.bool_]:
         """Tell which poses are in the region least sensitive to errors, shape=(n,).

@@ -130,7 +130,8 @@ def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
         [0.0 if name in idle else p.tolerance for name, p in zip(fitting.names, fitting.parameters, strict=True)]
     )
     crooked = _Loops(fitting, Poses(fitting.apply(beside), poses.q), beside)
-    return fitting.without(idle.intersection(_names(fitting, crooked.strains() > RANK_TOLERANCE)))
+    strained = crooked.strains(tool_at_rest=False) > RANK_TOLERANCE  # its loops are a little open
+    return fitting.without(idle.intersection(_names(fitting, strained)))
 
 
 def _names(errors: GeometricErrors, chosen: Mask) -> list[str]:
@@ -152,9 +153,9 @@ class _Loops:
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
         self._beyond = {place: self._carried(place) for place in dict.fromkeys(p.place for p in errors.parameters)}
 
-    def strains(self) -> Array:
+    def strains(self, *, tool_at_rest: bool = True) -> Array:
         """Return how far the loops cannot follow each error, scaled, at the worst pose, shape=(errors,)."""
-        _, strain = self.followed_rates()
+        _, strain = self.followed_rates(tool_at_rest=tool_at_rest)
         return np.asarray(strain[:, len(self._robot.actuated_joints) :].max(axis=0, initial=0.0))
 
     def idle(self) -> Mask:
@@ -162,16 +163,19 @@ class _Loops:
         moved = np.concatenate([self._closures(), self._tool()], axis=1)[:, :, self._model.nv :]
         return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
-    def followed_rates(self) -> tuple[Array, Array]:
+    def followed_rates(self, *, tool_at_rest: bool = True) -> tuple[Array, Array]:
         """Return the velocities that follow one unit of each drive's coordinate and of each error.
 
         And what the loops cannot follow of them.
+
+        Args:
+            tool_at_rest: demand that the tool stands still with the drives.
 
         Returns:
             Velocities, shape=(n, nv, drives + errors); scaled closure velocities left open, shape=(n, drives + errors).
 
         Raises:
-            SingularConfigurationError: the tool can move while all drives stand still.
+            SingularConfigurationError: the tool can move while all drives stand still, and `tool_at_rest` is demanded.
         """
         robot, nv = self._robot, self._model.nv
         driven = robot.actuated_indices
@@ -180,7 +184,8 @@ class _Loops:
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
         if not robot.closures:
-            self._require_tool_at_rest(free, np.eye(len(free)))
+            if tool_at_rest:
+                self._require_tool_at_rest(free, np.eye(len(free)))
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
@@ -188,7 +193,8 @@ class _Loops:
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
-        self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
+        if tool_at_rest:
+            self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
         pushed = closures[:, :, inputs]
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
