@@ -124,12 +124,25 @@ class GeometricErrors:
             DescriptionError: a file is unreadable or not of its form.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
-        files = find_robot(name_or_path, package_paths)
         robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
-        if not files.errors.is_file():
+        return cls.of(robot, find_robot(name_or_path, package_paths).errors)
+
+    @classmethod
+    def of(cls, robot: Robot, file: Path) -> GeometricErrors:
+        """Return the error parameters that a file declares for a robot; without that file, all of them.
+
+        Args:
+            robot: the robot as described.
+            file: the path of an error file, which need not exist.
+
+        Raises:
+            DescriptionError: the file is unreadable or not of its form.
+            FrameNotFoundError: it names a joint or frame that the robot does not have.
+        """
+        if not file.is_file():
             return cls(robot)
-        file = read_error_file(files.errors)
-        return cls(robot, _parameters_of(robot, file), fixed_bearings=_fixed_bearings(robot, file))
+        declared = read_error_file(file)
+        return cls(robot, _parameters_of(robot, declared), fixed_bearings=_fixed_bearings(robot, declared))
 
     def __len__(self) -> int:
         return len(self.parameters)

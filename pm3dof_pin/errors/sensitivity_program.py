@@ -18,7 +18,7 @@ from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.typing import Array, Mask, Matrix, Objects
+from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
 
 _compiled: dict[str, Compiled | ProgramError] = {}
 """Programs by what they depend on; the error where there is none."""
@@ -54,6 +54,24 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
         raise compiled
     groups = compiled.program.split(compiled(q, _parameters(robot, compiled.program, local_twists)))
     return groups["errors"], groups["drives"], groups["sound"] == 1.0
+
+
+def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
+    """Return the program of a robot as described, for other printers, and the values of its parameters.
+
+    Args:
+        errors: the parameters; there may be none.
+
+    Returns:
+        The program, with outputs `errors`, shape=(6, k), `drives`, shape=(6, u), and `sound`, 1 where nothing is in
+        doubt; and the values, shape=(number of its parameters,).
+
+    Raises:
+        ProgramError: see :func:`evaluated`.
+    """
+    twists = errors.local_twists(errors.zeros)
+    program = _traced(errors.robot, errors, twists, at_zero=True)
+    return program, _parameters(errors.robot, program, twists)
 
 
 def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool) -> Program:
