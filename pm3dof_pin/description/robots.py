@@ -78,7 +78,7 @@ def robot_names() -> list[str]:
     Example:
         >>> import pm3dof_pin as pm
         >>> pm.robot_names()
-        ['hexapod', 'pm3dof', 'three_rps']
+        ['hexapod', 'linear_delta', 'pm3dof', 'three_rps']
     """
     return sorted(
         folder.name.removesuffix(DESCRIPTION_SUFFIX) for folder in robots_directory().glob(f"*{DESCRIPTION_SUFFIX}")

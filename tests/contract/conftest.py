@@ -36,6 +36,7 @@ CASES = (
     Case("pm3dof", ("--robot", "pm3dof"), (("theta_x", 10.0), ("theta_y", 10.0))),
     Case("hexapod", ("--robot", "hexapod"), (("x", 0.004), ("rz", 2.0))),
     Case("three_rps", ("--robot", "three_rps"), ()),
+    Case("linear_delta", ("--robot", "linear_delta"), (("x", 0.03), ("y", 0.03))),
     Case("delta", ("--robot", str(MACHINES / "delta" / "delta.urdf")), (("x", 0.03), ("y", 0.03))),
     Case("five_bar", ("--robot", str(MACHINES / "five_bar")), (("x", 0.02), ("y", 0.02))),
     Case("three_rpr", ("--robot", str(MACHINES / "three_rpr")), (("px", 0.01), ("py", 0.01))),

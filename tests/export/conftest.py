@@ -26,7 +26,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 Vector = np.ndarray
 State = Callable[[Mapping[str, float], Mapping[str, float]], "Terms"]
 
-ROBOTS = ("hexapod", "pm3dof", "three_rps")
+ROBOTS = ("hexapod", "linear_delta", "pm3dof", "three_rps")
 ACTUATED = ("slider1_joint", "slider2_joint", "slider3_joint")
 COORDINATES = ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
 

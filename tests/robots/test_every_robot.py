@@ -68,7 +68,7 @@ def test_every_number_has_its_origin(robot: RobotFiles) -> None:
         assert isinstance(entries, str) or all("symbol" in entry for entry in entries.values())
 
 
-@pytest.mark.parametrize("name", ["hexapod", "three_rps"])
+@pytest.mark.parametrize("name", ["hexapod", "linear_delta", "three_rps"])
 def test_every_number_is_used(name: str) -> None:
     robot = find_robot(name)
     folders = (_folder(robot), *(_folder(find_robot(other)) for other in ("pm3dof", "hexapod")))

@@ -1,4 +1,4 @@
-"""The READMEs of the hexapod and the 3-RPS machine: their numbers are computed again, their examples run."""
+"""The READMEs of the other machines than the tripod: their numbers are computed again, their examples run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
 from pm3dof_pin.kinematics.actuation import actuation_jacobian, independent_motions
 from pm3dof_pin.kinematics.robot import Robot
 
-ROBOTS = ("hexapod", "three_rps")
+ROBOTS = ("hexapod", "linear_delta", "three_rps")
 
 
 def _readme(robot: str) -> str:
@@ -68,7 +68,7 @@ def test_the_beam_machines_compliance() -> None:
     )
 
 
-@pytest.mark.parametrize(("robot", "digits"), [("hexapod", 7), ("three_rps", 5)])
+@pytest.mark.parametrize(("robot", "digits"), [("hexapod", 7), ("linear_delta", 5), ("three_rps", 5)])
 def test_holding_forces_at_home(robot: str, digits: int) -> None:
     """Virtual power: the actuators' forces f hold the weight, A^T f = V^T g; every leg carries the same."""
     mechanism = Robot.load(robot)
