@@ -19,7 +19,7 @@ from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.ellipsoids import Quantity
+from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "gallery"
 SIZE = {"width": 1000, "height": 750}
@@ -89,7 +89,7 @@ def serial_arm() -> Iterator[tuple[Viewer, ElasticModel]]:
         yield viewer, model
 
 
-def draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity) -> None:
+def draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: EllipsoidMatrix) -> None:
     compliance = cartesian_compliance(model, viewer.configuration).compliance
     for kind in KINDS:
         viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=of)

@@ -122,12 +122,12 @@ def mechanism() -> Robot:
 @pytest.fixture(scope="session")
 def reachable_poses(tripod: Tripod) -> np.ndarray:
     """10,000 random poses within every joint limit, shape=(10000, 3) [rad, rad, m]."""
-    from pm3dof_pin.chapter.limits import broken_limits
+    from pm3dof_pin.chapter.limits import limit_flags
 
     generator = np.random.default_rng(20100801)
     lowest, highest = np.array([-0.8, -0.8, 0.38]), np.array([0.8, 0.8, 0.6])
     candidates = generator.uniform(lowest, highest, (120_000, 3))
-    reachable = candidates[broken_limits(tripod, candidates) == 0]
+    reachable = candidates[limit_flags(tripod, candidates) == 0]
     assert len(reachable) >= 10_000
     return reachable[:10_000]
 

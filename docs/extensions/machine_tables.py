@@ -16,7 +16,7 @@ from sphinx.util.typing import ExtensionMetadata
 
 from pm3dof_pin.chapter.table_8_3 import TableRow, table_8_3
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.description.parameters import Quantity, TripodParameters
+from pm3dof_pin.description.parameters import Parameter, TripodParameters
 
 _GREEK = re.compile(r"(?<![a-zA-Z\\])(alpha|beta|gamma|theta)(?![a-zA-Z])")
 _AXES = {
@@ -112,14 +112,14 @@ class PublishedTable(MarkdownTable):
             )
 
 
-def _symbol(quantity: Quantity) -> str:
+def _symbol(quantity: Parameter) -> str:
     if quantity.symbol == "none":
         return ""
     upright = re.sub(r"_([a-z]{3,})", r"_\\mathrm{\1}", quantity.symbol)
     return "$" + _GREEK.sub(r"\\\1", re.sub(r"_(\w+)", r"_{\1}", upright)).replace(", ", r",\; ") + "$"
 
 
-def _value(quantity: Quantity) -> str:
+def _value(quantity: Parameter) -> str:
     numbers = quantity.value if isinstance(quantity.value, tuple) else (quantity.value,)
     unit = "" if quantity.unit == "1" else " " + quantity.unit.replace("^2", "²")
     return ", ".join(_number(number) for number in numbers) + unit

@@ -79,7 +79,7 @@ class Identifiability:
     @cached_property
     def unidentifiable(self) -> tuple[str, ...]:
         """Directions that no measurement shows: combinations of parameters in units of their tolerances, in words."""
-        return tuple(direction_name(self.names, column) for column in _sparse(self.directions[:, self.rank :]).T)
+        return tuple(_direction_name(self.names, column) for column in _sparse(self.directions[:, self.rank :]).T)
 
     @property
     def better_than_tolerance(self) -> int:
@@ -190,7 +190,7 @@ def observability_indices(singular_values: ArrayLike, poses: int) -> Observabili
     )
 
 
-def direction_name(names: Sequence[str], direction: Array) -> str:
+def _direction_name(names: Sequence[str], direction: Array) -> str:
     """Return a combination of parameters in words, such as "platform_x_joint.rx" or "a.tx - 0.5 b.tx"."""
     scaled = direction / direction[np.argmax(np.abs(direction))]
     terms = []

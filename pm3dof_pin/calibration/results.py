@@ -74,7 +74,7 @@ def write_calibration(
         if compensation.values is not None:
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated")
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
-        write_text_atomically(folder / COMPENSATION, compensation_as_json(compensation, files.path.name))
+        write_text_atomically(folder / COMPENSATION, _compensation_as_json(compensation, files.path.name))
         summary = yaml.safe_dump(summary_of(calibration, files.name, held_out), sort_keys=False, width=120)
         write_text_atomically(folder / SUMMARY, summary)
         if report is not None:
@@ -160,7 +160,7 @@ def statistics(values: Array) -> dict[str, float]:
     }
 
 
-def compensation_as_json(compensation: Compensation, urdf: str) -> str:
+def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
     """Return a compensation as JSON, every digit kept.
 
     Args:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.elastic.indices import compliance
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array
 
 _ROWS = (3, 4, 2, 0, 1, 5)  # of K and C, in the order of the chapter's AXES
@@ -38,7 +38,7 @@ def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
 
     Arguments, result and errors as of :func:`held_stiffness`.
     """
-    flexibility = compliance(elastic_stiffness(tripod, poses))
+    flexibility = inverse_definite(elastic_stiffness(tripod, poses))
     felt: Array = 1.0 / np.diagonal(flexibility, axis1=-2, axis2=-1)[..., _ROWS]
     return felt
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.elastic.indices import compliance
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
@@ -51,7 +51,7 @@ def design_derivatives(
         UnreachablePoseError: a pose is out of reach, or so near to it that a step of the parameter loses it.
     """
     pose_array, _ = tripod.checked(poses, -1)
-    tool = compliance(elastic_stiffness(tripod, pose_array))
+    tool = inverse_definite(elastic_stiffness(tripod, pose_array))
     derivatives = {}
     for name in parameters:
         if name not in DESIGN_PARAMETERS:

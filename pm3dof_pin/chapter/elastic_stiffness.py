@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter.chapter_stiffness import require_above_clamp
 from pm3dof_pin.chapter.kinematics import Legs, require_reach
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.elastic.indices import compliance
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array, OnFailure
 
 
@@ -80,7 +80,7 @@ def _of_passive_leg(tripod: Tripod, poses: Array) -> Array:
     return symmetric
 
 
-def spring_names(tripod: Tripod) -> tuple[str, ...]:
+def contribution_names(tripod: Tripod) -> tuple[str, ...]:
     """Return the names of the springs, in the order of :func:`spring_contributions`."""
     legs = range(1, tripod.leg_count + 1)
     actuators, links = [f"actuator{leg}" for leg in legs], [f"link{leg}" for leg in legs]
@@ -110,7 +110,7 @@ def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
     p, legs = tripod.parameters, Legs.at(tripod, pose_array, modes)
     of_legs = _of_legs(legs)
     total = of_legs + _of_passive_leg(tripod, pose_array)
-    tool = compliance(total)
+    tool = inverse_definite(total)
     forces = _series_stiffness(legs)[..., None] * legs.wrenches @ tool  # in each leg against the wrench at the tool
     energies = forces[..., :, None] * forces[..., None, :]
     actuators = energies * (legs.cosines**2 / p.actuator_stiffness)[..., None, None]

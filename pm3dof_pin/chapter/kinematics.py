@@ -153,7 +153,7 @@ def inverse_kinematics(
         on_failure: "raise", or "nan" to mark poses out of reach in the result.
 
     Returns:
-        u, shape=(..., n) [m]. Joint limits are not checked: see :func:`~pm3dof_pin.chapter.limits.broken_limits`.
+        u, shape=(..., n) [m]. Joint limits are not checked: see :func:`~pm3dof_pin.chapter.limits.limit_flags`.
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".

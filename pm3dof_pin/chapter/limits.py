@@ -36,7 +36,7 @@ LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
 """Names of the limits, from the lowest bit on."""
 
 
-def broken_limits(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
+def limit_flags(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
     """Tell which kinds of limits each pose breaks.
 
     Args:

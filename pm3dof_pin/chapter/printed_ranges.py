@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.typing import Array
@@ -103,7 +103,7 @@ def _box(tripod: Tripod, workspace: Workspace) -> RangeStatement:
     tilt, height = _numbers(tripod.parameters.tilt_range), _numbers(tripod.parameters.height_range)
     tilts, heights = _cell_centres(tilt[0], tilt[1], _BOX_TILTS), _cell_centres(height[0], height[1], _BOX_HEIGHTS)
     poses = np.stack(np.meshgrid(tilts, tilts, heights, indexing="ij"), axis=-1)
-    filled = float(np.mean(broken_limits(tripod, poses) == 0))
+    filled = float(np.mean(limit_flags(tripod, poses) == 0))
     inside = filled * (tilt[1] - tilt[0]) ** 2 * (height[1] - height[0]) / workspace.volume
     text = (
         f"{filled:.1%} of the printed box of theta_x, theta_y and z_e is within all joint limits; "

@@ -15,7 +15,7 @@ from pm3dof_pin.typing import Array
 COORDINATES = ("theta_x", "theta_y", "z_e")
 
 
-def tripod_of(robot: Robot) -> Tripod | None:
+def _tripod_of(robot: Robot) -> Tripod | None:
     """Return the tripod whose parameter file stands in the robot's description; None if there is none.
 
     Args:
@@ -34,45 +34,45 @@ def _tripod(config: Path) -> Tripod | None:
         return None
 
 
-def is_tripod(mapped: MappedRobot) -> bool:
+def _is_tripod(mapped: MappedRobot) -> bool:
     """Tell whether the robot is a tripod of the chapter's family."""
-    return tripod_of(mapped.robot) is not None
+    return _tripod_of(mapped.robot) is not None
 
 
-def chapter_axes(mapped: MappedRobot) -> tuple[str, ...]:
+def _chapter_axes(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the axes of Table 8.3."""
     return AXES
 
 
-def leg_numbers(mapped: MappedRobot) -> tuple[str, ...]:
+def _leg_numbers(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the numbers of the legs."""
     return tuple(str(leg + 1) for leg in range(len(mapped.robot.commands)))
 
 
 @quantity(
     "chapter_diagonal",
-    dims=(Dimension("chapter_axis", chapter_axes),),
+    dims=(Dimension("chapter_axis", _chapter_axes),),
     unit="N m/rad (theta_x, theta_y, theta_z), N/m (t_z, t_x, t_y)",
     long_name="stiffness as the chapter computes it",
-    exists=is_tripod,
+    exists=_is_tripod,
 )
 def _chapter_diagonal(evaluation: Evaluation) -> Array:
-    tripod = tripod_of(evaluation.mapped.robot)
+    tripod = _tripod_of(evaluation.mapped.robot)
     assert tripod is not None
     return chapter_stiffness(tripod, evaluation.poses.coordinates, on_failure="nan")
 
 
-@quantity("chapter_global", unit="mixed", long_name="mean of the chapter's six numbers", exists=is_tripod)
+@quantity("chapter_global", unit="mixed", long_name="mean of the chapter's six numbers", exists=_is_tripod)
 def _chapter_global(evaluation: Evaluation) -> Array:
     return global_index(_chapter_diagonal(evaluation))
 
 
 @quantity(
     "slider_travel",
-    dims=(Dimension("leg", leg_numbers),),
+    dims=(Dimension("leg", _leg_numbers),),
     unit="m",
     long_name="slider travel along the guideways",
-    exists=is_tripod,
+    exists=_is_tripod,
 )
 def _slider_travel(evaluation: Evaluation) -> Array:
     return evaluation.poses.commands

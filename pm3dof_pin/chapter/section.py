@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
-from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.tilt_grids import FilledTiltGrid, PointGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
@@ -66,7 +66,7 @@ def stiffness_section(
         raise InvalidValueError("z_e", f"an array of shape {heights.shape}", "one height or a list of heights")
     poses = grid.poses(heights)
     require_above_clamp(tripod, poses)
-    flags = broken_limits(tripod, poses)
+    flags = limit_flags(tripod, poses)
     dims = (("z_e",) if heights.ndim else ()) + grid.dims
     variables = {
         name: (dims, values if excluded == "keep" else np.where(flags == 0, values, np.nan), attributes)

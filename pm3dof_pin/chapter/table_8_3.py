@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.tilt_grids import PolarGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.robots import robots_directory
@@ -79,7 +79,7 @@ def table_8_3(tripod: Tripod | None = None, published: Path | str | None = None)
 def _section_values(tripod: Tripod) -> dict[str, NDArray[np.float64]]:
     """Values of every axis at the chapter's poses that keep all joint limits."""
     poses = PolarGrid().poses(tripod.middle_height)
-    diagonal = chapter_stiffness(tripod, poses[broken_limits(tripod, poses) == 0])
+    diagonal = chapter_stiffness(tripod, poses[limit_flags(tripod, poses) == 0])
     return dict(zip(AXES, diagonal.T, strict=True)) | {"global": global_index(diagonal)}
 
 

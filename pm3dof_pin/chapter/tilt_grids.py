@@ -14,7 +14,7 @@ from pm3dof_pin.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
-class TiltAxis:
+class _TiltAxis:
     """One labelled coordinate of a grid.
 
     Attributes:
@@ -37,7 +37,7 @@ class TiltGrid(Protocol):
     def dims(self) -> tuple[str, ...]:
         """Names of the grid's dimensions."""
 
-    def coordinates(self) -> dict[str, TiltAxis]:
+    def coordinates(self) -> dict[str, _TiltAxis]:
         """Return the coordinates by name; theta_x and theta_y are among them."""
 
     def poses(self, z_e: ArrayLike) -> Array:
@@ -82,13 +82,13 @@ class RectangularGrid:
         """("theta_x", "theta_y")."""
         return ("theta_x", "theta_y")
 
-    def coordinates(self) -> dict[str, TiltAxis]:
+    def coordinates(self) -> dict[str, _TiltAxis]:
         """Return theta_x and theta_y, each along its own dimension [rad]."""
         theta_x = np.linspace(*self.theta_x_range, self.shape[0])
         theta_y = np.linspace(*self.theta_y_range, self.shape[1])
         return {
-            "theta_x": TiltAxis(("theta_x",), theta_x, "rad", "rotation of the platform about x"),
-            "theta_y": TiltAxis(("theta_y",), theta_y, "rad", "rotation of the platform about y"),
+            "theta_x": _TiltAxis(("theta_x",), theta_x, "rad", "rotation of the platform about x"),
+            "theta_y": _TiltAxis(("theta_y",), theta_y, "rad", "rotation of the platform about y"),
         }
 
     def poses(self, z_e: ArrayLike) -> Array:
@@ -156,16 +156,16 @@ class PolarGrid:
         """("radius", "azimuth")."""
         return ("radius", "azimuth")
 
-    def coordinates(self) -> dict[str, TiltAxis]:
+    def coordinates(self) -> dict[str, _TiltAxis]:
         """Return radius, azimuth and, along both, theta_x and theta_y [rad]."""
         radius = np.linspace(0.0, self.radius_max, self.radius_count)
         azimuth = np.linspace(0.0, 2.0 * np.pi, self.azimuth_count)
         theta_x, theta_y = np.outer(radius, np.cos(azimuth)), np.outer(radius, np.sin(azimuth))
         return {
-            "radius": TiltAxis(("radius",), radius, "rad", "distance from the level platform in the plane of tilts"),
-            "azimuth": TiltAxis(("azimuth",), azimuth, "rad", "direction of the tilt from the theta_x axis"),
-            "theta_x": TiltAxis(self.dims, theta_x, "rad", "rotation of the platform about x"),
-            "theta_y": TiltAxis(self.dims, theta_y, "rad", "rotation of the platform about y"),
+            "radius": _TiltAxis(("radius",), radius, "rad", "distance from the level platform in the plane of tilts"),
+            "azimuth": _TiltAxis(("azimuth",), azimuth, "rad", "direction of the tilt from the theta_x axis"),
+            "theta_x": _TiltAxis(self.dims, theta_x, "rad", "rotation of the platform about x"),
+            "theta_y": _TiltAxis(self.dims, theta_y, "rad", "rotation of the platform about y"),
         }
 
     def poses(self, z_e: ArrayLike) -> Array:
@@ -213,11 +213,11 @@ class PointGrid:
         """("point",)."""
         return ("point",)
 
-    def coordinates(self) -> dict[str, TiltAxis]:
+    def coordinates(self) -> dict[str, _TiltAxis]:
         """Return theta_x and theta_y along the points [rad]."""
         return {
-            "theta_x": TiltAxis(self.dims, self.tilts[:, 0], "rad", "rotation of the platform about x"),
-            "theta_y": TiltAxis(self.dims, self.tilts[:, 1], "rad", "rotation of the platform about y"),
+            "theta_x": _TiltAxis(self.dims, self.tilts[:, 0], "rad", "rotation of the platform about x"),
+            "theta_y": _TiltAxis(self.dims, self.tilts[:, 1], "rad", "rotation of the platform about y"),
         }
 
     def poses(self, z_e: ArrayLike) -> Array:

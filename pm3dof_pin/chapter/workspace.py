@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.typing import Array
@@ -17,7 +17,7 @@ def tripod_space(tripod: Tripod) -> LimitSpace:
     """Return theta_x and theta_y about the level platform, stacked along z_e, with the limits of Table 8.1."""
 
     def broken(values: Array) -> Flags:
-        return broken_limits(tripod, values).astype(np.uint32)
+        return limit_flags(tripod, values).astype(np.uint32)
 
     lowest, highest = tripod.bounds[4:]
     return LimitSpace(

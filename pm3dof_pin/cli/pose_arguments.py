@@ -226,7 +226,7 @@ def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False)
     except UnreachablePoseError as error:
         residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
         raise UnreachablePoseError(
-            f"pose {in_words(given, numbers)} is out of reach: no assembled configuration was found{residual}"
+            f"pose {pose_in_words(given, numbers)} is out of reach: no assembled configuration was found{residual}"
         ) from error
 
 
@@ -259,7 +259,7 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
     return f"{robot.name} takes {', '.join(words)}"
 
 
-def in_words(coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> str:
+def pose_in_words(coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> str:
     """Return a pose as `theta_x = 10 deg, z_e = 0.5 m`."""
     return ", ".join(
         f"{c.name} = {number:g} {'m' if c.unit == 'm' else 'deg'}"

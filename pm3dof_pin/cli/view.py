@@ -41,7 +41,7 @@ _FRAMES_PER_SECOND = 20
 _FOR_EVER = 10_000  # repetitions of a path
 
 
-class Quantity(StrEnum):
+class _EllipsoidMatrix(StrEnum):
     """What the ellipsoids show."""
 
     STIFFNESS = "stiffness"
@@ -73,7 +73,7 @@ def view(
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
     config: Config = None,
-    of: Annotated[Quantity, typer.Option(help="What the ellipsoids show.")] = Quantity.STIFFNESS,
+    of: Annotated[_EllipsoidMatrix, typer.Option(help="What the ellipsoids show.")] = _EllipsoidMatrix.STIFFNESS,
     others: Annotated[
         Others | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
@@ -202,7 +202,7 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
     return ElasticModel(machine)
 
 
-def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: Quantity, others: OtherMotions | None) -> None:
+def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: _EllipsoidMatrix, others: OtherMotions | None) -> None:
     from pm3dof_pin.elastic.report import cartesian_compliance
     from pm3dof_pin.exceptions import SingularConfigurationError
 

@@ -16,7 +16,7 @@ _Word = Literal["x", "y", "z", "along", "across"]
 
 
 @dataclass(frozen=True)
-class ErrorEntry:
+class _ErrorEntry:
     """One line of the error file.
 
     Attributes:
@@ -47,7 +47,7 @@ class ErrorFile:
     """
 
     path: Path
-    entries: tuple[ErrorEntry, ...]
+    entries: tuple[_ErrorEntry, ...]
     command_zeros: Mapping[str, str]
 
 
@@ -92,7 +92,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
                 element = f"classes.{group}.errors[{index}]"
                 raise DescriptionError(path, element, "expected a place, and a translation or a rotation of it")
             tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
-            entries.append(ErrorEntry(group, places, translations, rotations, *tolerances))
+            entries.append(_ErrorEntry(group, places, translations, rotations, *tolerances))
     return ErrorFile(path, tuple(entries), file.command_zeros or {})
 
 

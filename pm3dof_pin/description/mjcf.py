@@ -49,7 +49,7 @@ class EqualityConstraint:
 
 
 @dataclass(frozen=True)
-class JointSettings:
+class _JointSettings:
     """What Pinocchio does not take from a joint.
 
     Attributes:
@@ -82,7 +82,7 @@ class Mjcf:
     path: Path
     name: str
     text: str
-    joints: dict[str, JointSettings] = field(default_factory=dict)
+    joints: dict[str, _JointSettings] = field(default_factory=dict)
     equalities: tuple[EqualityConstraint, ...] = ()
     actuators: dict[str, str] = field(default_factory=dict)
     gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
@@ -138,7 +138,7 @@ class _Reader:
         self.path = path
         self.root = root
         self.sites: dict[str, str] = {}
-        self.joints: dict[str, JointSettings] = {}
+        self.joints: dict[str, _JointSettings] = {}
         self.defaults = {name: settings for tree in root.findall("default") for name, settings in _classes(tree, {})}
         self.taken: set[str] = set()
         self.degrees = all(compiler.get("angle") != "radian" for compiler in root.iter("compiler"))
@@ -231,7 +231,7 @@ class _Reader:
         if kind in ("hinge", "slide") and ends:
             unit = math.radians(1.0) if kind == "hinge" and self.degrees else 1.0
             limits = (unit * ends[0], unit * ends[-1])
-        self.joints[joint.attrib["name"]] = JointSettings(stiffness, unlimited, limits)
+        self.joints[joint.attrib["name"]] = _JointSettings(stiffness, unlimited, limits)
 
     def _equalities(self) -> Iterator[EqualityConstraint]:
         for index, element in enumerate(element for section in self.root.findall("equality") for element in section):

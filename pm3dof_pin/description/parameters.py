@@ -29,7 +29,7 @@ _TO_SI: dict[str, Callable[[float], float]] = {
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Parameter:
     """One entry of the YAML file: a number or a list of numbers with its origin.
 
     Attributes:
@@ -116,7 +116,7 @@ class TripodParameters:
     link_moments: Vector
     tilt_range: Vector
     height_range: Vector
-    quantities: Mapping[str, Quantity]
+    quantities: Mapping[str, Parameter]
 
     @property
     def leg_count(self) -> int:
@@ -176,7 +176,7 @@ def default_parameters_path() -> Path:
     return robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml"
 
 
-def read_quantities(path: Path | str) -> dict[str, Quantity]:
+def read_quantities(path: Path | str) -> dict[str, Parameter]:
     """Read every quantity of any robot's parameter file, keyed "section.name".
 
     Raises:
@@ -198,7 +198,7 @@ def _name(path: Path, sections: Mapping[str, Any]) -> str:
     return checked(sections.get("name"), Name, path, "name")
 
 
-def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Quantity]:
+def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Parameter]:
     """Every quantity of a parameter file, keyed "section.name"."""
     return {
         f"{section}.{name}": _quantity(checked(entry, _Entry, path, f"{section}.{name}"))
@@ -208,15 +208,15 @@ def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Quantity]:
     }
 
 
-def _quantity(entry: _Entry) -> Quantity:
+def _quantity(entry: _Entry) -> Parameter:
     value = tuple(entry.value) if isinstance(entry.value, list) else entry.value
-    return Quantity(value, entry.unit, entry.symbol, entry.status, entry.source)
+    return Parameter(value, entry.unit, entry.symbol, entry.status, entry.source)
 
 
 class _Reader:
     """Takes SI numbers out of the quantities of one file, and complains with the file's name."""
 
-    def __init__(self, path: Path, quantities: Mapping[str, Quantity]) -> None:
+    def __init__(self, path: Path, quantities: Mapping[str, Parameter]) -> None:
         self.path = path
         self.quantities = quantities
 

@@ -150,12 +150,12 @@ def loop_motion(
     start = finite_array("rates", rates, indices.shape) / dof.scale[indices]
     wanted = finite_array("accelerations", accelerations, indices.shape) / dof.scale[indices]
     v = _reached("rates", given, start, np.zeros_like(dof.scale))
-    drift = closure_acceleration(configuration, dof.scale * v)
+    drift = _closure_acceleration(configuration, dof.scale * v)
     a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale))
     return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
-def closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
+def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
     """Compute dG/dt v, the acceleration of the closure error at a velocity that keeps the loops closed.
 
     It is the acceleration of frame b against frame a with dv/dt = 0: G dv/dt = -dG/dt v.

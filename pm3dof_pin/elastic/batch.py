@@ -25,7 +25,7 @@ _KEPT = "_elastic_model"
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class EvaluatedQuantity:
     """A quantity at many poses.
 
     Attributes:
@@ -116,7 +116,7 @@ def evaluate(
     on_failure: OnFailure = "raise",
     engine: Engine = "program",
     threads: int | None = None,
-) -> Evaluation:
+) -> EvaluatedQuantity:
     """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`.
 
     Args:
@@ -164,7 +164,7 @@ def evaluate(
             *(quantity.name, elastic.rigid.name, int(redone.sum()), len(rows), int(failed.sum())),
         )
     shape = q.shape[:-1]
-    return Evaluation(values.reshape(*shape, *quantity.shape), redone.reshape(shape), failed.reshape(shape))
+    return EvaluatedQuantity(values.reshape(*shape, *quantity.shape), redone.reshape(shape), failed.reshape(shape))
 
 
 def elastic_model(robot: Robot) -> ElasticModel:

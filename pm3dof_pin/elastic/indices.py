@@ -36,24 +36,6 @@ class Ellipsoid:
     axes: Array
 
 
-def compliance(stiffness: ArrayLike) -> Array:
-    """Return C = K^-1, symmetric, shape=(..., 6, 6) [m/N, 1/N, rad/(N m)].
-
-    NaN where K is NaN or not positive definite to rounding: there some motion is free.
-    """
-    inverse: Array = inverse_definite(np.asarray(stiffness, dtype=float))
-    return inverse
-
-
-def stiffness(compliance: ArrayLike) -> Array:
-    """Return K = C^-1, symmetric, shape=(..., 6, 6) [N/m, N, N m/rad].
-
-    NaN where C is NaN or not positive definite to rounding: there some motion is held rigidly.
-    """
-    inverse: Array = inverse_definite(np.asarray(compliance, dtype=float))
-    return inverse
-
-
 def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: Motion = "translation") -> Array:
     """Return the stiffness that a probe feels, 1 / (d^T C d): the tool pushed or turned along d, free in all else.
 
@@ -90,7 +72,7 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
         shape=(..., 3, 3) [N/m or N m/rad].
     """
     if others == "held":
-        return _block(stiffness(compliance), motion)
+        return _block(inverse_definite(compliance), motion)
     inverse: Array = inverse_definite(_block(compliance, motion))
     return inverse
 

@@ -72,7 +72,7 @@ def _principal(roots: Roots) -> Objects:
     """Return the principal stiffnesses of both blocks of the compliance, ascending, shape=(2, 3)."""
     result = zeros(2, 3)
     for block in range(2):
-        squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
+        squares = _squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
         result[block] = [1.0 / square for square in reversed(squares)]
     return result
 
@@ -86,10 +86,10 @@ def _conditioning(roots: Roots) -> Objects:
     length = sqrt(rotation / translation)
     scaled = columns.copy()
     scaled[3:] = scaled[3:] * (1.0 / length)
-    return np.array([*squared_singular_values(scaled), length], dtype=object)
+    return np.array([*_squared_singular_values(scaled), length], dtype=object)
 
 
-def squared_singular_values(rows: Objects) -> list[Scalar]:
+def _squared_singular_values(rows: Objects) -> list[Scalar]:
     """Return the squares of the singular values of rows, the least first, each accurate relative to its own size.
 
     One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.

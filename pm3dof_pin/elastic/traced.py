@@ -106,7 +106,7 @@ class Roots:
     def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
         self.used: list[Root] = []
         self._model, self._tree, self._frame = model, tree, frame
-        self._spring_root = spring_root(graph, model, tree)
+        self._spring_root = _spring_root(graph, model, tree)
         self._unit = length_unit(model.mechanism.characteristic_length)
 
     @cached_property
@@ -222,7 +222,7 @@ def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Dou
     )
 
 
-def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
+def _spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
     """Record the root U of the springs' compliance, v_s = U y, slides in units of length, shape=(s, s)."""
     values = spring_parameters(model)
     size = len(model.spring_indices)

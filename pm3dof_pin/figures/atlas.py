@@ -25,7 +25,7 @@ _LEVELS = 16
 _LOGARITHMIC_FROM = 30.0  # ratio of the largest to the least value from which the colours are logarithmic
 
 
-def atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
+def _atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
     """Draw one quantity of an atlas.
 
     Of more than three dimensions the last three are drawn, the others standing at the middle of their values.
@@ -87,7 +87,7 @@ def atlas_pictures(dataset: xr.Dataset) -> dict[str, Figure]:
             if np.isfinite(values.values).any():
                 entry = suffix.removeprefix("_")
                 title = f"{words}: {entry}" if suffix else words
-                figures[f"{name}{suffix}"] = atlas_slices(values.load(), title, unit_of_entry(unit, entry))
+                figures[f"{name}{suffix}"] = _atlas_slices(values.load(), title, unit_of_entry(unit, entry))
     return figures
 
 

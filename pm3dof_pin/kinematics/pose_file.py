@@ -75,7 +75,7 @@ def read_pose_file(
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
-        raise DescriptionError(path, "file", f"is empty, expected a heading such as {example_heading(coordinates)}")
+        raise DescriptionError(path, "file", f"is empty, expected a heading such as {_example_heading(coordinates)}")
     rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
     heading = rows[0]
     _require_known(path, heading, coordinates, (*known, *numbers))
@@ -155,7 +155,7 @@ def heading_of(coordinate: Coordinate) -> str:
     return f"{coordinate.name}_{'m' if coordinate.unit == 'm' else 'deg'}"
 
 
-def example_heading(coordinates: Sequence[Coordinate]) -> str:
+def _example_heading(coordinates: Sequence[Coordinate]) -> str:
     """Return the heading of a file with these coordinates."""
     return ",".join(map(heading_of, coordinates))
 
@@ -187,7 +187,7 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
 def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:
     possible = {*known, *(name for coordinate in coordinates for name in possible_headings(coordinate))}
     if unknown := [name for name in heading if name not in possible]:
-        expected = f"is unknown, expected a heading such as {example_heading(coordinates)}"
+        expected = f"is unknown, expected a heading such as {_example_heading(coordinates)}"
         raise DescriptionError(path, f"column {', '.join(unknown)}", expected)
 
 
@@ -196,7 +196,7 @@ def _column(path: Path, heading: Sequence[str], coordinate: Coordinate, coordina
     found = [name for name in heading if name in possible]
     if len(found) != 1:
         problem = "is missing" if not found else "stands there twice"
-        expected = f"{problem}, expected {' or '.join(possible)}; a heading is {example_heading(coordinates)}"
+        expected = f"{problem}, expected {' or '.join(possible)}; a heading is {_example_heading(coordinates)}"
         raise DescriptionError(path, f"column {coordinate.name}", expected)
     return found[0]
 

@@ -168,7 +168,7 @@ QUANTITIES: dict[str, Quantity] = {}
 """All known quantities by name."""
 
 
-def always(mapped: MappedRobot) -> bool:
+def _always(mapped: MappedRobot) -> bool:
     """Tell that any robot has a quantity."""
     return True
 
@@ -178,7 +178,7 @@ def quantity(
     unit: Unit,
     long_name: str,
     dims: tuple[Dimension, ...] = (),
-    exists: Callable[[MappedRobot], bool] = always,
+    exists: Callable[[MappedRobot], bool] = _always,
 ) -> Callable[[Callable[[Evaluation], Array]], Callable[[Evaluation], Array]]:
     """Make a function of an :class:`Evaluation` a quantity; the arguments are the attributes of :class:`Quantity`.
 
@@ -216,32 +216,32 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     return tuple(known[name] for name in selected)
 
 
-def axes_of_twists(mapped: MappedRobot) -> tuple[str, ...]:
+def _axes_of_twists(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the entries of a twist or wrench."""
     return AXES
 
 
-def principal_values(mapped: MappedRobot) -> tuple[str, ...]:
+def _principal_values(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of three principal values, ascending."""
     return ("least", "middle", "greatest")
 
 
-def numbers_to_six(mapped: MappedRobot) -> tuple[str, ...]:
+def _numbers_to_six(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the numbers of six values, ascending."""
     return tuple(str(number + 1) for number in range(_MODES))
 
 
-def spring_names(mapped: MappedRobot) -> tuple[str, ...]:
+def _spring_names(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the springs."""
     return mapped.elastic.spring_names
 
 
-def command_names(mapped: MappedRobot) -> tuple[str, ...]:
+def _command_names(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the commands."""
     return tuple(command.name for command in mapped.robot.commands)
 
 
-def command_unit(mapped: MappedRobot) -> str:
+def _command_unit(mapped: MappedRobot) -> str:
     """Return the units of the commands."""
     by_unit: dict[str, list[str]] = {}
     for command in mapped.robot.commands:
@@ -251,13 +251,13 @@ def command_unit(mapped: MappedRobot) -> str:
     return ", ".join(f"{unit} ({', '.join(names)})" for unit, names in by_unit.items())
 
 
-AXIS = Dimension("axis", axes_of_twists)
-AXIS_2 = Dimension("axis_2", axes_of_twists)
-PRINCIPAL = Dimension("principal", principal_values)
-MODE = Dimension("mode", numbers_to_six)
-NATURAL_MODE = Dimension("natural_mode", numbers_to_six)
-SPRING = Dimension("spring", spring_names)
-COMMAND = Dimension("command", command_names)
+AXIS = Dimension("axis", _axes_of_twists)
+AXIS_2 = Dimension("axis_2", _axes_of_twists)
+PRINCIPAL = Dimension("principal", _principal_values)
+MODE = Dimension("mode", _numbers_to_six)
+NATURAL_MODE = Dimension("natural_mode", _numbers_to_six)
+SPRING = Dimension("spring", _spring_names)
+COMMAND = Dimension("command", _command_names)
 
 _AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
 
@@ -345,18 +345,18 @@ def _first_frequency(evaluation: Evaluation) -> Array:
     return evaluation.at_each((), lambda q: natural_frequencies(model, q, count=1)[0])
 
 
-@quantity("commands", dims=(COMMAND,), unit=command_unit, long_name="what the counters of the drives show")
+@quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")
 def _commands(evaluation: Evaluation) -> Array:
     return evaluation.poses.commands
 
 
-def free_motion_names(mapped: MappedRobot) -> tuple[str, ...]:
+def _free_motion_names(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the motions that the robot is free to make."""
     motions = mapped.free_motions
     return () if motions is None else motions.names
 
 
-def free_motion_unit(mapped: MappedRobot) -> str:
+def _free_motion_unit(mapped: MappedRobot) -> str:
     """Return the units of the stiffnesses of the free motions, of the diagonal in brackets."""
     motions = mapped.free_motions
     if motions is None:
@@ -369,20 +369,20 @@ def free_motion_unit(mapped: MappedRobot) -> str:
     return ", ".join(listed)
 
 
-def has_free_motions(mapped: MappedRobot) -> bool:
+def _has_free_motions(mapped: MappedRobot) -> bool:
     """Tell whether the free motions have a stiffness at home."""
     return mapped.free_motions is not None
 
 
 @quantity(
     "free_stiffness",
-    dims=(Dimension("free_motion", free_motion_names), Dimension("free_motion_2", free_motion_names)),
-    unit=free_motion_unit,
+    dims=(Dimension("free_motion", _free_motion_names), Dimension("free_motion_2", _free_motion_names)),
+    unit=_free_motion_unit,
     long_name="stiffness of the free motions",
-    exists=has_free_motions,
+    exists=_has_free_motions,
 )
 def _free_stiffness(evaluation: Evaluation) -> Array:
-    model, names = evaluation.mapped.elastic, free_motion_names(evaluation.mapped)
+    model, names = evaluation.mapped.elastic, _free_motion_names(evaluation.mapped)
     if names == tuple(coordinate.name for coordinate in model.rigid.declared_coordinates):
         return evaluation.elastic(free_stiffness(model))
 

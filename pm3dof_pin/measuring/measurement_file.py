@@ -46,7 +46,7 @@ def command_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
 
 
-def measurements_as_text(measurements: Measurements, robot: Robot) -> str:
+def _measurements_as_text(measurements: Measurements, robot: Robot) -> str:
     """Return measurements as CSV, every digit kept; see :func:`read_measurements`."""
     columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
     columns |= zip(POSITION_COLUMNS, measurements.positions.T, strict=True)
@@ -55,10 +55,10 @@ def measurements_as_text(measurements: Measurements, robot: Robot) -> str:
     if measurements.points.any():
         columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
     columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T, strict=False)
-    return columns_as_text(columns | measurements.conditions)
+    return _columns_as_text(columns | measurements.conditions)
 
 
-def columns_as_text(columns: Mapping[str, Array]) -> str:
+def _columns_as_text(columns: Mapping[str, Array]) -> str:
     """Return columns of numbers as CSV, every digit kept.
 
     Args:
@@ -82,7 +82,7 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
     Raises:
         OutputError: the file cannot be written.
     """
-    return write_text_atomically(path, measurements_as_text(measurements, robot))
+    return write_text_atomically(path, _measurements_as_text(measurements, robot))
 
 
 def write_plan(poses: Poses, path: Path | str) -> Path:
@@ -100,7 +100,7 @@ def write_plan(poses: Poses, path: Path | str) -> Path:
     columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
     seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
     columns |= zip(NOMINAL_COLUMNS, seen.T, strict=True)
-    return write_text_atomically(path, columns_as_text(columns))
+    return write_text_atomically(path, _columns_as_text(columns))
 
 
 def read_measurements(

@@ -242,23 +242,23 @@ class Number(Value):
         return square * self if exponent % 2 else square
 
 
-class Condition(Value):
+class _Condition(Value):
     """A recorded truth value, for `select`; conditions combine by ``&``, ``|`` and ``~``, also with `numpy.bool`."""
 
     __slots__ = ()
     __array_ufunc__ = None
 
     def __and__(self, other: Truth) -> Truth:
-        if not isinstance(other, Condition):
+        if not isinstance(other, _Condition):
             return self if other else np.False_
         return self if self is other else _condition("and", *_sorted(self, other))
 
     def __or__(self, other: Truth) -> Truth:
-        if not isinstance(other, Condition):
+        if not isinstance(other, _Condition):
             return np.True_ if other else self
         return self if self is other else _condition("or", *_sorted(self, other))
 
-    def __invert__(self) -> Condition:
+    def __invert__(self) -> _Condition:
         return self.operands[0] if self.operation == "not" else _condition("not", self)
 
     __rand__ = __and__
@@ -266,7 +266,7 @@ class Condition(Value):
 
 
 Scalar = Number | float
-Truth = Condition | np.bool_
+Truth = _Condition | np.bool_
 
 
 def sin(angle: Scalar) -> Scalar:
@@ -329,7 +329,7 @@ def less(a: Scalar, b: Scalar) -> Truth:
 
 def select(condition: Truth, a: Scalar, b: Scalar) -> Scalar:
     """Return a where the condition is true, else b. Both are computed."""
-    if not isinstance(condition, Condition):
+    if not isinstance(condition, _Condition):
         return a if condition else b
     if condition.operation == "not":
         return select(condition.operands[0], b, a)
@@ -337,7 +337,7 @@ def select(condition: Truth, a: Scalar, b: Scalar) -> Scalar:
     return x if x is y else _record(Number, "select", condition, x, y)
 
 
-V = TypeVar("V", Number, Condition)
+V = TypeVar("V", Number, _Condition)
 
 
 def _record(kind: type[V], operation: str, *operands: Value) -> V:
@@ -353,8 +353,8 @@ def _record(kind: type[V], operation: str, *operands: Value) -> V:
     return found
 
 
-def _condition(operation: str, *operands: Value) -> Condition:
-    return _record(Condition, operation, *operands)
+def _condition(operation: str, *operands: Value) -> _Condition:
+    return _record(_Condition, operation, *operands)
 
 
 def _unary(operation: str, a: Number) -> Number:

@@ -98,7 +98,7 @@ class Revolute:
 
 
 @dataclass(frozen=True, eq=False)
-class Continuous(Revolute):
+class _Continuous(Revolute):
     """A joint that turns about an axis without end: q is the cosine and the sine of its angle."""
 
     nq = 2
@@ -113,7 +113,7 @@ class Continuous(Revolute):
 
 
 @dataclass(frozen=True, eq=False)
-class Prismatic:
+class _Prismatic:
     """A joint that slides along an axis.
 
     Attributes:
@@ -209,15 +209,15 @@ class Planar:
 
     def step(self, q: Objects, v: Objects) -> Objects:
         """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
-        turned = Continuous(objects(_AXES["Z"])).step(q[2:], v[2:])
+        turned = _Continuous(objects(_AXES["Z"])).step(q[2:], v[2:])
         return objects([q[0] + q[2] * v[0] - q[3] * v[1], q[1] + q[3] * v[0] + q[2] * v[1], *turned])
 
 
-Joint: TypeAlias = "Revolute | Prismatic | Spherical | FreeFlyer | Planar"
+Joint: TypeAlias = "Revolute | _Prismatic | Spherical | FreeFlyer | Planar"
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class ChainJoint:
     """A simple joint in the chain that makes up one of Pinocchio's joints.
 
     Attributes:
@@ -233,7 +233,7 @@ class Link:
     v_index: int
 
 
-def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[Link]:
+def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[ChainJoint]:
     """Yield the chain of simple joints that one of Pinocchio's joints is.
 
     Args:
@@ -249,7 +249,7 @@ def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[Link]:
     yield from _links(name, model.joints[index], first, geometry)
 
 
-def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) -> Iterator[Link]:
+def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) -> Iterator[ChainJoint]:
     kind = model_joint.shortname().removeprefix("JointModel")
     concrete = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
     if kind == "Composite":
@@ -261,7 +261,7 @@ def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) ->
     q_index, v_index = model_joint.idx_q, model_joint.idx_v
     here = Placement(_NO_ROTATION, _NO_MOTION)
     for k, joint in enumerate(_simple_joints(name, kind, geometry)):
-        yield Link(first if k == 0 else here, joint, q_index, v_index)
+        yield ChainJoint(first if k == 0 else here, joint, q_index, v_index)
         q_index, v_index = q_index + joint.nq, v_index + joint.nv
 
 
@@ -269,22 +269,22 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
     x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
         axis = objects(_AXES[kind[1]])
-        return [Revolute(axis) if kind[0] == "R" else Prismatic(axis)]
+        return [Revolute(axis) if kind[0] == "R" else _Prismatic(axis)]
     if len(kind) == 4 and kind[:3] == "RUB" and kind[3] in _AXES:
-        return [Continuous(objects(_AXES[kind[3]]))]
+        return [_Continuous(objects(_AXES[kind[3]]))]
     match kind:
         case "RevoluteUnaligned":
             return [Revolute(geometry.vector(name, "axis"))]
         case "PrismaticUnaligned":
-            return [Prismatic(geometry.vector(name, "axis"))]
+            return [_Prismatic(geometry.vector(name, "axis"))]
         case "RevoluteUnboundedUnaligned":
-            return [Continuous(geometry.vector(name, "axis"))]
+            return [_Continuous(geometry.vector(name, "axis"))]
         case "Universal":
             return [Revolute(geometry.vector(name, "axis1")), Revolute(geometry.vector(name, "axis2"))]
         case "SphericalZYX":
             return [Revolute(z), Revolute(y), Revolute(x)]
         case "Translation":
-            return [Prismatic(x), Prismatic(y), Prismatic(z)]
+            return [_Prismatic(x), _Prismatic(y), _Prismatic(z)]
         case "Spherical":
             return [Spherical()]
         case "Planar":

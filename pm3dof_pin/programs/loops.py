@@ -53,7 +53,7 @@ def closure_equations(tree: Tree, index: int) -> Equations:
     if loop.type == "3d":
         error, columns = error, {k: column[:3] for k, column in columns.items()}
         return Equations(error, (False,) * 3, columns, largest(error))
-    error = objects([*error, *rotation_error(a.rotation, b.rotation)])
+    error = objects([*error, *_rotation_error(a.rotation, b.rotation)])
     return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + far(a.rotation, b.rotation))
 
 
@@ -63,7 +63,7 @@ def motion(tree: Tree, index: int, point: Objects) -> Objects:
     return objects([*screw.velocity(point), *screw.angular])
 
 
-def rotation_error(a: Objects, b: Objects) -> Objects:
+def _rotation_error(a: Objects, b: Objects) -> Objects:
     """Return to first order the rotation vector that takes rotation a to b, world axes, shape=(3,)."""
     return objects(sum(cross(a[:, k], b[:, k]) for k in range(3)) * 0.5)
 
@@ -118,7 +118,7 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
                 angular.append(False)
     target = _target_rotation(components, targets)
     if target is not None:
-        errors += list(rotation_error(target, tool.rotation))
+        errors += list(_rotation_error(target, tool.rotation))
         gradients += [objects(np.eye(6)[3 + axis].tolist()) for axis in range(3)]
         angular += [True] * 3
         residual = far(target, tool.rotation)

@@ -11,7 +11,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.geometry import Geometry
 from pm3dof_pin.programs.graph import Graph, Scalar, is_zero
-from pm3dof_pin.programs.joints import Link, Placement, Screw, chain, objects
+from pm3dof_pin.programs.joints import ChainJoint, Placement, Screw, chain, objects
 from pm3dof_pin.typing import Objects
 
 
@@ -61,7 +61,7 @@ class Tree:
             positions = objects([graph.input(f"q[{k}]", rows[:, k]) for k in range(model.nq)])
         self.q: Objects = positions
         self.geometry = Geometry(graph, mechanism, frames, dense=dense)
-        self.links: list[Link] = []
+        self.links: list[ChainJoint] = []
         screws: dict[int, Screw] = {}
         self._bodies = [Placement(objects(np.eye(3).tolist()), objects([0.0, 0.0, 0.0]))]
         self._supports: list[tuple[int, ...]] = [()]
@@ -118,5 +118,5 @@ class Tree:
                 moved[link.q_index : link.q_index + joint.nq] = joint.step(self._coordinates(link), v)
         return moved
 
-    def _coordinates(self, link: Link) -> Objects:
+    def _coordinates(self, link: ChainJoint) -> Objects:
         return self.q[link.q_index : link.q_index + link.joint.nq]

@@ -19,7 +19,7 @@ _LEAST = 1e-6  # a length of zero would leave no direction
 
 
 @dataclass(frozen=True)
-class Axis:
+class _Axis:
     """The axis of an actuated joint in the world.
 
     Attributes:
@@ -40,7 +40,7 @@ class Axis:
         return "N m" if self.turns else "N"
 
 
-def actuator_axes(configuration: Configuration) -> tuple[Axis, ...]:
+def actuator_axes(configuration: Configuration) -> tuple[_Axis, ...]:
     """Return the axes of the actuated joints, in their order."""
     mechanism = configuration.mechanism
     placements = joint_placements(configuration)
@@ -49,7 +49,7 @@ def actuator_axes(configuration: Configuration) -> tuple[Axis, ...]:
         joint = mechanism.model.getJointId(name)
         placement = placements[joint]
         axes.append(
-            Axis(
+            _Axis(
                 name,
                 placement[:3, 3],
                 placement[:3, :3] @ mechanism.joint_axis(name),
@@ -75,7 +75,7 @@ def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
         scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
 
 
-def arrow_transform(axis: Axis, force: float, *, scale: float, width: float) -> Array:
+def arrow_transform(axis: _Axis, force: float, *, scale: float, width: float) -> Array:
     """Return what makes the arrow of :func:`draw_arrow` a force on an axis, shape=(4, 4).
 
     Args:

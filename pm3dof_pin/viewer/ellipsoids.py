@@ -23,9 +23,9 @@ from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Scene
 
-Quantity = Literal["stiffness", "compliance"]
+EllipsoidMatrix = Literal["stiffness", "compliance"]
 
-UNITS: dict[tuple[Quantity, Motion], str] = {
+UNITS: dict[tuple[EllipsoidMatrix, Motion], str] = {
     ("stiffness", "translation"): "N/m",
     ("stiffness", "rotation"): "N m/rad",
     ("compliance", "translation"): "m/N",
@@ -63,13 +63,13 @@ class DrawnEllipsoid:
         return objects.transform(self.axes * np.maximum(lengths, _LEAST * lengths.max()), self.position)
 
 
-def usual_others(of: Quantity) -> OtherMotions:
+def usual_others(of: EllipsoidMatrix) -> OtherMotions:
     """Return what makes an ellipsoid show a block of K or C itself: held for a stiffness, free for a compliance."""
     return "held" if of == "stiffness" else "free"
 
 
 def block(
-    stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: Quantity, others: OtherMotions
+    stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: EllipsoidMatrix, others: OtherMotions
 ) -> Array:
     """Return the 3 x 3 block that an ellipsoid shows.
 
@@ -89,16 +89,20 @@ def block(
             wanted is none of the words above.
         SingularConfigurationError: the block does not exist, some motion being free or held rigidly.
     """
-    for word, given_word, known in (("kind", kind, Motion), ("of", of, Quantity), ("others", others, OtherMotions)):
+    for word, given_word, known in (
+        ("kind", kind, Motion),
+        ("of", of, EllipsoidMatrix),
+        ("others", others, OtherMotions),
+    ):
         if given_word not in get_args(known):
             raise InvalidValueError(word, given_word, f"one of {', '.join(get_args(known))}")
-    matrices: dict[Quantity, ArrayLike | None] = {"stiffness": stiffness, "compliance": compliance}
+    matrices: dict[EllipsoidMatrix, ArrayLike | None] = {"stiffness": stiffness, "compliance": compliance}
     given = [(name, entries) for name, entries in matrices.items() if entries is not None]
     if len(given) != 1:
         raise InvalidValueError("stiffness, compliance", "both" if given else "none", "one of them")
     name, entries = given[0]
     matrix = finite_array(name, entries, (6, 6))
-    wanted: Quantity = "stiffness" if others == "held" else "compliance"
+    wanted: EllipsoidMatrix = "stiffness" if others == "held" else "compliance"
     rows = slice(0, 3) if kind == "translation" else slice(3, 6)
     result: Array = (matrix if name == wanted else inverse_definite(matrix))[rows, rows]
     if of != wanted:

@@ -11,7 +11,7 @@ from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.viewer.ellipsoids import Quantity
+from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 from pm3dof_pin.viewer.scene import TYPED_ARRAYS, Message
 from pm3dof_pin.viewer.viewer import Viewer
 
@@ -19,7 +19,9 @@ _OWN = ("/robot", "/ellipsoids", "/forces")  # background, floor and light are t
 _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
-def draw_in_meshcat(visualizer: Any, configuration: Configuration, *, of: Quantity | None = "stiffness") -> Viewer:
+def draw_in_meshcat(
+    visualizer: Any, configuration: Configuration, *, of: EllipsoidMatrix | None = "stiffness"
+) -> Viewer:
     """Draw a robot, its pose and its ellipsoids at the tool.
 
     A second call with another configuration draws that one in place of the first. What is drawn with the viewer that

@@ -32,7 +32,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class PageProgram:
+class _PageProgram:
     """A program with the values of its parameters.
 
     Attributes:
@@ -88,7 +88,7 @@ class PagePrograms:
         return [{"index": self.robot.single_joint(at.joint).q_index, "at_zero": at.at_zero} for at in lengths]
 
     @cached_property
-    def compliance(self) -> PageProgram | None:
+    def compliance(self) -> _PageProgram | None:
         """C at the tool, shape=(6, 6), then 1 if nothing is in doubt, else 0."""
         robot = self.robot
         if self._model is None or robot.tool_frame is None:
@@ -98,10 +98,10 @@ class PagePrograms:
         except ProgramError as error:
             _logger.info("no compliance in the page: %s", error)
             return None
-        return PageProgram(found.compiled.program, found.parameters)
+        return _PageProgram(found.compiled.program, found.parameters)
 
     @cached_property
-    def holding(self) -> PageProgram | None:
+    def holding(self) -> _PageProgram | None:
         """Forces of the actuators, then the least pivot."""
         robot = self.robot
         graph = Graph()
@@ -120,12 +120,12 @@ class PagePrograms:
         ]
         return _with_parameters(graph.program("holding", {"forces": forces, "pivot": doubt.pivot}), robot)
 
-    def closing(self, name: str, coordinates: Sequence[Coordinate]) -> PageProgram:
+    def closing(self, name: str, coordinates: Sequence[Coordinate]) -> _PageProgram:
         """Return Newton's step for given coordinates; those that are joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
         tool = tuple(coordinate.tool for coordinate in coordinates if coordinate.tool is not None)
         step = program_source(self.robot).step(self.robot, Task(joints, tool))
-        return PageProgram(dataclasses.replace(step.compiled.program, name=name), step.parameters)
+        return _PageProgram(dataclasses.replace(step.compiled.program, name=name), step.parameters)
 
     @cached_property
     def source(self) -> str:
@@ -151,7 +151,7 @@ class PagePrograms:
         starts = tuple(f"spring/{spring}/U" for spring in names)
         return [k for k, name in enumerate(self.compliance.program.parameters) if name.startswith(starts)]
 
-    def _place(self) -> PageProgram:
+    def _place(self) -> _PageProgram:
         robot = self.robot
         graph = Graph()
         tree = Tree(graph, robot, self._samples)
@@ -180,8 +180,8 @@ def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms
     return programs
 
 
-def _with_parameters(program: Program, robot: Robot) -> PageProgram:
-    return PageProgram(program, geometry.values(robot, program.parameters))
+def _with_parameters(program: Program, robot: Robot) -> _PageProgram:
+    return _PageProgram(program, geometry.values(robot, program.parameters))
 
 
 def _closure_rows(tree: Tree) -> Objects:

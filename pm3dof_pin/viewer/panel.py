@@ -55,7 +55,7 @@ def scientific(number: float) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-def numbers(values: ArrayLike, unit: str) -> str:
+def numbers_with_unit(values: ArrayLike, unit: str) -> str:
     """Write numbers with their unit, unless that is 1."""
     text = " · ".join(scientific(float(value)) for value in np.asarray(values, dtype=float))
     return text if unit == "1" else f"{text} {unit}"

@@ -111,8 +111,8 @@ def workspace_shell(
     # closer to each other near the ends, where the sections shrink fast
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
     levels = low + inset + (high - low - 2.0 * inset) * places
-    sections = closed_sections(workspace_sections(limits, levels, directions, ranges=False))
-    poses = boundary_poses(robot, sections)
+    sections = _closed_sections(workspace_sections(limits, levels, directions, ranges=False))
+    poses = _boundary_poses(robot, sections)
     values = entry.values(mapped, poses)
     if not np.isfinite(values).all():
         raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
@@ -182,7 +182,7 @@ def scalar_quantities(mapped: MappedRobot) -> list[str]:
     return names
 
 
-def closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
+def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
     """Return the longest row of sections each of which is one closed line around its centre.
 
     Raises:
@@ -200,7 +200,7 @@ def closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection
     return tuple(longest)
 
 
-def boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
+def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
     """Return the boundary of a stack of sections, each one closed line, and the middle of both ends.
 
     Returns:

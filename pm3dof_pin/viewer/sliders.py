@@ -22,7 +22,7 @@ from pm3dof_pin.programs.tool_motion import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.bodies import Body
-from pm3dof_pin.viewer.ellipsoids import Quantity
+from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.scene import Json, column_major
 
@@ -79,7 +79,7 @@ class Sliders:
         configuration: Configuration,
         *,
         kind: Motion,
-        of: Quantity,
+        of: EllipsoidMatrix,
         others: OtherMotions,
         scale: float,
         length: float,

@@ -19,10 +19,10 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
-from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, Quantity
+from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, EllipsoidMatrix
 from pm3dof_pin.viewer.frames import draw_frame
 from pm3dof_pin.viewer.page_programs import programs_of
-from pm3dof_pin.viewer.panel import Entry, numbers, outside_limits, scale_text
+from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
@@ -149,7 +149,7 @@ class Viewer(ShownScene):
         compliance: ArrayLike | None = None,
         at: str | ArrayLike | None = None,
         kind: Motion = "translation",
-        of: Quantity = "stiffness",
+        of: EllipsoidMatrix = "stiffness",
         others: OtherMotions | None = None,
         scale: float | None = None,
     ) -> DrawnEllipsoid:
@@ -200,7 +200,7 @@ class Viewer(ShownScene):
                 key=key,
                 title=f"{kind.capitalize()} {of}{where}",
                 lines=[scale_text(scale, self._unit_length, unit, "semi-axis"), f"{other} {others}"],
-                values=numbers(drawn.values, unit),
+                values=numbers_with_unit(drawn.values, unit),
                 colour=colours.css(ellipsoids.COLOURS[kind]),
                 nodes=[path],
                 live=live,
@@ -276,7 +276,7 @@ class Viewer(ShownScene):
         """
         from pm3dof_pin.elastic.report import cartesian_compliance
         from pm3dof_pin.elastic.shares import shares
-        from pm3dof_pin.viewer.legs import leg_numbers, leg_shares, leg_springs
+        from pm3dof_pin.viewer.legs import leg_of_joints, leg_shares, leg_springs
 
         if model.rigid is not self.mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
@@ -286,7 +286,7 @@ class Viewer(ShownScene):
         if not np.isfinite(list(by_spring.values())).all():
             raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
         by_joint = leg_shares(model, by_spring)
-        legs = leg_numbers(model)
+        legs = leg_of_joints(model)
         paint = [
             {
                 "path": f"{body.parts_path}/{part.name}",
@@ -374,7 +374,7 @@ class Viewer(ShownScene):
         self._shown_beside = surface.vertices
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
-        bounds = [numbers([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
+        bounds = [numbers_with_unit([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
         self._show(
             Entry(
                 key="workspace",
@@ -399,7 +399,7 @@ class Viewer(ShownScene):
         stiffness: Sequence[ArrayLike] | None = None,
         compliance: Sequence[ArrayLike] | None = None,
         forces: Sequence[ArrayLike] | None = None,
-        of: Quantity = "stiffness",
+        of: EllipsoidMatrix = "stiffness",
         others: OtherMotions | None = None,
         duration: float = 5.0,
         repetitions: int = 1,
@@ -501,7 +501,7 @@ class Viewer(ShownScene):
         stiffness: ArrayLike | None,
         compliance: ArrayLike | None,
         forces: ArrayLike | None,
-        of: Quantity,
+        of: EllipsoidMatrix,
         others: OtherMotions | None,
     ) -> tuple[dict[str, Array], Json]:
         """Display one frame of a path; return the transforms of all that moves in it, and what is said of it."""

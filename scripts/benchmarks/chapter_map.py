@@ -10,7 +10,7 @@ import numpy as np
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.kinematics import link_jacobian, slider_jacobian
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 
 
@@ -33,7 +33,7 @@ def main() -> None:
             j_a, j_t = link_jacobian(tripod, pose), slider_jacobian(tripod, pose)
             np.diag(p.link_stiffness * j_a.T @ j_a + p.actuator_stiffness * j_t.T @ j_t)
 
-    whole = best_time(lambda: (chapter_stiffness(tripod, poses, on_failure="nan"), broken_limits(tripod, poses)))
+    whole = best_time(lambda: (chapter_stiffness(tripod, poses, on_failure="nan"), limit_flags(tripod, poses)))
     loop = best_time(one_by_one, repeats=1)
     print(f"{len(poses)} poses, stiffness and limits: {1e3 * whole:.2f} ms, {1e6 * whole / len(poses):.2f} us a pose")
     print(f"pose by pose in Python: {1e3 * loop:.0f} ms, {loop / whole:.0f} times as long")

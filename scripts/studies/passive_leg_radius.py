@@ -9,7 +9,7 @@ import numpy as np
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.axis_stiffness import READINGS
 from pm3dof_pin.chapter.chapter_stiffness import AXES
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
 from pm3dof_pin.figures.style import save_figure
@@ -24,7 +24,7 @@ def main() -> None:
         print(save_figure(passive_leg_radius_figure(tripod), RESULTS / f"passive_leg_radius.{kind}"))
     tilts = np.radians(np.arange(-45.0, 46.0))
     poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
-    poses = poses[broken_limits(tripod, poses) == 0]
+    poses = poses[limit_flags(tripod, poses) == 0]
     print(
         f"\nstiffness over that of today's leg, least to greatest over {len(poses)} poses of the section of Table 8.3"
     )

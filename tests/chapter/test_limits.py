@@ -6,7 +6,7 @@ import numpy as np
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import Limit, limit_flags
 
 
 def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:
@@ -21,16 +21,16 @@ def test_flags_follow_from_the_joint_values(tripod: Tripod) -> None:
     expected |= Limit.SPHERICAL * np.any(angles[..., 2] > np.radians(45.0), axis=1)
     expected |= Limit.TILT * np.any(np.abs(poses[:, :2]) > np.radians(50.0), axis=1)
     expected |= Limit.HEIGHT * ((poses[:, 2] < tripod.bounds[4]) | (poses[:, 2] > tripod.bounds[5]))
-    flags = broken_limits(tripod, poses)
+    flags = limit_flags(tripod, poses)
     np.testing.assert_array_equal(flags, expected)
     for limit in (Limit.REACH, Limit.STROKE, Limit.SPHERICAL, Limit.TILT, Limit.HEIGHT):
         assert np.any(flags & limit)
 
 
 def test_home_keeps_every_limit(tripod: Tripod) -> None:
-    assert broken_limits(tripod, tripod.home) == 0
+    assert limit_flags(tripod, tripod.home) == 0
 
 
 def test_out_of_reach(tripod: Tripod) -> None:
-    assert broken_limits(tripod, [0.0, 0.0, 0.9]) & Limit.REACH
-    assert broken_limits(tripod, [np.nan, 0.0, 0.5]) != 0
+    assert limit_flags(tripod, [0.0, 0.0, 0.9]) & Limit.REACH
+    assert limit_flags(tripod, [np.nan, 0.0, 0.5]) != 0

@@ -8,7 +8,7 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.axis_stiffness import READINGS, felt_stiffness, held_stiffness
 from pm3dof_pin.chapter.chapter_stiffness import AXES
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
@@ -18,7 +18,7 @@ from pm3dof_pin.typing import Array
 def poses(tripod: Tripod) -> Array:
     tilts = np.random.default_rng(8).uniform(-0.6, 0.6, (200, 2))
     drawn = np.column_stack([tilts, np.full(200, tripod.middle_height)])
-    return drawn[broken_limits(tripod, drawn) == 0]
+    return drawn[limit_flags(tripod, drawn) == 0]
 
 
 def test_a_sideways_force_at_the_tool_bends_the_passive_leg_alone(tripod: Tripod, poses: Array) -> None:

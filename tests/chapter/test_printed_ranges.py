@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import LIMIT_NAMES, broken_limits
+from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.printed_ranges import RangeStatement, compare_printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.maps.workspace import Workspace, workspace
@@ -55,9 +55,9 @@ def test_box(tripod: Tripod, statements: dict[str, RangeStatement]) -> None:
     generator = np.random.default_rng(9)
     tilt = np.radians(40.0)
     box = generator.uniform([-tilt, -tilt, 0.440], [tilt, tilt, 0.608], (200_000, 3))
-    assert filled == pytest.approx(np.mean(broken_limits(tripod, box) == 0), abs=5e-3)
+    assert filled == pytest.approx(np.mean(limit_flags(tripod, box) == 0), abs=5e-3)
     around = generator.uniform([-0.8, -0.8, 0.397], [0.8, 0.8, 0.578], (400_000, 3))
-    reachable = around[broken_limits(tripod, around) == 0]
+    reachable = around[limit_flags(tripod, around) == 0]
     in_box = np.all(np.abs(reachable[:, :2]) <= tilt, axis=1) & (reachable[:, 2] >= 0.440)
     assert inside == pytest.approx(np.mean(in_box), abs=5e-3)
 

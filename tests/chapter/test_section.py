@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid
 from pm3dof_pin.chapter.workspace import tripod_space
@@ -197,7 +197,7 @@ def test_outline_runs_along_the_limits_or_the_edge_of_the_grid(
     radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
     azimuth = 2.0 * np.pi * np.arange(720) / 720
     beyond = np.stack([(radius + 2e-10) * np.cos(azimuth), (radius + 2e-10) * np.sin(azimuth)], axis=-1)
-    stopped = broken_limits(tripod, np.column_stack([beyond, np.full(720, tripod.middle_height)])) != 0
+    stopped = limit_flags(tripod, np.column_stack([beyond, np.full(720, tripod.middle_height)])) != 0
     np.testing.assert_array_equal(~stopped, np.isclose(radius, grid.edge_radius(azimuth), atol=1e-12))
     assert stopped.sum() > 600
 

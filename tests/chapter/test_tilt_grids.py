@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.exceptions import InvalidValueError
 
@@ -17,7 +17,7 @@ def test_the_chapters_grid(tripod: Tripod) -> None:
     poses = PolarGrid().poses(tripod.middle_height)
     assert poses.shape == (26, 181, 3)
     assert poses[..., 0].size == 4706
-    assert np.count_nonzero(broken_limits(tripod, poses) == 0) == 3870
+    assert np.count_nonzero(limit_flags(tripod, poses) == 0) == 3870
     radius, azimuth = np.radians(1.8 * np.arange(26)), np.radians(2.0 * np.arange(181))
     np.testing.assert_allclose(poses[..., 0], np.outer(radius, np.cos(azimuth)), atol=1e-15)
     np.testing.assert_allclose(poses[..., 1], np.outer(radius, np.sin(azimuth)), atol=1e-15)

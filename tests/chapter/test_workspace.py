@@ -10,7 +10,7 @@ from scipy.optimize import fsolve
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.workspace import Workspace, level_range, workspace
@@ -40,7 +40,7 @@ def test_nothing_is_reachable_beyond_the_heights(tripod: Tripod, whole: Workspac
     low, high = whole.level_range
     for z_e in (low - 1e-6, low - 1e-3, low - 0.01, high + 1e-6, high + 1e-3, high + 0.01):
         poses = np.column_stack([tilts * generator.uniform(0.0, 1.0, (len(tilts), 1)), np.full(len(tilts), z_e)])
-        assert np.all(broken_limits(tripod, poses) != 0)
+        assert np.all(limit_flags(tripod, poses) != 0)
 
 
 def test_volume_against_counting(tripod: Tripod, whole: Workspace) -> None:
@@ -49,7 +49,7 @@ def test_volume_against_counting(tripod: Tripod, whole: Workspace) -> None:
     low, high = whole.level_range
     heights = low + (high - low) * (np.arange(count) + 0.5) / count
     poses = np.stack(np.meshgrid(line, line, heights, indexing="ij"), axis=-1)
-    counted = np.mean(broken_limits(tripod, poses) == 0) * (2.0 * reach) ** 2 * (high - low)
+    counted = np.mean(limit_flags(tripod, poses) == 0) * (2.0 * reach) ** 2 * (high - low)
     assert whole.volume == pytest.approx(counted, rel=2e-3)
 
 

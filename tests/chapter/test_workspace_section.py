@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, passive_joint_angles
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import Limit, limit_flags
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_section
@@ -29,7 +29,7 @@ def _dense(tripod: Tripod, z_e: float, reach: float, step: float) -> tuple[np.nd
     line = step * (np.arange(-round(reach / step), round(reach / step)) + 0.5)
     tilts = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
     poses = np.concatenate([tilts, np.full((*tilts.shape[:2], 1), z_e)], axis=-1)
-    return tilts, broken_limits(tripod, poses) == 0
+    return tilts, limit_flags(tripod, poses) == 0
 
 
 def _perimeter(section: WorkspaceSection) -> float:
@@ -40,8 +40,8 @@ def _perimeter(section: WorkspaceSection) -> float:
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_limits_change_at_the_boundary(tripod: Tripod, z_e: float) -> None:
     section = workspace_section(tripod_space(tripod), z_e, 120)
-    assert np.all(broken_limits(tripod, _poses(section)) == 0)
-    across = broken_limits(tripod, _poses(section, 1.01e-10))
+    assert np.all(limit_flags(tripod, _poses(section)) == 0)
+    across = limit_flags(tripod, _poses(section, 1.01e-10))
     assert np.all(across != 0)
     np.testing.assert_array_equal(across & section.limits, section.limits)
 
@@ -56,7 +56,7 @@ def test_the_joint_that_binds_is_at_its_limit(tripod: Tripod, z_e: float) -> Non
     np.testing.assert_array_equal((section.limits & Limit.STROKE) != 0, at_stop)
     np.testing.assert_array_equal((section.limits & Limit.SPHERICAL) != 0, at_cone)
     for pose, flags in zip(_poses(section, 1e-7)[::10], section.limits[::10], strict=True):
-        assert int(broken_limits(tripod, pose)) & int(flags) == int(flags)
+        assert int(limit_flags(tripod, pose)) & int(flags) == int(flags)
 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
@@ -139,8 +139,8 @@ def test_sections_with_parts_and_holes(hollow_tripod: Tripod, z_e: float, level:
     assert section.area == pytest.approx(reachable.sum() * step**2, rel=2e-3)
     ranges = np.stack([tilts[reachable].min(axis=0), tilts[reachable].max(axis=0)], axis=-1)
     np.testing.assert_allclose(section.ranges, ranges, atol=4 * step)
-    assert np.all(broken_limits(hollow_tripod, _poses(section)) == 0)
-    assert np.all(broken_limits(hollow_tripod, _poses(section, 1.01e-10)) != 0)
+    assert np.all(limit_flags(hollow_tripod, _poses(section)) == 0)
+    assert np.all(limit_flags(hollow_tripod, _poses(section, 1.01e-10)) != 0)
 
 
 def test_empty_section(tripod: Tripod) -> None:

@@ -7,15 +7,14 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.indices import (
     characteristic_length,
-    compliance,
     condensed_stiffness,
     condition_number,
     directional_stiffness,
     eigenvalues,
     principal_axes,
-    stiffness,
 )
 from pm3dof_pin.exceptions import InvalidValueError
 
@@ -26,11 +25,11 @@ def matrices(tripod: Tripod, reachable_poses: np.ndarray) -> np.ndarray:
 
 
 def test_compliance_inverts_stiffness(matrices: np.ndarray) -> None:
-    inverse = compliance(matrices)
+    inverse = inverse_definite(matrices)
     scale = np.sqrt(np.einsum("nii->ni", matrices))
     product = np.einsum("nij,njk->nik", matrices, inverse) / scale[:, :, None] * scale[:, None, :]
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-9)
-    np.testing.assert_allclose(stiffness(inverse), matrices, rtol=1e-9, atol=1e-9 * matrices.max())
+    np.testing.assert_allclose(inverse_definite(inverse), matrices, rtol=1e-9, atol=1e-9 * matrices.max())
     np.testing.assert_array_equal(inverse, np.swapaxes(inverse, 1, 2))
 
 
@@ -39,10 +38,10 @@ def test_a_probe_feels_force_over_displacement(matrices: np.ndarray) -> None:
     d = np.array([0.6, 0.0, 0.8])
     for matrix in matrices[:20]:
         displacement = np.linalg.solve(matrix, np.concatenate([3.0 * d, np.zeros(3)]))
-        felt = directional_stiffness(compliance(matrix), 5.0 * d)
+        felt = directional_stiffness(inverse_definite(matrix), 5.0 * d)
         assert felt == pytest.approx(3.0 / (displacement[:3] @ d), rel=1e-9)
         turned = np.linalg.solve(matrix, np.concatenate([np.zeros(3), 3.0 * d]))
-        felt = directional_stiffness(compliance(matrix), d, "rotation")
+        felt = directional_stiffness(inverse_definite(matrix), d, "rotation")
         assert felt == pytest.approx(3.0 / (turned[3:] @ d), rel=1e-9)
 
 
@@ -56,7 +55,7 @@ def test_probe_at_the_centre_of_the_section(tripod: Tripod) -> None:
     cosine = h / 0.353 * np.cos(np.radians(50.0)) + n_z * np.sin(np.radians(50.0))
     expected = 3.0 * n_z**2 / (cosine**2 / 9.5950e7 + 1.0 / 1.5177e10)
     matrix = elastic_stiffness(tripod, [0.0, 0.0, tripod.middle_height])
-    assert directional_stiffness(compliance(matrix), [0.0, 0.0, 1.0]) == pytest.approx(expected, rel=1e-8)
+    assert directional_stiffness(inverse_definite(matrix), [0.0, 0.0, 1.0]) == pytest.approx(expected, rel=1e-8)
     assert expected == pytest.approx(2.5e8, rel=0.02)
 
 
@@ -65,8 +64,8 @@ def test_condensed_blocks(matrices: np.ndarray) -> None:
     force = np.array([1.0, -2.0, 0.5])
     for matrix in matrices[:20]:
         displacement = np.linalg.solve(matrix, np.concatenate([force, np.zeros(3)]))[:3]
-        np.testing.assert_allclose(condensed_stiffness(compliance(matrix)) @ displacement, force, rtol=1e-7)
-        held = condensed_stiffness(compliance(matrix), "rotation", "held")
+        np.testing.assert_allclose(condensed_stiffness(inverse_definite(matrix)) @ displacement, force, rtol=1e-7)
+        held = condensed_stiffness(inverse_definite(matrix), "rotation", "held")
         np.testing.assert_allclose(held, matrix[3:, 3:], rtol=1e-8, atol=1e-8 * matrix[3:, 3:].max())
 
 
@@ -88,14 +87,14 @@ def test_eigenvalues_at_a_characteristic_length() -> None:
 def test_a_free_motion_has_no_compliance() -> None:
     """Rank 5, and rank 5 to rounding with entries of very different units."""
     vectors = np.random.default_rng(1).normal(size=(5, 6)) * [1e5, 1e5, 1e5, 1e2, 1e2, 1.0]
-    assert np.all(np.isnan(compliance(vectors.T @ vectors)))
-    assert np.all(np.isnan(compliance(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]))))
+    assert np.all(np.isnan(inverse_definite(vectors.T @ vectors)))
+    assert np.all(np.isnan(inverse_definite(np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]))))
 
 
 def test_poses_out_of_reach_stay_nan(matrices: np.ndarray) -> None:
     some = matrices[:3].copy()
     some[1] = np.nan
-    for values in (compliance(some), eigenvalues(some, 0.1), principal_axes(some[:, :3, :3]).values):
+    for values in (inverse_definite(some), eigenvalues(some, 0.1), principal_axes(some[:, :3, :3]).values):
         assert np.all(np.isnan(values[1]))
         assert np.all(np.isfinite(values[[0, 2]]))
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic import (
     AxialSpring,
@@ -80,7 +80,7 @@ def units(matrix: np.ndarray) -> np.ndarray:
 
 
 def reachable(machines: Machines, pose: np.ndarray) -> np.ndarray:
-    pose = pose if broken_limits(machines.tripod, pose) == 0 else 0.3 * pose + 0.7 * np.array([0.0, 0.0, 0.48])
+    pose = pose if limit_flags(machines.tripod, pose) == 0 else 0.3 * pose + 0.7 * np.array([0.0, 0.0, 0.48])
     return machines.positions(pose[None])[0]
 
 

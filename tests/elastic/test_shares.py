@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
-from pm3dof_pin.elastic.indices import compliance
+from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.shares import ranking, shares, stiffness_derivatives
 from pm3dof_pin.exceptions import InvalidValueError
 
@@ -29,7 +29,7 @@ def contributions(tripod: Tripod, reachable_poses: np.ndarray) -> np.ndarray:
 def test_contributions_add_up_to_the_compliance(
     tripod: Tripod, reachable_poses: np.ndarray, contributions: np.ndarray
 ) -> None:
-    expected = compliance(elastic_stiffness(tripod, reachable_poses[:100]))
+    expected = inverse_definite(elastic_stiffness(tripod, reachable_poses[:100]))
     scale = np.sqrt(np.einsum("nii->ni", expected))
     difference = (contributions.sum(axis=1) - expected) / scale[:, :, None] / scale[:, None, :]
     assert np.abs(difference).max() < 1e-9
@@ -48,7 +48,7 @@ def test_contributions_are_the_derivatives(
 
     def moved(factor: float) -> np.ndarray:
         changed = Tripod(dataclasses.replace(tripod.parameters, **{field: value * factor}))
-        return compliance(elastic_stiffness(changed, reachable_poses[:100]))
+        return inverse_definite(elastic_stiffness(changed, reachable_poses[:100]))
 
     slope = (moved(1.0 + step) - moved(1.0 - step)) / (2.0 * step)
     expected = -contributions[:, springs].sum(axis=1)
@@ -67,7 +67,7 @@ def test_passive_leg_by_scaling_both_of_its_constants(
         changed = dataclasses.replace(
             p, bending_stiffness=p.bending_stiffness * factor, torsional_stiffness=p.torsional_stiffness * factor
         )
-        return compliance(elastic_stiffness(Tripod(changed), reachable_poses[:100]))
+        return inverse_definite(elastic_stiffness(Tripod(changed), reachable_poses[:100]))
 
     slope = (moved(1.0 + step) - moved(1.0 - step)) / (2.0 * step)
     expected = -contributions[:, 6]
@@ -87,7 +87,7 @@ def test_level_platform_pushed_down(tripod: Tripod) -> None:
 
 def test_ranking_names_the_critical_component(tripod: Tripod) -> None:
     """A sideways force bends the passive leg."""
-    ranked = ranking(spring_names(tripod), spring_contributions(tripod, tripod.home), [100.0, 0, 0, 0, 0, 0])
+    ranked = ranking(contribution_names(tripod), spring_contributions(tripod, tripod.home), [100.0, 0, 0, 0, 0, 0])
     assert ranked[0].spring == "passive_leg"
     assert ranked[0].share > 0.5
     assert sum(entry.share for entry in ranked) == pytest.approx(1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
@@ -70,7 +70,7 @@ def test_the_tripod_agrees_with_its_closed_form(
 def test_the_same_limits_are_broken_as_in_closed_form(tripod: Tripod, mechanism: Robot, engine: Engine) -> None:
     values = np.random.default_rng(3).uniform([-0.9, -0.9, 0.36], [0.9, 0.9, 0.62], (400, 3))
     solved = mechanism.solve(values, on_failure="nan", engine=engine)
-    expected = broken_limits(tripod, values)
+    expected = limit_flags(tripod, values)
     assert [group.name for group in mechanism.limit_groups] == ["stroke", "universal", "spherical", "tilt", "height"]
     reached = solved.solved
     np.testing.assert_array_equal(solved.broken_limits[reached], expected[reached])

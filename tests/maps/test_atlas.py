@@ -17,7 +17,7 @@ import pytest
 import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
-from pm3dof_pin.chapter.limits import Limit, broken_limits
+from pm3dof_pin.chapter.limits import Limit, limit_flags
 from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
@@ -73,7 +73,7 @@ def test_values_limits_and_labels(mechanism: Robot, tripod: Tripod, tmp_path: Pa
                     matrix / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-10
                 )
             if not flags & Limit.REACH:
-                assert bool(flags) == bool(broken_limits(tripod, [theta_x, theta_y, z_e]))
+                assert bool(flags) == bool(limit_flags(tripod, [theta_x, theta_y, z_e]))
         assert Limit.STROKE in seen
         assert Limit.SPHERICAL in seen
 

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.errors.error_map import error_map, section_grid
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
@@ -37,7 +37,7 @@ def grid(tripod_errors: GeometricErrors) -> Grid:
 
 def test_each_value_stands_at_its_pose(tripod: Tripod, tripod_errors: GeometricErrors, grid: Grid) -> None:
     section, mapped = error_section(tripod_errors, grid)
-    inside = broken_limits(tripod, grid.values) == 0
+    inside = limit_flags(tripod, grid.values) == 0
     assert section.tip_rms.dims == ("theta_x", "theta_y")
     np.testing.assert_array_equal(np.isfinite(section.tip_rms.values), inside)
     np.testing.assert_array_equal(section.broken_limits.values == 0, inside)

@@ -11,7 +11,7 @@ import pytest
 import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness, global_index
-from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness, spring_contributions, spring_names
+from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
 from pm3dof_pin.dynamics import natural_frequencies
 from pm3dof_pin.elastic import ElasticModel, JointSpring
@@ -84,7 +84,7 @@ def test_spring_shares_of_the_tripod(mechanism: Robot, tripod: Tripod, reachable
     found = compute(Evaluation(mapped, mechanism.solve(poses)), "spring_shares")
     contributions = np.einsum("njii->nij", spring_contributions(tripod, poses))
     expected = contributions / contributions.sum(axis=-1, keepdims=True)
-    order = [spring_names(tripod).index(name) for name in QUANTITIES["spring_shares"].dims[1].labels(mapped)]
+    order = [contribution_names(tripod).index(name) for name in QUANTITIES["spring_shares"].dims[1].labels(mapped)]
     np.testing.assert_allclose(found, expected[..., order], atol=1e-8)
 
 

@@ -11,7 +11,7 @@ from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import block, ellipsoid, round_length, round_scale
-from pm3dof_pin.viewer.panel import numbers, scale_text, scientific
+from pm3dof_pin.viewer.panel import numbers_with_unit, scale_text, scientific
 
 
 def random_stiffness(seed: int) -> np.ndarray:
@@ -97,7 +97,7 @@ def test_numbers_in_words() -> None:
         "0",
         "6.54e-7",
     ]
-    assert numbers([1e9, 2.0], "N/m") == "1.00e9 · 2 N/m"
+    assert numbers_with_unit([1e9, 2.0], "N/m") == "1.00e9 · 2 N/m"
     assert scale_text(0.2 / 5e8, 0.2, "N/m", "semi-axis") == "semi-axis of 200 mm = 5e8 N/m"
     assert scale_text(0.2 / 1.5, 0.2, "N", "arrow") == "arrow of 200 mm = 1.5 N"
 

@@ -8,7 +8,7 @@ import pytest
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.viewer.legs import leg_numbers, leg_shares, leg_springs
+from pm3dof_pin.viewer.legs import leg_of_joints, leg_shares, leg_springs
 
 
 def test_legs_of_the_tripod(mechanism: Robot) -> None:
@@ -19,7 +19,7 @@ def test_legs_of_the_tripod(mechanism: Robot) -> None:
         ("actuator3", "link3"),
         ("passive_leg",),
     ]
-    numbers = {mechanism.model.names[joint]: leg for joint, leg in leg_numbers(model).items()}
+    numbers = {mechanism.model.names[joint]: leg for joint, leg in leg_of_joints(model).items()}
     expected = {"passive_slider_joint": 3}
     for leg in (1, 2, 3):
         joints = (f"slider{leg}_joint", f"universal{leg}_first_joint", f"universal{leg}_second_joint")

@@ -10,7 +10,7 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.kinematics import placement
-from pm3dof_pin.chapter.limits import broken_limits
+from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
@@ -54,8 +54,8 @@ def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
     inside, outside = poses.copy(), poses.copy()
     inside[:, :2] *= 0.999
     outside[:, :2] *= 1.001
-    assert np.all(broken_limits(tripod, inside) == 0)
-    assert np.all(broken_limits(tripod, outside) != 0)
+    assert np.all(limit_flags(tripod, inside) == 0)
+    assert np.all(limit_flags(tripod, outside) != 0)
 
 
 def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> None:
