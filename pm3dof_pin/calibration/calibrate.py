@@ -120,6 +120,8 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     nominal = errors.robot.forward(shown.commands)
     _warn_of_unseen_motions(shown, nominal, options)
     compensation = compensation_from(shown, nominal, errors, options, identification if options.identifies else None)
+    if options.identifies:
+        shown = compensation.without_loads(shown)
     # what no command corrects and no parameter explains, root mean square without noise
     found = pseudo_errors(shown, compensation.model_poses(nominal), options.eta)
     across = np.eye(found.left.shape[1]) - found.control @ control_inverse(found.control)
@@ -150,7 +152,13 @@ def compensation_from(
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
-        compensation = replace(compensation, values=identification.values, covariance=identification.covariance)
+        compensation = replace(
+            compensation,
+            values=identification.values,
+            covariance=identification.covariance,
+            stiffness=identification.stiffness,
+        )
+        measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
     if len(measurements) < LEAST_POSES:

@@ -9,7 +9,7 @@ end, so the correction is iterated.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,13 +17,16 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.learned_part import LearnedPart
+from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.wrenches import is_wrench, without_deflections, wrenches_of
 from pm3dof_pin.typing import Array, OnFailure
 
 Conditions = Mapping[str, Array | float]
@@ -32,6 +35,7 @@ Conditions = Mapping[str, Array | float]
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13  # of the drives' joints, beside the rounding of what their counters show
 _MEETS = 1e-6  # what a nominal machine may miss of a wanted pose [m, tip-weighted]
+_UNLOADINGS = 2  # each leaves of a deflection what it is over the size of the machine
 _CHUNK = 4096  # poses at a time, so that memory does not grow with their number
 
 
@@ -64,6 +68,8 @@ class Compensation:
         learned: pseudo-error on top of that model; None for none.
         eta: weight of the orientation in the tip error [m/rad].
         unexplained: tip error that was left in the measurements beside all this and beside their noise [m].
+        stiffness: by spring, how many times stiffer it was found than described, and the standard deviation of the
+            logarithm of that; springs not named are as described.
     """
 
     errors: GeometricErrors
@@ -72,11 +78,35 @@ class Compensation:
     learned: LearnedPart | None = None
     eta: float = TIP_LENGTH
     unexplained: float = 0.0
+    stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Robot:
         """The robot as described, or with the identified parameters."""
-        return self.errors.robot if self.values is None else self.errors.apply(self.values)
+        robot = self.errors.robot if self.values is None else self.errors.apply(self.values)
+        factors = {name: factor for name, (factor, _) in self.stiffness.items()}
+        return stiffened(robot, factors) if factors else robot
+
+    @property
+    def bears_wrenches(self) -> bool:
+        """Whether columns of wrenches are wrenches that springs give under, not inputs of what is learned."""
+        learned = () if self.learned is None else self.learned.inputs.conditions
+        return bool(self.errors.robot.springs) and not any(map(is_wrench, learned))
+
+    def without_loads(self, measurements: Measurements) -> Measurements:
+        """Return what would have been measured without the wrenches on the tool, by the springs as identified.
+
+        Args:
+            measurements: what was measured; those without wrenches are returned as they are.
+
+        Raises:
+            UnreachablePoseError: the loops do not close at a command.
+        """
+        wrenches = self._wrenches(measurements.conditions, len(measurements))
+        if wrenches is None:
+            return measurements
+        poses = self.model_poses(self.errors.robot.forward(measurements.commands))
+        return without_deflections(measurements, poses, self._by_spring(poses, wrenches).sum(axis=1))
 
     def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
         """Complete conditions by the middle of those measured.
@@ -85,10 +115,12 @@ class Compensation:
             given: some conditions.
 
         Raises:
-            InvalidValueError: a condition of which nothing was learned.
+            InvalidValueError: a condition of which nothing was learned, and that is no wrench that springs give under.
         """
         usual: dict[str, Array | float] = {} if self.learned is None else {**self.learned.inputs.middle()}
         for name in sorted(set(given) - set(usual)):
+            if self.bears_wrenches and is_wrench(name):
+                continue
             raise InvalidValueError(
                 "condition", name, f"one of {', '.join(usual) or 'none: no correction depends on any'}"
             )
@@ -135,7 +167,7 @@ class Compensation:
             model = self.model_poses(nominal[rows], on_failure)
             rows, model = rows[model.solved], model[model.solved]
             part: Conditions = {name: values[rows] for name, values in given.items()}
-            nearest = self._nearest(nominal[rows], model, on_failure)
+            nearest = self._nearest(nominal[rows], model, part, on_failure)
             answer.commands[rows] = self._corrected(nearest.commands, part)
             answer.deviations[rows] = self._deviations(nominal[rows], model, part)
             answer.predicted_error[rows] = self._predicted_error(nominal[rows], nearest, part)
@@ -155,7 +187,8 @@ class Compensation:
         Raises:
             UnreachablePoseError: the loops do not close at a command.
         """
-        return self._deviated(self.model_poses(nominal), nominal.commands, conditions or {})
+        reached = self._deviated(self.model_poses(nominal), nominal.commands, conditions or {})
+        return self._deflected(reached, conditions or {})
 
     def corrected(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
         """Return the commands for wanted poses alone, shape=(n, number of commands) [m, rad]; see :meth:`compensate`.
@@ -168,7 +201,7 @@ class Compensation:
             ConvergenceError: the correction does not settle.
             UnreachablePoseError: the loops do not close at a command.
         """
-        nearest = self._nearest(nominal, self.model_poses(nominal))
+        nearest = self._nearest(nominal, self.model_poses(nominal), conditions or {})
         return self._corrected(nearest.commands, conditions or {})
 
     def deviations(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
@@ -191,7 +224,7 @@ class Compensation:
             on_failure: "raise", or "nan" where the model's loops do not close.
         """
         if self.values is None:
-            return nominal
+            return nominal if self.model is nominal.robot else Poses(self.model, nominal.q)
         return self.model.forward(nominal.commands, guess=nominal.q, on_failure=on_failure)
 
     def _learned(self, commands: Array, conditions: Conditions) -> Array:
@@ -202,10 +235,34 @@ class Compensation:
             return model
         return model.robot.forward(model.commands + self._learned(commands, conditions), guess=model.q)
 
-    def _nearest(self, nominal: Poses, model: Poses, on_failure: OnFailure = "raise") -> Poses:
-        if self.values is None:
-            return model
-        return nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
+    def _nearest(self, nominal: Poses, model: Poses, conditions: Conditions, on_failure: OnFailure = "raise") -> Poses:
+        """Return the model's poses, unloaded, that come nearest to the nominal ones under the wrenches at work."""
+        wrenches = self._wrenches(conditions, len(nominal))
+        if wrenches is None:
+            return (
+                model
+                if self.values is None
+                else nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
+            )
+        nearest = model
+        for _ in range(_UNLOADINGS):
+            unloaded = moved_pose(nominal.transforms, -self._by_spring(nearest, wrenches).sum(axis=1))
+            nearest = nearest_poses(nearest, unloaded, self.eta, on_failure=on_failure)
+        return nearest
+
+    def _wrenches(self, conditions: Conditions, count: int) -> Array | None:
+        return wrenches_of(conditions, self.errors.robot, count) if self.bears_wrenches else None
+
+    def _by_spring(self, poses: Poses, wrenches: Array) -> Array:
+        """Return how far each spring lets wrenches move the tool, shape=(n, springs, 6) [m, rad]."""
+        return spring_deflections(Poses(self.model, poses.q), wrenches)
+
+    def _deflected(self, poses: Poses, conditions: Conditions) -> Poses:
+        wrenches = self._wrenches(conditions, len(poses))
+        if wrenches is None:
+            return poses
+        moved = moved_pose(poses.transforms, self._by_spring(poses, wrenches).sum(axis=1))
+        return Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved)
 
     def _corrected(self, commands: Array, conditions: Conditions) -> Array:
         corrected = commands
@@ -221,19 +278,26 @@ class Compensation:
         raise ConvergenceError("iterating the corrected command", worst, "m or rad", _MAX_ITERATIONS)
 
     def _deviations(self, nominal: Poses, model: Poses, conditions: Conditions) -> Array:
-        if self.values is None:
+        if self.values is None and self._wrenches(conditions, len(nominal)) is None:
             return self._learned(nominal.commands, conditions)
-        seen = self._deviated(model, nominal.commands, conditions).transforms
+        seen = self._deflected(self._deviated(model, nominal.commands, conditions), conditions).transforms
         return nearest_poses(nominal, seen, self.eta).commands - nominal.commands
 
     def _predicted_error(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> Array:
-        squares = tip_error(pose_difference(nominal.transforms, nearest.transforms), self.eta) ** 2
+        reached = self._deflected(nearest, conditions)
+        squares = tip_error(pose_difference(nominal.transforms, reached.transforms), self.eta) ** 2
         weights = tip_weights(self.eta)
         if self.values is not None and self.covariance is not None:
             effects = sensitivities(self.errors, nearest, self.values).errors * weights[:, None]
             # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
             known = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
             squares = squares + np.sum((effects @ known) * effects, axis=(1, 2))
+        wrenches = self._wrenches(conditions, len(nominal))
+        if wrenches is not None and self.stiffness:
+            names = [str(entry["name"]) for entry in self.errors.robot.springs]
+            spread = np.array([self.stiffness.get(name, (1.0, 0.0))[1] for name in names])
+            parts = self._by_spring(nearest, wrenches) * weights * spread[:, None]
+            squares = squares + np.sum(parts**2, axis=(1, 2))
         if self.learned is not None:
             control = command_jacobians(nearest) * weights[:, None]
             spread = self.learned.uncertainties(nearest.commands, conditions)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -47,6 +48,28 @@ def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrume
     sigmas = (instrument or Instrument()).sigmas
     rows = sensitivities(errors, poses).errors[:, : len(sigmas)]
     return np.asarray(rows / sigmas[:, None] * errors.tolerances)
+
+
+class Unknowns(Protocol):
+    """What is to be identified: errors of the geometry, and whatever else stands in the columns of a regressor."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
+
+    @property
+    def tolerances(self) -> Array:
+        """What the columns of the regressor are in units of, shape=(number of unknowns,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class NamedUnknowns:
+    """Unknowns as plain data: see :class:`Unknowns`."""
+
+    names: tuple[str, ...]
+    tolerances: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +114,11 @@ class Identifiability:
         return observability_indices(self.decision.singular_values[: self.rank], self.poses)
 
 
-def identifiability(errors: GeometricErrors, regressor: ArrayLike) -> Identifiability:
+def identifiability(errors: Unknowns, regressor: ArrayLike) -> Identifiability:
     """Judge what a scaled regressor identifies.
 
     Args:
-        errors: the parameters, with their tolerances.
+        errors: the parameters, with their tolerances; geometric errors, or these and others.
         regressor: rows of each pose, shape=(n, rows of a pose, number of parameters); see :func:`scaled_regressor`.
 
     Raises:

@@ -17,7 +17,8 @@ import scipy.linalg
 import scipy.special
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, identifiability
+from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, NamedUnknowns, identifiability
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
@@ -64,6 +65,9 @@ class Identification:
         outliers: rows whose residual is no noise.
         identifiability: rank of the data and combinations that they say nothing about.
         steps: Gauss-Newton steps taken.
+        elastic: the deflections under known wrenches; without unknowns where there were none.
+        stiffness_logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
+        stiffness_sigmas: standard deviation of each, shape=(springs,).
     """
 
     errors: GeometricErrors
@@ -78,6 +82,15 @@ class Identification:
     outliers: tuple[int, ...]
     identifiability: Identifiability
     steps: int
+    elastic: ElasticTerm
+    stiffness_logarithms: Array
+    stiffness_sigmas: Array
+
+    @property
+    def stiffness(self) -> dict[str, tuple[float, float]]:
+        """How many times stiffer each spring is than described, and the standard deviation of its logarithm."""
+        pairs = zip(np.exp(self.stiffness_logarithms).tolist(), self.stiffness_sigmas.tolist(), strict=True)
+        return dict(zip(self.elastic.springs, pairs, strict=True))
 
     @property
     def sigmas(self) -> Array:
@@ -108,7 +121,7 @@ def identify(
     prior: float = PRIOR,
     loss: Loss = "tukey",
 ) -> Identification:
-    """Identify geometric parameters.
+    """Identify geometric parameters, and the stiffness of springs from measurements under known wrenches.
 
     Args:
         measurements: poses, positions or points.
@@ -128,16 +141,17 @@ def identify(
         )
     if not prior > 0.0:
         raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
-    x, previous = np.zeros(len(errors)), np.inf
+    elastic = ElasticTerm.of(errors.robot, measurements)
+    x, previous = np.zeros(len(errors) + len(elastic.names)), np.inf
     poses = errors.robot.forward(measurements.commands)
     for step in range(1, _MAX_STEPS + 1):
-        linear = _Linearised(measurements, errors, poses, x, prior)
+        linear = _Linearised(measurements, errors, elastic, poses, x, prior)
         fit = linear.robust(loss)
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
-        poses = errors.apply(x * errors.tolerances).forward(measurements.commands, guess=poses.q)
+        poses = errors.apply(x[: len(errors)] * errors.tolerances).forward(measurements.commands, guess=poses.q)
         if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
-            return _result(_Linearised(measurements, errors, poses, x, prior), fit, step)
+            return _result(_Linearised(measurements, errors, elastic, poses, x, prior), fit, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
@@ -156,11 +170,26 @@ class _Fit:
 class _Linearised:
     """The measurements' residuals as linear functions of the parameters, both in units of their deviations."""
 
-    def __init__(self, measurements: Measurements, errors: GeometricErrors, poses: Poses, x: Array, prior: float):
-        self.measurements, self.errors, self.poses, self.prior = measurements, errors, poses, prior
-        self.residuals = measurements.residuals(poses)
-        motions = sensitivities(errors, poses, x * errors.tolerances).errors
-        self.rows = measurements.derivatives(poses, motions) / measurements.sigmas[:, :, None] * errors.tolerances
+    def __init__(
+        self,
+        measurements: Measurements,
+        errors: GeometricErrors,
+        elastic: ElasticTerm,
+        poses: Poses,
+        x: Array,
+        prior: float,
+    ) -> None:
+        self.measurements, self.errors, self.elastic, self.poses = measurements, errors, elastic, poses
+        self.prior = prior
+        # the prior counts in tolerances of the geometry, and takes springs as they are
+        springs = elastic.sigmas if np.isinf(prior) else elastic.sigmas / prior
+        self.units = np.concatenate([errors.tolerances, springs])
+        values, logarithms = np.split(x * self.units, [len(errors)])
+        loaded = elastic.deflected(poses, logarithms)
+        self.residuals = measurements.residuals(loaded)
+        motions = [sensitivities(errors, poses, values).errors, elastic.derivatives(poses, logarithms)]
+        derivatives = measurements.derivatives(loaded, np.concatenate(motions, axis=2))
+        self.rows = derivatives / measurements.sigmas[:, :, None] * self.units
         self._start = x
         self._wanted = self.residuals / measurements.sigmas + self.rows @ x  # rows x = wanted - residual
         self._prior = 0.0 if np.isinf(prior) else 1.0 / prior
@@ -231,13 +260,15 @@ class _Linearised:
 
 def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
     """Return what a fit says, given the problem linearised at its solution."""
-    errors, measurements = linear.errors, linear.measurements
+    errors, measurements, count = linear.errors, linear.measurements, len(linear.errors)
     bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
     information = linear.information(fit.weights, fit.noise_factor)
+    values, covariance = fit.x * linear.units, _covariance(information, linear.prior, linear.units)
+    unknowns = NamedUnknowns((*errors.names, *linear.elastic.names), linear.units)
     return Identification(
         errors=errors,
-        values=frozen(fit.x * errors.tolerances),
-        covariance=frozen(_covariance(information, linear.prior, errors.tolerances)),
+        values=frozen(values[:count]),
+        covariance=frozen(covariance[:count, :count]),
         prior=linear.prior,
         measurements=measurements,
         poses=linear.poses,
@@ -245,8 +276,11 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
         weights=frozen(fit.weights),
         noise_factor=fit.noise_factor,
         outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
-        identifiability=identifiability(errors, linear.rows),
+        identifiability=identifiability(unknowns, linear.rows),
         steps=steps,
+        elastic=linear.elastic,
+        stiffness_logarithms=frozen(values[count:]),
+        stiffness_sigmas=frozen(np.sqrt(covariance.diagonal()[count:])),
     )
 
 

@@ -69,7 +69,10 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
         if options.identifies:
             found = identify(part, errors, prior=options.prior, loss=options.loss)
         compensation = compensation_from(part, nominal[shown], errors, options, found)
-        predicted[hidden] = compensation.deviations(nominal[hidden], measurements[hidden].conditions)
+        unloaded = compensation.without_loads(measurements[hidden]) if options.identifies else measurements[hidden]
+        predicted[hidden] = compensation.deviations(nominal[hidden], unloaded.conditions)
+    if options.identifies:
+        measurements = calibration.compensation.without_loads(measurements)
     weights = tip_weights(options.eta)[: measurements.sigmas.shape[1]]
     true = pseudo_errors(measurements, nominal, options.eta)
     best = true.left

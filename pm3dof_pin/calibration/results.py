@@ -188,6 +188,7 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
+        "stiffness": {name: list(pair) for name, pair in compensation.stiffness.items()},
         "inputs": scale,
         "pseudo_error": None if learned is None else learned.model.as_data(),
     }
@@ -208,6 +209,7 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         learned,
         float(data["eta_m_per_rad"]),
         float(data["unexplained_m"]),
+        {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
     )
 
 
@@ -241,5 +243,8 @@ def _identification_summary(found: Identification) -> dict[str, Any]:
         "parameters": {
             name: {"value": float(value), "sigma": float(sigma), "tolerance": float(tolerance), "unit": unit}
             for name, value, sigma, tolerance, unit in rows
+        },
+        "stiffness": {
+            name: {"factor": factor, "sigma_of_logarithm": sigma} for name, (factor, sigma) in found.stiffness.items()
         },
     }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.options import Json, Wrench
 from pm3dof_pin.cli.output import message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
     NamedConfiguration,
@@ -49,6 +49,7 @@ def compensate(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="A temperature or load, by the name of its column; may be repeated."),
     ] = None,
+    wrench: Wrench = None,
     as_json: Json = False,
 ) -> None:
     """Commands that bring the calibrated machine to a pose, or to many: angles in degrees, lengths in metres.
@@ -58,9 +59,10 @@ def compensate(
     from pm3dof_pin.calibration.results import read_compensation
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.kinematics.broken_limits import broken_limits
+    from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     chosen = PoseChoice.of(pose, configuration, poses, out)
-    given = _conditions(condition or [])
+    given = _conditions(condition or []) | dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
     known = read_compensation(calibration)
     machine = known.errors.robot
     if robot is not None and (name := _name_of(robot)) != machine.name:

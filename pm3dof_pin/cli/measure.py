@@ -43,6 +43,13 @@ def measure(
     ] = WorldName.EVERYTHING,
     only: Annotated[SourceName | None, typer.Option(help="Leave the machine one of its sources of error.")] = None,
     load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
+    wrench: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(
+            metavar="FX FY FZ MX MY MZ",
+            help="Load the tool with known wrenches, each component between minus and plus so much [N, N m].",
+        ),
+    ] = None,
     machine: Annotated[int, typer.Option(min=0, help="Seed of the machine: the same number, the same machine.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
@@ -67,7 +74,7 @@ def measure(
     sample = reachable_poses(errors.robot, poses, generator)
     commands = sample.commands if plan is None else read_commands(plan, errors.robot)
     fitting = closing_errors(errors, sample[:20], quiet=True)
-    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(load)
+    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6)
     if only is not None:
         truth = truth.only(only.value)
     instrument = Instrument.with_targets(noise)

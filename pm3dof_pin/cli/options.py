@@ -55,3 +55,12 @@ def load_tripod(config: Path | None) -> Tripod:
 def payloads_of(robot: Robot, payload: float) -> dict[str, float]:
     """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
     return {robot.model.frames[robot.tool_frame_id].name: payload} if payload else {}
+
+
+Wrench = Annotated[
+    tuple[float, float, float, float, float, float] | None,
+    typer.Option(
+        metavar="FX FY FZ MX MY MZ",
+        help="Wrench on the tool, at the tool point, axes of the base [N, N m].",
+    ),
+]

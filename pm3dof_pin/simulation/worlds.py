@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, wrenches_of
 from pm3dof_pin.simulation.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, waves_that_close, with_all_parameters
 from pm3dof_pin.typing import Array
@@ -21,8 +23,6 @@ WORLDS: tuple[WorldName, ...] = get_args(WorldName)
 
 TEMPERATURE = "temperature_screws_K"
 """Column of the screws' temperature rise."""
-LOAD = "load_tool_N"
-"""Column of the weight that hangs on the tool."""
 
 _WARMEST = 8.0
 _LINKS_SHARE = 0.5  # of the screws' temperature rise
@@ -38,11 +38,14 @@ class World:
         warmest: screws are between 0 and so much warmer than when the machine was as described; known to those who
             measure [K].
         heaviest: a weight between 0 and so much hangs on the tool point, likewise known [N].
+        strongest: each component of a wrench on the tool is between minus and plus so much, likewise known, world axes,
+            shape=(6,) [N, N m].
     """
 
     machine: SimulatedMachine
     warmest: float = 0.0
     heaviest: float = 0.0
+    strongest: tuple[float, ...] = (0.0,) * 6
 
     @classmethod
     def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
@@ -97,27 +100,33 @@ class World:
             alone,
             self.warmest if source == "thermal" else 0.0,
             self.heaviest if source == "elastic" else 0.0,
+            self.strongest if source == "elastic" else (0.0,) * 6,
         )
 
-    def loaded(self, heaviest: float) -> World:
-        """Return the world with weights on the tool point.
+    def loaded(self, heaviest: float, strongest: Sequence[float] = (0.0,) * 6) -> World:
+        """Return the world with weights on the tool point, and wrenches.
 
         Args:
-            heaviest: the greatest of them [N].
+            heaviest: the greatest of the weights [N].
+            strongest: see the attribute.
 
         Raises:
-            InvalidValueError: it is negative or not finite, or the machine does not give way: it has no springs.
+            InvalidValueError: a number is negative or not finite, or the machine does not give way: it has no springs.
         """
         if not 0.0 <= heaviest < np.inf:
             raise InvalidValueError("heaviest", heaviest, "a weight that is not negative")
-        if heaviest > 0.0 and self.machine.elastic is None:
-            raise InvalidValueError("heaviest", heaviest, "0, since this machine has no springs to give way")
-        return replace(self, heaviest=heaviest)
+        wrench = finite_array("strongest", strongest, (len(WRENCH_COLUMNS),))
+        if np.any(wrench < 0.0):
+            raise InvalidValueError("strongest", wrench.tolist(), "sizes that are not negative")
+        if (heaviest > 0.0 or wrench.any()) and self.machine.elastic is None:
+            raise InvalidValueError("loads", (heaviest, *strongest), "0, since this machine has no springs to give way")
+        return replace(self, heaviest=heaviest, strongest=tuple(wrench.tolist()))
 
     def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
         """Draw temperatures and loads of some moments, by the name of their column, shape=(count,) each."""
-        greatest = {TEMPERATURE: self.warmest, LOAD: self.heaviest}
-        return {name: generator.uniform(0.0, most, count) for name, most in greatest.items() if most}
+        ranges = {TEMPERATURE: (0.0, self.warmest), WEIGHT_COLUMN: (0.0, self.heaviest)}
+        ranges |= {name: (-most, most) for name, most in zip(WRENCH_COLUMNS, self.strongest, strict=True)}
+        return {name: generator.uniform(least, most, count) for name, (least, most) in ranges.items() if most}
 
     def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
         """Return where the tool really is, shape=(n, 4, 4).
@@ -154,8 +163,4 @@ class World:
         if TEMPERATURE in conditions:
             rises = np.repeat(conditions[TEMPERATURE][:, None], commands.shape[1], axis=1)
             surroundings = replace(surroundings, temperature_rises=rises)
-        if LOAD in conditions:
-            wrenches = np.zeros((len(commands), 6))
-            wrenches[:, 2] = -conditions[LOAD]
-            surroundings = replace(surroundings, wrenches=wrenches)
-        return surroundings
+        return replace(surroundings, wrenches=wrenches_of(conditions, self.machine.nominal, len(commands)))

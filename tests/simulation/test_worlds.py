@@ -13,7 +13,8 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.worlds import LOAD, TEMPERATURE, World
+from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN
+from pm3dof_pin.simulation.worlds import TEMPERATURE, World
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +27,8 @@ def test_a_weight_on_the_tool_moves_it_by_the_compliance(world: World, tripod_no
     nominal = tripod_nominal[:5]
     elastic = world.loaded(60.0).only("elastic")
     weights = np.linspace(10.0, 50.0, 5)
-    loaded = elastic.poses(nominal.commands, {LOAD: weights})
-    bare = elastic.poses(nominal.commands, {LOAD: np.zeros(5)})
+    loaded = elastic.poses(nominal.commands, {WEIGHT_COLUMN: weights})
+    bare = elastic.poses(nominal.commands, {WEIGHT_COLUMN: np.zeros(5)})
     model = ElasticModel(nominal.robot)
     for row, q in enumerate(nominal.q):
         compliance = cartesian_compliance(model, q).compliance
@@ -37,12 +38,12 @@ def test_a_weight_on_the_tool_moves_it_by_the_compliance(world: World, tripod_no
 
 def test_what_is_known_stands_in_columns(world: World, tripod_nominal: Poses) -> None:
     measured = world.loaded(60.0).measure(tripod_nominal.commands[:40], np.random.default_rng(1))
-    assert set(measured.conditions) == {TEMPERATURE, LOAD}
-    assert 0.0 <= measured.conditions[LOAD].min() < 10.0
-    assert 50.0 < measured.conditions[LOAD].max() <= 60.0
+    assert set(measured.conditions) == {TEMPERATURE, WEIGHT_COLUMN}
+    assert 0.0 <= measured.conditions[WEIGHT_COLUMN].min() < 10.0
+    assert 50.0 < measured.conditions[WEIGHT_COLUMN].max() <= 60.0
     calibration = calibrate(measured, GeometricErrors(tripod_nominal.robot), Options("gp"))
     assert calibration.compensation.learned is not None
-    assert set(calibration.compensation.learned.inputs.conditions) == {TEMPERATURE, LOAD}
+    assert set(calibration.compensation.learned.inputs.conditions) == {TEMPERATURE, WEIGHT_COLUMN}
 
 
 def test_one_source_alone(world: World, tripod_nominal: Poses) -> None:

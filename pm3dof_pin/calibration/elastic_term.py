@@ -1,0 +1,89 @@
+"""What known wrenches add to the model of measurements: deflections, with the stiffness of springs as unknowns.
+
+Under a wrench w on the tool the machine stands at exp(C(q, k) w) T(q), T being where its joints and errors bring it.
+The unknowns are ln k of each spring, beside the geometry: d(C w) / d ln k_j = -C_j w. What geometry changes of C is of
+the second order, a deflection times an error over the size of the machine, and is left out of the derivatives; the
+deflections themselves are those of the displaced machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
+from pm3dof_pin.errors.pose_error import moved_pose
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.wrenches import wrenches_of
+from pm3dof_pin.typing import Array
+
+STIFFNESS_SIGMA = 0.3
+"""Standard deviation of ln k before any measurement: a stiffness that is computed, not measured, is good to a third."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticTerm:
+    """The deflections of a robot's tool at measured poses.
+
+    Attributes:
+        springs: names of the springs whose stiffness is unknown; none for a machine without wrenches or springs.
+        wrenches: on the tool, world axes, shape=(n, 6) [N, N m]; None for none.
+    """
+
+    springs: tuple[str, ...] = ()
+    wrenches: Array | None = None
+
+    @classmethod
+    def of(cls, robot: Robot, measurements: Measurements) -> ElasticTerm:
+        """Make the term of some measurements; without wrenches, or for a robot without springs, it adds nothing.
+
+        Args:
+            robot: the robot as described.
+            measurements: what was measured.
+        """
+        wrenches = wrenches_of(measurements.conditions, robot, len(measurements))
+        if wrenches is None or not wrenches.any() or not robot.springs:
+            return cls()
+        return cls(tuple(str(entry["name"]) for entry in robot.springs), wrenches)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns, `spring.ln_k`."""
+        return tuple(f"{spring}.ln_k" for spring in self.springs)
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviation of the unknowns before any measurement, shape=(springs,)."""
+        return np.full(len(self.springs), STIFFNESS_SIGMA)
+
+    def deflected(self, poses: Poses, logarithms: Array) -> Poses:
+        """Return the poses under the wrenches: the same joints, the tool displaced.
+
+        Args:
+            poses: of the machine without wrenches, shape=(n,).
+            logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
+        """
+        if self.wrenches is None:
+            return poses
+        moved = moved_pose(poses.transforms, self.displacements(poses, logarithms))
+        return Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved)
+
+    def displacements(self, poses: Poses, logarithms: Array) -> Array:
+        """Return how far the wrenches move the tool, shape=(n, 6) [m, rad]; arguments as for :meth:`deflected`."""
+        if self.wrenches is None:
+            return np.zeros((len(poses), 6))
+        return np.asarray(self._by_spring(poses, logarithms).sum(axis=1))
+
+    def derivatives(self, poses: Poses, logarithms: Array) -> Array:
+        """Return how each unknown moves the tool, shape=(n, 6, springs) [m, rad]; arguments as above."""
+        if self.wrenches is None:
+            return np.zeros((len(poses), 6, 0))
+        return -np.swapaxes(self._by_spring(poses, logarithms), 1, 2)
+
+    def _by_spring(self, poses: Poses, logarithms: Array) -> Array:
+        assert self.wrenches is not None
+        factors = dict(zip(self.springs, np.exp(logarithms).tolist(), strict=True))
+        return spring_deflections(Poses(stiffened(poses.robot, factors), poses.q), self.wrenches)

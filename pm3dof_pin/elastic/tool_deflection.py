@@ -1,0 +1,95 @@
+"""How far wrenches move the tool at many poses, spring by spring, and what stiffer springs change of it.
+
+Small deflections: dx = C w with C the sum of what the springs add, C = sum_j C_j. Scaling all of spring j by a factor
+k_j changes C by dC / d ln k_j = -C_j, whether the mechanism is statically determinate or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.elastic.batch import elastic_model, evaluate
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.quantities import ElasticQuantity
+from pm3dof_pin.elastic.traced import Roots
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs.elimination import total, zeros
+from pm3dof_pin.typing import Array, Engine, Objects
+
+_PROGRAM_FROM = 100  # poses
+_STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "matrix")
+
+
+def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None = None) -> Array:
+    """Return how far each spring lets wrenches move the tool, shape=(n, springs, 6) [m, rad].
+
+    Their sum over the springs is the tool's displacement, minus each of them its derivative by the logarithm of that
+    spring's stiffness.
+
+    Args:
+        poses: poses of a robot with springs, of shape (n,).
+        wrenches: on the tool, at its point, world axes, shape=(n, 6) [N, N m].
+        engine: what computes; by default the program for many poses, which it takes a while to make.
+
+    Raises:
+        DescriptionError: the robot has no springs, or no tool frame.
+        FreeDirectionError: the tool can move with all springs at rest.
+        InvalidValueError: wrenches of another shape or not finite, or a pose that is not solved.
+    """
+    checked = finite_array("wrenches", wrenches, (len(poses), 6))
+    model = elastic_model(poses.robot)
+    chosen: Engine = engine or ("program" if len(poses) >= _PROGRAM_FROM else "pinocchio")
+    parts = evaluate(model, poses, _contributions(model), engine=chosen).values
+    return np.asarray(np.einsum("nsij,nj->nsi", parts, checked))
+
+
+def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
+    """Return a robot with some springs stiffer or softer.
+
+    Args:
+        robot: a robot with springs.
+        factors: by spring, what all of its stiffness is multiplied by.
+
+    Raises:
+        InvalidValueError: there is no spring of a name, or a factor is not positive.
+    """
+    names = [str(entry.get("name")) for entry in robot.springs]
+    for name, factor in factors.items():
+        if name not in names:
+            raise InvalidValueError("spring", name, f"one of {', '.join(names)}")
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise InvalidValueError(f"stiffness factor of {name}", factor, "a positive number")
+    springs = [
+        {key: _scaled(value, factors.get(name, 1.0)) if key in _STIFFNESSES else value for key, value in entry.items()}
+        for name, entry in zip(names, robot.springs, strict=True)
+    ]
+    return robot.replace(springs=springs)
+
+
+def _scaled(value: object, factor: float) -> object:
+    return (factor * np.asarray(value, dtype=float)).tolist()
+
+
+def _contributions(model: ElasticModel) -> ElasticQuantity:
+    """Return the compliance that each spring adds, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
+    starts = np.cumsum([0, *(len(block.indices) for block in model.blocks)])
+    count = len(model.blocks)
+
+    def traced(roots: Roots) -> Objects:
+        columns = roots.compliance_by_spring
+        parts: Objects = np.empty((count, 6, 6), dtype=object)
+        for k, (first, last) in enumerate(pairwise(starts)):
+            parts[k] = zeros(6, 6)
+            for i in range(6):
+                for j in range(i, 6):
+                    products = [columns[i, c] * columns[j, c] for c in range(first, last)]
+                    parts[k, i, j] = parts[k, j, i] = total(products)
+        return parts
+
+    return ElasticQuantity("contributions", (count, 6, 6), traced, lambda report: report.contributions)

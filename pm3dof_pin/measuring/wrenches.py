@@ -1,0 +1,64 @@
+"""Known wrenches on the tool while it is measured or at work: columns of a file, and what is left without them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pm3dof_pin.errors.pose_error import rotation_matrix
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array
+
+WRENCH_COLUMNS = ("load_fx_N", "load_fy_N", "load_fz_N", "load_mx_Nm", "load_my_Nm", "load_mz_Nm")
+"""Columns of a dead wrench on the tool, at the tool point, world axes; those that are missing are zero."""
+WEIGHT_COLUMN = "load_tool_N"
+"""Column of a weight that hangs on the tool point."""
+
+
+def is_wrench(column: str) -> bool:
+    """Tell whether a column is part of a wrench; other loads are numbers that corrections may be learned from."""
+    return column == WEIGHT_COLUMN or column in WRENCH_COLUMNS
+
+
+def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: int) -> Array | None:
+    """Return the wrenches that columns stand for, shape=(count, 6) [N, N m]; None if no column is part of one.
+
+    Args:
+        conditions: temperatures and loads by the name of their column, shape=(count,) or one number each.
+        robot: the robot, for the direction of weights.
+        count: number of poses.
+    """
+    if not any(is_wrench(name) for name in conditions):
+        return None
+    wrenches = np.zeros((count, 6))
+    for k, name in enumerate(WRENCH_COLUMNS):
+        wrenches[:, k] = conditions.get(name, 0.0)
+    gravity = robot.model.gravity.linear
+    size = np.linalg.norm(gravity)
+    down = gravity / size if size > 0.0 else np.array([0.0, 0.0, -1.0])
+    wrenches[:, :3] += np.multiply.outer(np.broadcast_to(conditions.get(WEIGHT_COLUMN, 0.0), count), down)
+    return wrenches
+
+
+def without_deflections(measurements: Measurements, poses: Poses, displacements: Array) -> Measurements:
+    """Return what would have been measured without the wrenches; their columns are gone.
+
+    Args:
+        measurements: what was measured under wrenches.
+        poses: of the machine without wrenches, at the commands of the measurements.
+        displacements: of the tool under them, [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
+    """
+    turns = rotation_matrix(displacements[:, 3:])
+    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
+    moved = displacements[:, :3] + np.einsum("nij,nj->ni", turns, offsets) - offsets
+    rotations = measurements.rotations
+    return replace(
+        measurements,
+        positions=measurements.positions - moved,
+        rotations=None if rotations is None else np.swapaxes(turns, 1, 2) @ rotations,
+        conditions={name: values for name, values in measurements.conditions.items() if not is_wrench(name)},
+    )

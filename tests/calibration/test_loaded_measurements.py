@@ -1,0 +1,141 @@
+"""Measurements under known wrenches: stiffness identified beside the geometry, and commands that allow for loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
+from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loaded import loaded_equilibrium
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS, without_deflections
+from pm3dof_pin.simulation.error_sources import ElasticDeflection, GeometricSource
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
+from pm3dof_pin.simulation.worlds import World
+
+STRONGEST = (400.0, 400.0, 400.0, 20.0, 20.0, 20.0)
+
+
+@pytest.fixture(scope="module", params=["pm3dof", "hexapod"])
+def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Calibration]:
+    """A machine whose springs are not as described, and its calibration from measurements under wrenches."""
+    errors, generator = GeometricErrors.load(request.param), np.random.default_rng(3)
+    names = [str(entry["name"]) for entry in errors.robot.springs]
+    factors = dict(zip(names, np.exp(generator.normal(0.0, 0.25, len(names))).tolist(), strict=True))
+    truth = GeometricErrors(stiffened(errors.robot, factors), errors.parameters)
+    source = GeometricSource(truth, truth.sample(generator))
+    machine = SimulatedMachine(truth.robot, source, elastic=ElasticDeflection(own_weight=False))
+    world = World(machine).loaded(0.0, STRONGEST)
+    commands = reachable_poses(errors.robot, 60, generator).commands
+    measured = world.measure(commands, generator, Instrument(position_sigma=2e-6, angle_sigma=1e-5))
+    return world, factors, calibrate(measured, errors, Options("lm"))
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
+def test_derivatives_by_stiffness_and_the_loaded_equilibrium(name: str) -> None:
+    """Central differences; and for a wrench so small that it is linear, Newton's equilibrium of the elastic model."""
+    robot, generator = Robot.load(name), np.random.default_rng(0)
+    poses = reachable_poses(robot, 3, generator)
+    wrenches = generator.normal(size=(3, 6)) * [1.0, 1.0, 1.0, 0.1, 0.1, 0.1]
+    term = ElasticTerm(tuple(str(entry["name"]) for entry in robot.springs), wrenches)
+    at, step = generator.normal(0.0, 0.3, len(term.springs)), 1e-5
+    derivatives = term.derivatives(poses, at)
+    for k, unit in enumerate(np.eye(len(at))):
+        ends = [term.displacements(poses, at + sign * step * unit) for sign in (1.0, -1.0)]
+        expected = (ends[0] - ends[1]) / (2.0 * step)
+        np.testing.assert_allclose(derivatives[:, :, k], expected, atol=1e-7 * np.abs(derivatives).max())
+    model = ElasticModel(stiffened(robot, dict(zip(term.springs, np.exp(at).tolist(), strict=True))))
+    for row, q in enumerate(poses.q):
+        loads = Loads(wrenches={str(robot.tool_frame): wrenches[row]})
+        expected = loaded_equilibrium(model, q, loads).displacement()
+        np.testing.assert_allclose(term.displacements(poses, at)[row], expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_springs_and_geometry_are_found_within_their_uncertainty(
+    loaded: tuple[World, dict[str, float], Calibration],
+) -> None:
+    world, factors, calibration = loaded
+    found = calibration.identification
+    assert world.machine.geometric is not None
+    assert np.all(np.abs(found.values - world.machine.geometric.values) < 4.0 * found.sigmas)
+    assert set(found.stiffness) == set(factors)
+    errors = [(np.log(factor) - np.log(factors[name])) / sigma for name, (factor, sigma) in found.stiffness.items()]
+    assert np.abs(errors).max() < 4.0
+    assert found.noise_factor < 1.2
+    assert found.identifiability.names[-len(factors) :] == tuple(f"{name}.ln_k" for name in factors)
+    assert min(sigma for _, sigma in found.stiffness.values()) < 0.02  # the softest are known far better than before
+
+
+def test_commands_allow_for_a_wrench(loaded: tuple[World, dict[str, float], Calibration]) -> None:
+    """The machine itself is commanded under 500 N sideways."""
+    world, _, calibration = loaded
+    compensation = calibration.compensation
+    wanted = reachable_poses(compensation.errors.robot, 10, np.random.default_rng(5))
+    conditions = {"load_fx_N": 500.0}
+    answer = compensation.compensate(wanted, conditions)
+
+    def tip(commands: np.ndarray) -> float:
+        reached = world.machine.poses(commands, Conditions(wrenches=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        return float(tip_error(pose_difference(wanted.transforms, reached)).mean())
+
+    assert tip(answer.commands) < 0.9 * tip(compensation.compensate(wanted).commands)
+    assert abs(answer.predicted_error.mean() - tip(answer.commands)) < 0.1 * tip(answer.commands) + 1e-6
+    predicted = compensation.poses(wanted, conditions).transforms
+    reached = world.machine.poses(wanted.commands, Conditions(wrenches=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert tip_error(pose_difference(reached, predicted)).max() < 3e-5
+
+
+def test_what_is_left_without_deflections(tripod_nominal: Poses) -> None:
+    """Targets off the tool point, of a tool displaced by a turn and a shift, go back to where they were."""
+    poses, generator = tripod_nominal[:4], np.random.default_rng(2)
+    points = generator.normal(0.0, 0.1, (4, 3))
+    unloaded = poses.positions + np.einsum("nij,nj->ni", poses.rotations, points)
+    displacements = generator.normal(0.0, 1e-2, (4, 6))
+    angles = np.linalg.norm(displacements[:, 3:], axis=1)[:, None, None]
+    cross = np.array([np.cross(np.eye(3), v) for v in displacements[:, 3:]])
+    turns = np.eye(3) + np.sin(angles) / angles * cross + (1.0 - np.cos(angles)) / angles**2 * cross @ cross
+    seen = poses.positions + displacements[:, :3] + np.einsum("nij,nj->ni", turns @ poses.rotations, points)
+    conditions = {WRENCH_COLUMNS[0]: np.ones(4), "temperature_K": np.ones(4)}
+    measured = Measurements(poses.commands, seen, turns @ poses.rotations, np.ones((4, 6)), points, conditions)
+    back = without_deflections(measured, poses, displacements)
+    np.testing.assert_allclose(back.positions, unloaded, atol=1e-12)
+    np.testing.assert_allclose(back.rotations, poses.rotations, atol=1e-12)
+    assert set(back.conditions) == {"temperature_K"}
+
+
+def test_springs_that_are_not_there(tripod_nominal: Poses) -> None:
+    robot = tripod_nominal.robot
+    with pytest.raises(InvalidValueError, match="actuator1"):
+        stiffened(robot, {"actuator9": 2.0})
+    with pytest.raises(InvalidValueError, match="positive"):
+        stiffened(robot, {"actuator1": 0.0})
+    with pytest.raises(InvalidValueError, match="wrenches"):
+        spring_deflections(tripod_nominal[:2], np.ones((1, 6)))
+
+
+def test_the_commands(answer: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+    loads = [str(number) for number in STRONGEST]
+    answer("measure", "--poses", "40", "--wrench", *loads, "--out", "m.csv", cwd=tmp_path)
+    summary = answer("calibrate", "m.csv", "--method", "lm", "--out", "c", cwd=tmp_path)
+    assert summary["identification"]["stiffness"]["passive_leg"]["sigma_of_logarithm"] < 0.1
+    pose = ("compensate", "0", "0", "0.49", "--calibration", "c")
+    plain = answer(*pose, cwd=tmp_path)
+    pressed = answer(*pose, "--wrench", "0", "0", "-500", "0", "0", "0", cwd=tmp_path)
+    assert pressed["conditions"]["load_fz_N"] == -500.0
+    # pushed down by 500 N at 2.6e8 N/m felt, the commands go up by about 2 um over 0.95, the drives' share of a rise
+    assert 1e-6 < min(np.subtract(pressed["u_m"], plain["u_m"])) < 3e-6
