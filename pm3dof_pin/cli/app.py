@@ -30,6 +30,7 @@ COMMANDS = {
     "table-8-3": "table",
     "workspace": "workspace",
     "atlas": "atlas",
+    "evaluate": "evaluate",
     "error-map": "error_map",
     "calibration-plan": "calibration_plan",
     "measure": "measure",
@@ -40,7 +41,7 @@ COMMANDS = {
 }
 """Module of pm3dof_pin.cli that each command is in, a function named after it, in the order of the help."""
 
-_OF_MAPS = {"stiffness-map", "workspace", "atlas", "error-map"}
+_OF_MAPS = {"stiffness-map", "workspace", "atlas", "evaluate", "error-map"}
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.maps.quantities import MappedRobot
 
 LEAST_TO_DRAW = 3
 PICTURES = {
@@ -31,8 +30,6 @@ PICTURES = {
 }
 _DEFAULT_TILT, _DEFAULT_POINTS = 40.0, 81
 _DEFAULT_COUNT = 41
-_ELASTIC = ("felt_stiffness", "translational_stiffness", "rotational_stiffness", "condition_number", "first_frequency")
-_OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness", "first_frequency")
 
 
 def stiffness_map(
@@ -93,8 +90,10 @@ def stiffness_map(
     with progress_bar("stiffness map") as progress:
         from pm3dof_pin.maps.grid_map import quantity_map
         from pm3dof_pin.maps.storage import write_csv, write_netcdf
+        from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
-        dataset = quantity_map(mapped, grid, _quantities(mapped), engine=engine.value)
+        quantities = (*stiffness_quantities(mapped), "first_frequency")
+        dataset = quantity_map(mapped, grid, quantities, engine=engine.value)
         inside = int((dataset["broken_limits"] == 0).sum())
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
@@ -121,19 +120,6 @@ def stiffness_map(
     print_result(result, lines, as_json=as_json)
     for file in files:
         message(f"wrote {file}")
-
-
-def _quantities(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return what is mapped: what comes from the 6 x 6 stiffness, or from that of the free motions if there is none."""
-    import numpy as np
-
-    from pm3dof_pin.elastic.quantities import STIFFNESS
-    from pm3dof_pin.maps.quantities import Evaluation
-
-    home = Evaluation(mapped, mapped.robot.at(mapped.robot.home.q[None]), engine="pinocchio")
-    if np.isfinite(home.elastic(STIFFNESS)).all() or mapped.free_motions is None:
-        return _ELASTIC
-    return _OF_FREE_MOTIONS
 
 
 def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:

@@ -75,6 +75,11 @@ def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     return {name: (colors.get(name, LIMIT_COLORS["reach"]), name.replace("_", " ")) for name in names}
 
 
+def spring_colors(count: int) -> list[str]:
+    """Return a colour for each of some springs."""
+    return list(itertools.islice(itertools.cycle(_OTHER_COLORS), count))
+
+
 @contextmanager
 def house_style() -> Iterator[None]:
     """Draw with the house style inside the block, whatever the user's own settings, and leave them as they were."""

@@ -88,6 +88,18 @@ def test_an_atlas_is_the_same_on_both_engines(pm3dof: Run, case: Case) -> None:
     np.testing.assert_array_equal(program["broken_limits"].values, pinocchio["broken_limits"].values)
 
 
+def test_the_workspace_is_judged(pm3dof: Run, case: Case) -> None:
+    if not case.axes or not case.springs:
+        return
+    pictures = () if case.name == "five_bar" else ("--no-pictures",)
+    words = ("evaluate", *case.options, *_ranges(pm3dof, case, "--range", 5), "--points", 3, "--out", "evaluated")
+    result = pm3dof(*words, *pictures, "--json").json
+    shares = {axis: sum(spring["mean_share"] for spring in springs) for axis, springs in result["springs"].items()}
+    assert shares
+    np.testing.assert_allclose(list(shares.values()), 1.0)
+    assert 0.0 < result["global_indices"]["least_conditioning"] <= result["global_indices"]["conditioning"] <= 1.0
+
+
 def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
     if len(case.axes) < 2:
         return

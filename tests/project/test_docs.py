@@ -36,6 +36,7 @@ COMPUTED_PICTURES = {
     "figure_8_2_workspace.png",
     "figure_8_5_pseudo_error.png",
     "figure_8_6_compensation_flow.png",
+    "critical_springs.png",
     "passive_leg_radius.png",
     *PICTURES,
 }

@@ -1,0 +1,241 @@
+"""`pm3dof evaluate`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pm3dof_pin.cli.map_options import (
+    EngineName,
+    EngineOption,
+    Ranges,
+    Threads,
+    Values,
+    declared_ranges,
+    robot_grid,
+)
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
+from pm3dof_pin.cli.progress import progress_bar
+from pm3dof_pin.cli.stiffness import Model
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
+
+_POSES = 100_000  # over all coordinates, about
+_MOST_POINTS = 201  # of one coordinate
+_PICTURE_POINTS = 81
+_OF_CHAPTER = ("chapter_diagonal", "chapter_global")
+_LEAST_SHARE = 0.05  # of a spring that is printed
+
+
+def evaluate(
+    robot: RobotName = THE_TRIPOD,
+    model: Annotated[
+        Model, typer.Option(help="elastic: felt and principal stiffness; chapter: the diagonal of section 8.2.3.")
+    ] = Model.ELASTIC,
+    quantity: Annotated[
+        list[str] | None,
+        typer.Option("--quantity", "-q", help="Any quantity of `pm3dof atlas --list` instead; may be repeated."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
+    ranges: Ranges = None,
+    values: Values = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="Number of values of each coordinate (about 100,000 poses in all).")
+    ] = None,
+    pictures: Annotated[bool, typer.Option(help="Draw which spring governs where.")] = True,
+    threads: Threads = None,
+    engine: EngineOption = EngineName.PROGRAM,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    config: Config = None,
+    as_json: Json = False,
+) -> None:
+    """The stiffness over the whole workspace: mean, spread, extremes and where, global indices, critical springs.
+
+    Angles in degrees, lengths in metres. The workspace is what the limits admit of the ranges of all coordinates, or of
+    those of --range; averages are over its volume. For each axis: which spring gives most, in which part of the
+    workspace, and what stiffening it by 10 % brings at least.
+    """
+    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
+    from pm3dof_pin.maps.storage import write_netcdf
+    from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
+
+    for name in quantity or ():
+        if name not in QUANTITIES:
+            raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
+    loaded = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    mapped = MappedRobot(loaded)
+    if model is Model.CHAPTER:
+        if quantity:
+            raise typer.BadParameter("--model chapter does not go with --quantity")
+        if not QUANTITIES[_OF_CHAPTER[0]].exists(mapped):
+            raise typer.BadParameter(f"--model chapter is for tripods of the chapter's family, not {loaded.name}")
+    wanted = _OF_CHAPTER if model is Model.CHAPTER else tuple(quantity) if quantity else None
+    grid = _grid(loaded, ranges, values, points)
+    with progress_bar("evaluation") as progress:
+        found = evaluate_workspace(mapped, grid, wanted, springs=wanted is None, engine=engine.value, threads=threads)
+        progress(1, 2)
+        files = [
+            write_netcdf(found.dataset, out / "evaluation.nc"),
+            write_text_atomically(out / "evaluation.csv", _table(found)),
+        ]
+        if pictures and found.springs and len(grid.axes) > 1:
+            files.append(_draw(mapped.robot, mapped, grid, out))
+        progress(2, 2)
+    result = _result(loaded, grid, found, model if not quantity else None) | {"files": [str(file) for file in files]}
+    print_result(result, _lines(grid, found), as_json=as_json)
+    for file in files:
+        message(f"wrote {file}")
+
+
+def _grid(robot: Robot, ranges: Any, values: Any, points: int | None) -> Grid:
+    named = {entry.name for entry in (*(ranges or ()), *(values or ()))}
+    free = [coordinate for coordinate in robot.coordinates if coordinate.name not in named]
+    size = _POSES / max(1, math.prod(entry.count for entry in ranges or ()))
+    count = points or min(_MOST_POINTS, 2 * round(0.5 * (max(size, 1.0) ** (1.0 / max(len(free), 1)) - 1.0)) + 1)
+    grid = robot_grid(
+        robot, [*(ranges or ()), *declared_ranges(robot, free, [max(count, 3)] * len(free))], values or ()
+    )
+    if not grid.axes:
+        raise typer.BadParameter(f"{robot.name}: every coordinate stands still, nothing to evaluate over")
+    return grid
+
+
+def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model | None) -> dict[str, Any]:
+    units = {c.name: c.unit for c in robot.coordinates}
+
+    def place(values: dict[str, float]) -> dict[str, float]:
+        return {f"{name}_{units[name]}": value for name, value in values.items()}
+
+    result: dict[str, Any] = {
+        "robot": robot.name,
+        "model": None if model is None else model.value,
+        "dimensions": grid.dims,
+        "fixed": dict(grid.fixed),
+        "poses": grid.size,
+        "poses_within_limits": int((found.dataset["broken_limits"] == 0).sum()),
+        "reachable_part": found.reachable,
+        "distributions": {
+            entry.label: {
+                "unit": entry.unit,
+                "mean": entry.mean,
+                "standard_deviation": entry.deviation,
+                "least": entry.least,
+                "least_at": place(entry.least_at),
+                "greatest": entry.greatest,
+                "greatest_at": place(entry.greatest_at),
+                "defined_part": entry.defined,
+            }
+            for entry in found.distributions
+        },
+    }
+    if found.indices:
+        result["global_indices"] = found.indices
+    if found.springs:
+        ranks: dict[str, list[dict[str, Any]]] = {}
+        for rank in found.springs:
+            ranks.setdefault(rank.axis, []).append(
+                {
+                    "spring": rank.spring,
+                    "governs_part": rank.governs,
+                    "mean_share": rank.share,
+                    "least_share": rank.least_share,
+                    "greatest_share": rank.greatest_share,
+                    "gain_of_10_percent_at_least": rank.gain,
+                    "gain_of_10_percent_at_most": rank.gain_bound,
+                }
+            )
+        result["springs"] = ranks
+    return result
+
+
+def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
+    moving = [coordinate for coordinate in grid.coordinates if coordinate.name in grid.axes]
+    names = ", ".join(f"{c.name} [{'deg' if c.unit == 'rad' else c.unit}]" for c in moving)
+
+    def place(values: dict[str, float]) -> str:
+        shown = ((c, values[c.name]) for c in moving)
+        return " ".join(f"{math.degrees(v) + 0.0:.1f}" if c.unit == "rad" else f"{v + 0.0:.4f}" for c, v in shown)
+
+    rows = [
+        [
+            entry.label,
+            f"{entry.mean:.4e}",
+            f"{entry.deviation / abs(entry.mean):.1%}" if entry.mean else "",
+            *(f"{entry.least:.4e}", place(entry.least_at), f"{entry.greatest:.4e}", place(entry.greatest_at)),
+            entry.unit,
+        ]
+        for entry in found.distributions
+    ]
+    lines = [
+        f"over {names}: {grid.size:,} poses, {found.reachable:.1%} of the volume within every limit",
+        "",
+        *table_lines(["quantity", "mean", "spread", "least", "at", "greatest", "at", "unit"], rows),
+    ]
+    if found.indices:
+        lines += [
+            "",
+            f"mean of the stiffness' diagonal, whatever its units: {found.indices['mean_diagonal']:.4e}",
+            f"1 / condition number: mean {found.indices['conditioning']:.3e}, "
+            f"least {found.indices['least_conditioning']:.3e}",
+        ]
+    printed = [rank for rank in found.springs if rank.share >= _LEAST_SHARE or rank.governs >= _LEAST_SHARE]
+    if printed:
+        header = ["axis", "spring", "governs", "mean share", "least", "greatest", "10 % stiffer: felt at least"]
+        lines += [
+            "",
+            *table_lines(
+                header,
+                [
+                    [rank.axis, rank.spring, f"{rank.governs:.1%}"]
+                    + [f"{value:.1%}" for value in (rank.share, rank.least_share, rank.greatest_share)]
+                    + [f"+{rank.gain:.2%}"]
+                    for rank in printed
+                ],
+            ),
+        ]
+    return lines
+
+
+def _table(found: WorkspaceEvaluation) -> str:
+    """Return the distributions as CSV."""
+
+    def ends(entry: Distribution) -> list[str]:
+        return [f"{value:.12g}" for place in (entry.least_at, entry.greatest_at) for value in place.values()]
+
+    names = list(found.distributions[0].least_at) if found.distributions else []
+    units = {name: str(found.dataset[name].attrs["units"]) for name in names}
+    at = [f"{end}_at_{name}_{units[name]}" for end in ("least", "greatest") for name in names]
+    lines = [["quantity", "unit", "mean", "standard_deviation", "least", "greatest", *at]]
+    for entry in found.distributions:
+        numbers = (entry.mean, entry.deviation, entry.least, entry.greatest)
+        lines.append([entry.label, f'"{entry.unit}"', *(f"{value:.12g}" for value in numbers), *ends(entry)])
+    return "".join(",".join(line) + "\n" for line in lines)
+
+
+def _draw(robot: Robot, mapped: Any, grid: Grid, out: Path) -> Path:
+    """Draw which spring governs over the first two coordinates, the others in the middle of their ranges."""
+    from pm3dof_pin.figures.critical_springs import critical_springs
+    from pm3dof_pin.figures.style import save_figure
+    from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
+
+    ends = {name: (float(values[0]), float(values[-1])) for name, values in grid.axes.items()}
+    across = list(ends)[:2]
+    home = dict(zip((c.name for c in robot.coordinates), robot.home_coordinates, strict=True))
+    fixed = dict(grid.fixed)
+    for name in list(ends)[2:]:
+        low, high = ends[name]
+        fixed[name] = float(home[name]) if low < home[name] < high else 0.5 * (low + high)
+    section = robot.grid(**{name: (*ends[name], _PICTURE_POINTS) for name in across}, **fixed)
+    found = evaluate_workspace(mapped, section, ("felt_stiffness",))
+    return save_figure(critical_springs(found.dataset), out / "critical_springs.png")

@@ -1,0 +1,76 @@
+"""Which spring governs the stiffness along each axis, over two coordinates of a robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from pm3dof_pin.figures.labels import axis_label, drawn, in_words
+from pm3dof_pin.figures.style import house_style, new_figure, spring_colors
+from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_COLUMNS = 3
+_FAINT, _FULL = 0.25, 1.0  # opacity of a spring that leads with nothing, and of one that does all
+
+
+def critical_springs(section: xr.Dataset) -> Figure:
+    """Draw, axis by axis, the spring that gives most, the more intense the greater its share.
+
+    Args:
+        section: :attr:`~pm3dof_pin.maps.workspace_evaluation.WorkspaceEvaluation.dataset` over two coordinates.
+    """
+    critical, shares = section[CRITICAL], section[SHARES]
+    first, second = (str(dim) for dim in critical.dims[:2])
+    names = [str(name) for name in section["spring"].values]
+    axes_names = [str(axis) for axis in section["axis"].values]
+    seen = [axis for axis in axes_names if (critical.sel(axis=axis) > 0).any()]
+    units = {name: section[name].attrs["units"] for name in (first, second)}
+    extent = [drawn(section[name].values[[0, -1]], units[name]) for name in (first, second)]
+    rows = -(-len(seen) // _COLUMNS)
+    leading = sorted({int(number) for number in np.unique(critical.values) if number > 0})
+    colors = dict(zip(leading, spring_colors(len(leading)), strict=True))
+    with house_style():
+        figure = new_figure(8.0, 2.45 * rows + 1.1)
+        panels = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+        for panel, axis in zip(panels.flat, seen, strict=False):
+            numbers = critical.sel(axis=axis).values
+            leads = np.nanmax(np.nan_to_num(shares.sel(axis=axis).values), axis=-1)
+            panel.imshow(
+                numbers.T,
+                origin="lower",
+                extent=(*extent[0], *extent[1]),
+                aspect="equal" if units[first] == units[second] else "auto",
+                cmap=ListedColormap([colors.get(number, "white") for number in range(len(names) + 1)]),
+                norm=BoundaryNorm(np.arange(len(names) + 2) - 0.5, len(names) + 1),
+                alpha=np.where(numbers > 0, _FAINT + (_FULL - _FAINT) * leads, 0.0).T,
+                interpolation="nearest",
+            )
+            panel.set_title(f"along {axis}" if axis in "xyz" else f"about {axis[1]}")
+        for panel in panels.flat[len(seen) :]:
+            panel.set_visible(False)
+        for panel in panels[-1]:
+            panel.set_xlabel(axis_label(first, units[first]))
+        for panel in panels[:, 0]:
+            panel.set_ylabel(axis_label(second, units[second]))
+        handles = [Patch(color=colors[number], label=names[number - 1]) for number in leading]
+        figure.legend(handles=handles, loc="lower center", ncols=min(6, len(handles)))
+        stands = [
+            in_words(str(c), float(section[c]), section[c].attrs["units"])
+            for c in section.coords
+            if section[c].ndim == 0 and "units" in section[c].attrs
+        ]
+        where = f" at {', '.join(stands)}" if stands else ""
+        machine = section.attrs["machine"]
+        figure.suptitle(f"Spring that gives most, the fuller the colour the greater its share: {machine}{where}")
+        height = 2.45 * rows + 1.1
+        figure.subplots_adjust(
+            left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08
+        )
+    return figure

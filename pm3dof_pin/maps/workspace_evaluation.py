@@ -1,0 +1,288 @@
+"""Quantities judged over the whole reachable set: mean, spread, extremes, global indices, and which spring governs.
+
+A pose of the grid stands for its cell, cut at the edges of the grid (the trapezoidal rule), so that averages are over
+the volume of the reachable set in the robot's coordinates, each in its own unit, and do not depend on the density of
+the grid. Two global indices of the stiffness are in use:
+
+- the mean of its diagonal, averaged over the workspace: D. Zhang, Parallel Robotic Machine Tools (Springer 2010). It
+  adds N/m and N m/rad, and so depends on the unit of length;
+- the mean of 1 / condition number: C. Gosselin and J. Angeles, J. Mechanical Design 113 (1991), who have it for
+  Jacobians; here of the stiffness at its characteristic length, 1 if the tool is equally stiff in all its motions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pm3dof_pin.elastic.quantities import STIFFNESS
+from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.maps.grid_map import quantity_map
+from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
+from pm3dof_pin.maps.quantities import Evaluation, MappedRobot
+from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.typing import Array, Engine, Mask
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+SHARES = "spring_shares"
+CRITICAL = "critical_spring"
+STIFFER = 0.1
+"""By how much a spring is stiffened to see what it brings."""
+
+_TIE = 1e-6  # shares that differ by less than this are equal: springs that are each other's mirror image
+
+_ELASTIC = ("felt_stiffness", "translational_stiffness", "rotational_stiffness", "condition_number")
+_OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """One number over the reachable set.
+
+    Attributes:
+        name: of the quantity.
+        entry: label of the entry, "" for a scalar.
+        unit: its unit.
+        mean: average over the volume.
+        deviation: standard deviation over the volume.
+        least: least value.
+        greatest: greatest value.
+        least_at: coordinates of the pose with the least value [m, rad].
+        greatest_at: coordinates of the pose with the greatest value [m, rad].
+        defined: part of the reachable volume in which it has a finite value.
+    """
+
+    name: str
+    entry: str
+    unit: str
+    mean: float
+    deviation: float
+    least: float
+    greatest: float
+    least_at: dict[str, float]
+    greatest_at: dict[str, float]
+    defined: float
+
+    @property
+    def label(self) -> str:
+        """Name and entry in one word."""
+        return f"{self.name}_{self.entry}" if self.entry else self.name
+
+
+@dataclass(frozen=True)
+class SpringRank:
+    """What one spring means for one axis of the tool, over the reachable set.
+
+    Attributes:
+        spring: its name.
+        axis: x, y, z, rx, ry or rz: the tool pushed or turned along it, free in all else.
+        governs: part of the volume in which it gives most; equal ones have equal parts of it.
+        share: its part in the deflection, average over the volume.
+        least_share: the least such part.
+        greatest_share: the greatest such part.
+        gain: by which part the felt stiffness grows at least if the spring is made stiffer by :data:`STIFFER`, average
+            over the volume; exactly so where the load path is unique.
+        gain_bound: and at most.
+    """
+
+    spring: str
+    axis: str
+    governs: float
+    share: float
+    least_share: float
+    greatest_share: float
+    gain: float
+    gain_bound: float
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceEvaluation:
+    """A robot judged over its reachable set.
+
+    Attributes:
+        dataset: the quantities over the grid, NaN where a limit excludes the pose; with the shares of the springs,
+            `critical_spring`, which says for each axis which spring gives most.
+        reachable: part of the volume of the grid that is reachable.
+        distributions: of every number.
+        indices: the global indices; empty if the elastic stiffness was not asked for.
+        springs: rank of every spring for every axis, most important first; empty without the shares of the springs.
+    """
+
+    dataset: xr.Dataset
+    reachable: float
+    distributions: tuple[Distribution, ...]
+    indices: dict[str, float]
+    springs: tuple[SpringRank, ...]
+
+
+def evaluate_workspace(
+    mapped: MappedRobot,
+    grid: Grid,
+    quantities: Sequence[str] | None = None,
+    *,
+    springs: bool = True,
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> WorkspaceEvaluation:
+    """Judge quantities of a robot over the reachable part of a grid.
+
+    Args:
+        mapped: the robot.
+        grid: the poses, over all coordinates of the workspace that is meant.
+        quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`; by default the elastic stiffness.
+        springs: whether the springs are ranked and the indices of the elastic stiffness computed.
+        engine: what computes.
+        threads: the number of processors by default.
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within the limits.
+        InvalidValueError: an unknown quantity, or one that the robot does not have.
+        DescriptionError: a quantity needs springs, and the robot has none.
+    """
+    wanted = tuple(stiffness_quantities(mapped) if quantities is None else quantities)
+    matrix = ("free_stiffness" if has_rigid_directions(mapped) else "stiffness",) if springs else ()
+    every = tuple(dict.fromkeys((*wanted, *matrix, *((SHARES,) if springs else ()))))
+    dataset = quantity_map(mapped, grid, every, engine=engine, threads=threads)
+    weights = cell_volumes(grid)
+    inside = dataset[BROKEN_LIMITS].values == 0
+    if not inside.any():
+        raise UnreachablePoseError(
+            f"{mapped.robot.name}: no pose of the grid over {', '.join(grid.dims)} is within all limits"
+        )
+    indices: dict[str, float] = {}
+    for name in matrix:
+        variable = dataset[name]
+        units = [unit_of_entry(variable.attrs["units"], str(entry)) for entry in variable[variable.dims[-1]].values]
+        turns = np.array([unit == "N m/rad" for unit in units]) if name == "free_stiffness" else np.arange(6) >= 3
+        indices = _global_indices(variable.values[inside], turns, weights[inside])
+    ranks: tuple[SpringRank, ...] = ()
+    if springs:
+        dataset = _with_critical_springs(dataset)
+        ranks = tuple(_ranks(dataset, inside, weights))
+    found = tuple(entry for name in wanted for entry in _distributions(dataset, name, grid, inside, weights))
+    kept = dataset.drop_vars([name for name in matrix if name not in wanted])
+    return WorkspaceEvaluation(kept, float(weights[inside].sum() / weights.sum()), found, indices, ranks)
+
+
+def stiffness_quantities(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return what tells the stiffness of a robot: of its 6 x 6 matrix, or of its free motions where there is none."""
+    return _OF_FREE_MOTIONS if has_rigid_directions(mapped) else _ELASTIC
+
+
+def has_rigid_directions(mapped: MappedRobot) -> bool:
+    """Tell whether the tool is rigid in some direction at home, so that only its free motions have a stiffness."""
+    home = Evaluation(mapped, mapped.robot.at(mapped.robot.home.q[None]), engine="pinocchio")
+    return not np.isfinite(home.elastic(STIFFNESS)).all() and mapped.free_motions is not None
+
+
+def cell_volumes(grid: Grid) -> Array:
+    """Return the volume that each pose of a grid stands for, by the trapezoidal rule, shape=grid.shape [m, rad]."""
+    volumes = np.ones(grid.shape)
+    for axis, values in enumerate(grid.axes.values()):
+        lengths = np.ones(1)
+        if len(values) > 1:
+            steps = np.abs(np.diff(values))
+            lengths = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+        volumes *= lengths.reshape(-1, *[1] * (len(grid.shape) - axis - 1))
+    return volumes
+
+
+def _distributions(dataset: xr.Dataset, name: str, grid: Grid, inside: Mask, weights: Array) -> Iterator[Distribution]:
+    variable = dataset[name]
+    own = tuple(map(str, variable.dims[len(grid.shape) :]))
+    for entry in [str(label) for label in variable[own[0]].values] if own else [""]:
+        if len(own) == 2 and own[1] != f"{own[0]}_2":
+            rows = [(f"{entry}_{other}", {own[0]: entry, own[1]: other}) for other in variable[own[1]].values]
+        else:  # of matrices the diagonal
+            rows = [(entry, dict.fromkeys(own, entry))]
+        for label, where in rows:
+            values = variable.sel(where).values
+            known = inside & np.isfinite(values)
+            if known.any():
+                unit = unit_of_entry(variable.attrs["units"], entry)
+                yield _distribution(name, label, unit, np.where(known, values, np.nan), grid, inside, weights)
+
+
+def _distribution(
+    name: str, entry: str, unit: str, values: Array, grid: Grid, inside: Mask, weights: Array
+) -> Distribution:
+    known = np.isfinite(values)
+    volume = weights[known]
+    mean = float(np.average(values[known], weights=volume))
+    deviation = math.sqrt(float(np.average((values[known] - mean) ** 2, weights=volume)))
+    names = [coordinate.name for coordinate in grid.coordinates]
+    ends = [np.unravel_index(int(choose(values)), values.shape) for choose in (np.nanargmin, np.nanargmax)]
+    places = [dict(zip(names, map(float, grid.values[end]), strict=True)) for end in ends]
+    least, greatest = (float(values[end]) for end in ends)
+    defined = float(volume.sum() / weights[inside].sum())
+    return Distribution(name, entry, unit, mean, deviation, least, greatest, places[0], places[1], defined)
+
+
+def _global_indices(stiffness: Array, turns: Mask, weights: Array) -> dict[str, float]:
+    """Return both indices of stiffness matrices, shape=(n, p, p), of which some motions are turns, shape=(p,)."""
+    known = np.isfinite(stiffness).all(axis=(1, 2))
+    matrices, volume = stiffness[known], weights[known]
+    if not len(matrices):
+        return {}
+    diagonal = np.diagonal(matrices, axis1=1, axis2=2)
+    scale = np.ones_like(diagonal)
+    if turns.any() and not turns.all():
+        sums = np.stack([diagonal[:, turns].sum(axis=1), diagonal[:, ~turns].sum(axis=1)])
+        scale[:, turns] = np.sqrt(sums[1] / sums[0])[:, None]
+    values = np.linalg.eigvalsh(matrices * scale[:, :, None] * scale[:, None, :])
+    return {
+        "mean_diagonal": float(np.average(diagonal.mean(axis=1), weights=volume)),
+        "conditioning": float(np.average(values[:, 0] / values[:, -1], weights=volume)),
+        "least_conditioning": float((values[:, 0] / values[:, -1]).min()),
+    }
+
+
+def _with_critical_springs(dataset: xr.Dataset) -> xr.Dataset:
+    shares = dataset[SHARES]
+    names = [str(name) for name in dataset["spring"].values]
+    critical = np.where(np.isfinite(shares.values).all(axis=-1), np.argmax(_leading(shares.values), axis=-1), -1)
+    attributes = {
+        "long_name": "spring that gives most along the axis",
+        "units": "1",
+        "spring_numbers": " ".join(f"{number}:{name}" for number, name in enumerate(names, start=1)),
+        "comment": "0 where no limit admits the pose, or nothing gives along the axis",
+    }
+    return dataset.assign({CRITICAL: (shares.dims[:-1], (critical + 1).astype(np.int16), attributes)})
+
+
+def _leading(shares: Array) -> Mask:
+    """Tell which springs have the greatest share, several where they are equal, shape=(..., springs)."""
+    leading: Mask = shares >= shares.max(axis=-1, keepdims=True) - _TIE
+    return leading
+
+
+def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[SpringRank]:
+    shares, critical = dataset[SHARES].values[inside], dataset[CRITICAL].values[inside]
+    names = [str(name) for name in dataset["spring"].values]
+    for number, axis in enumerate(map(str, dataset["axis"].values)):
+        known = critical[:, number] > 0
+        if not known.any():
+            continue
+        parts, volume = shares[known, number], weights[inside][known]
+        means = np.average(parts, axis=0, weights=volume)
+        leading = _leading(parts)
+        governs = np.average(leading / leading.sum(axis=1, keepdims=True), axis=0, weights=volume)
+        gains = np.average(1.0 / (1.0 - parts * STIFFER / (1.0 + STIFFER)) - 1.0, axis=0, weights=volume)
+        for spring in np.argsort(-means, kind="stable"):
+            yield SpringRank(
+                names[spring],
+                axis,
+                float(governs[spring]),
+                float(means[spring]),
+                float(parts[:, spring].min()),
+                float(parts[:, spring].max()),
+                float(gains[spring]),
+                float(STIFFER * means[spring]),
+            )
