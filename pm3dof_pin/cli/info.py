@@ -67,6 +67,7 @@ def _tree(robot: Robot) -> dict[str, Any]:
         "actuated_joints": robot.actuated_joints,
         "moving_mass_kg": float(sum(inertia.mass for _, _, inertia in joints)),
         "links_without_mass": [frame.name for frame in model.frames if _is_carried(model, frame, massless)],
+        "impossible_inertias": dict(robot.impossible_inertias),
     }
 
 
@@ -172,6 +173,10 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
             f"links without mass: {', '.join(result['links_without_mass'])}: kinematics do not need any; "
             "simulators refuse such links if they move"
         )
+    said += [
+        f"link {name}, with what is fixed to it: {problem}: modes and inverse dynamics are refused"
+        for name, problem in result["impossible_inertias"].items()
+    ]
     return said
 
 

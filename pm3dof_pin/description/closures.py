@@ -11,11 +11,13 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent, Unit
-from pm3dof_pin.description.schema import Name, Schema, checked
+from pm3dof_pin.description.schema import Length, Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
 ClosureType = Literal["3d", "6d"]
+
+_LEAST_SCALE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class _Command(Schema):
     name: Name
     joint: Name
     unit: Unit
-    offset: float = 0.0
+    offset: Length = 0.0
     scale: float = 1.0
 
 
@@ -85,9 +87,9 @@ class _Coordinate(Schema):
     unit: Unit
     joint: Name | None = None
     tool: ToolComponent | None = None
-    offset: float = 0.0
+    offset: Length = 0.0
     scale: float = 1.0
-    range: tuple[float, float] | None = None
+    range: tuple[Length, Length] | None = None
 
 
 class _File(Schema):
@@ -149,8 +151,7 @@ def _closures(path: Path, file: _File) -> tuple[LoopClosure, ...]:
 
 def _commands(path: Path, file: _File) -> tuple[Command, ...]:
     for k, entry in enumerate(file.commands or ()):
-        if not entry.scale:
-            raise DescriptionError(path, f"commands[{k}].scale", "expected a number other than zero")
+        _require_scale(path, f"commands[{k}].scale", entry.scale)
     commands = tuple(Command(c.name, c.joint, c.unit, c.offset, c.scale) for c in file.commands or ())
     if commands and file.name_mot and [command.joint for command in commands] != file.name_mot:
         raise DescriptionError(
@@ -166,13 +167,18 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
         raise DescriptionError(path, place, "expected either 'joint' or 'tool'")
     if entry.tool and ((entry.tool in ("x", "y", "z")) != (entry.unit == "m") or entry.offset or entry.scale != 1.0):
         raise DescriptionError(path, place, f"expected 'tool: {entry.tool}' with its unit, no offset and no scale")
-    if not entry.scale:
-        raise DescriptionError(path, f"{place}.scale", "expected a number other than zero")
+    _require_scale(path, f"{place}.scale", entry.scale)
     if lower is not None and upper is not None and not lower < upper:
         raise DescriptionError(path, f"{place}.range", f"expected [least, greatest], not [{lower}, {upper}]")
     return Coordinate(
         entry.name, entry.unit, entry.joint, entry.tool, entry.offset, entry.scale, lower=lower, upper=upper
     )
+
+
+def _require_scale(path: Path, place: str, scale: float) -> None:
+    if not _LEAST_SCALE <= abs(scale) <= 1.0 / _LEAST_SCALE:
+        expected = f"expected a magnitude from {_LEAST_SCALE:g} to {1.0 / _LEAST_SCALE:g}, not {scale:g}"
+        raise DescriptionError(path, place, expected)
 
 
 def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: Sequence[LoopClosure]) -> LimitGroup:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pm3dof_pin.description.schema import Name, Positive, Schema, checked
+from pm3dof_pin.description.schema import AngleTolerance, LengthTolerance, Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -58,8 +58,8 @@ class _Line(Schema):
 
 
 class _Class(Schema):
-    length_tolerance_m: Positive
-    angle_tolerance_rad: Positive
+    length_tolerance_m: LengthTolerance
+    angle_tolerance_rad: AngleTolerance
     errors: list[_Line]
 
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pm3dof_pin.description.robots import read_xml
+from pm3dof_pin.description.mjcf_checks import check_mjcf
+from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 
 WORLD = "world"
@@ -23,6 +24,7 @@ TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector",
 
 _POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 _NOT_READ = ("replicate", "attach", "composite", "flexcomp")
+_MOST_INCLUDES = 20  # within each other
 _logger = logging.getLogger(__name__)
 
 
@@ -100,6 +102,7 @@ def read_mjcf(path: Path) -> Mjcf:
     """
     root = read_xml(path)
     _include(root, path)
+    check_mjcf(root, path)
     for tag in _NOT_READ:
         if root.find(f"worldbody//{tag}") is not None:
             raise DescriptionError(path, f"<{tag}>", "is not read: expected bodies written out")
@@ -121,13 +124,15 @@ def _drop_terrain(root: ElementTree.Element) -> None:
                 parent.remove(child)
 
 
-def _include(root: ElementTree.Element, path: Path) -> None:
+def _include(root: ElementTree.Element, path: Path, within: tuple[Path, ...] = ()) -> None:
     for parent in list(root.iter()):
         for index, child in reversed(list(enumerate(parent))):
             if child.tag == "include":
-                included = path.parent / child.get("file", "")
+                included = (path.parent / child.get("file", "")).resolve()
+                if included in within or len(within) > _MOST_INCLUDES:
+                    raise DescriptionError(path, f"<include file='{child.get('file')}'>", "includes itself")
                 content = read_xml(included)
-                _include(content, path)
+                _include(content, path, (*within, included))
                 parent[index : index + 1] = list(content)
 
 

@@ -11,6 +11,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from pm3dof_pin.description.inertia_checks import inertia_problem
+from pm3dof_pin.description.physical_bounds import ANGLE, ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, STIFFNESS
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.description.schema import Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
@@ -25,6 +27,20 @@ _TO_SI: dict[str, Callable[[float], float]] = {
     # in decimal digits, so that 240.272 mm is the double nearest to 0.240272 m and not its neighbour
     "mm": lambda number: float(Decimal(repr(number)).scaleb(-3)),
     "deg": math.radians,
+}
+
+
+_BOUNDS = {
+    "m": LENGTH,
+    "mm": LENGTH,
+    "rad": ANGLE,
+    "deg": ANGLE,
+    "kg": MASS,
+    "kg m^2": MOMENT,
+    "N/m": STIFFNESS,
+    "N m^2": STIFFNESS,
+    "Pa": STIFFNESS,
+    "kg/m^3": NOT_NEGATIVE,
 }
 
 
@@ -137,6 +153,8 @@ class TripodParameters:
         sections = read_mapping(path)
         reader = _Reader(path, _quantities(path, sections))
         alpha = reader.vector("geometry.base_joint_angles")
+        platform_mass, link_mass = (reader.positive(f"inertia.{body}_mass") for body in ("platform", "link"))
+        tilt_range, height_range = (reader.interval(f"printed_working_range.{key}") for key in ("tilt", "height"))
         return cls(
             name=_name(path, sections),
             base_joint_angles=alpha,
@@ -158,15 +176,15 @@ class TripodParameters:
             link_stiffness=reader.positive("stiffness.link"),
             bending_stiffness=reader.positive("stiffness.passive_leg_bending"),
             torsional_stiffness=reader.positive("stiffness.passive_leg_torsion"),
-            platform_mass=reader.positive("inertia.platform_mass"),
-            link_mass=reader.positive("inertia.link_mass"),
+            platform_mass=platform_mass,
+            link_mass=link_mass,
             slider_mass=reader.positive("inertia.slider_mass"),
             passive_leg_mass=reader.positive("inertia.passive_leg_mass"),
             cross_mass=reader.positive("inertia.cross_mass"),
-            platform_moments=reader.vector("inertia.platform_moments", 3),
-            link_moments=reader.vector("inertia.link_moments", 3),
-            tilt_range=reader.vector("printed_working_range.tilt", 2),
-            height_range=reader.vector("printed_working_range.height", 2),
+            platform_moments=reader.moments("inertia.platform_moments", platform_mass),
+            link_moments=reader.moments("inertia.link_moments", link_mass),
+            tilt_range=tilt_range,
+            height_range=height_range,
             quantities=reader.quantities,
         )
 
@@ -201,16 +219,21 @@ def _name(path: Path, sections: Mapping[str, Any]) -> str:
 def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Parameter]:
     """Every quantity of a parameter file, keyed "section.name"."""
     return {
-        f"{section}.{name}": _quantity(checked(entry, _Entry, path, f"{section}.{name}"))
+        f"{section}.{name}": _quantity(path, f"{section}.{name}", checked(entry, _Entry, path, f"{section}.{name}"))
         for section, entries in sections.items()
         if isinstance(entries, dict)
         for name, entry in entries.items()
     }
 
 
-def _quantity(entry: _Entry) -> Parameter:
+def _quantity(path: Path, key: str, entry: _Entry) -> Parameter:
     value = tuple(entry.value) if isinstance(entry.value, list) else entry.value
-    return Parameter(value, entry.unit, entry.symbol, entry.status, entry.source)
+    quantity = Parameter(value, entry.unit, entry.symbol, entry.status, entry.source)
+    bounds = _BOUNDS.get(entry.unit, ANY)
+    for number in np.atleast_1d(quantity.si):
+        if problem := bounds.problem(float(number)):
+            raise DescriptionError(path, f"{key}.value", problem)
+    return quantity
 
 
 class _Reader:
@@ -238,6 +261,19 @@ class _Reader:
             raise DescriptionError(self.path, f"{key}.value", f"expected a list of {length or 'several'} numbers")
         vector = np.array(value)
         vector.setflags(write=False)
+        return vector
+
+    def moments(self, key: str, mass: float) -> Vector:
+        vector = self.vector(key, 3)
+        if (vector < 0.0).any() or (problem := inertia_problem(mass, np.diag(vector))):
+            problem = "expected no negative moment" if (vector < 0.0).any() else problem
+            raise DescriptionError(self.path, f"{key}.value", problem)
+        return vector
+
+    def interval(self, key: str) -> Vector:
+        vector = self.vector(key, 2)
+        if not vector[0] < vector[1]:
+            raise DescriptionError(self.path, f"{key}.value", f"expected [least, greatest], not {vector.tolist()}")
         return vector
 
     def _si(self, key: str) -> float | tuple[float, ...]:

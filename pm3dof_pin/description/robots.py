@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree
 
+from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
 DESCRIPTION_SUFFIX = "_description"
@@ -194,21 +194,6 @@ def _is_mjcf(tree: Path) -> bool:
         return read_xml(tree).tag == "mujoco"
     except DescriptionError:
         return False
-
-
-def read_xml(path: Path) -> ElementTree.Element:
-    """Read the root element of an XML file.
-
-    Raises:
-        DescriptionError: the file is unreadable or no XML, with the line.
-    """
-    try:
-        return ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise DescriptionError(path, "file", f"expected a readable file ({error.strerror})") from error
-    except ElementTree.ParseError as error:
-        line, column = error.position
-        raise DescriptionError(path, f"line {line}, column {column}", f"expected XML ({error})") from error
 
 
 @cache

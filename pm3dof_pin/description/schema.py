@@ -15,12 +15,18 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
+from pm3dof_pin.description.physical_bounds import LENGTH, STIFFNESS
 from pm3dof_pin.exceptions import DescriptionError
 
 T = TypeVar("T")
 
 Name = Annotated[str, msgspec.Meta(min_length=1)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Stiffness = Annotated[float, msgspec.Meta(ge=STIFFNESS.least, le=STIFFNESS.greatest)]
+Length = Annotated[float, msgspec.Meta(ge=-LENGTH.greatest, le=LENGTH.greatest)]
+PositiveLength = Annotated[float, msgspec.Meta(gt=0.0, le=LENGTH.greatest)]
+LengthTolerance = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+AngleTolerance = Annotated[float, msgspec.Meta(gt=0.0, le=0.5)]
 
 _PLACE = re.compile(r" - at `(key` in `)?\$\.?(.*)`$")
 _UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from pm3dof_pin.description.xml_file import read_bytes
 from pm3dof_pin.exceptions import DescriptionError
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, where it is built in
+_MOST_DEPTH = 50
+_MOST_ENTRIES = 1_000_000
 
 
 def read_mapping(path: Path | str) -> dict[str, Any]:
@@ -19,17 +23,48 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
         path: file to read; only plain data is accepted, no Python objects.
 
     Raises:
-        DescriptionError: the file is missing, is no YAML, or is no mapping.
+        DescriptionError: the file is missing, too large or nested too deeply, is no YAML, or is no mapping.
     """
     path = Path(path)
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_bytes(path).decode("utf-8")
+        _check_nesting(path, text)
+        data = yaml.load(text, Loader=_LOADER)
+    except UnicodeDecodeError as error:
         raise DescriptionError(path, "file", f"expected a readable text file ({error})") from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f"line {mark.line + 1}" if mark else "file"
         raise DescriptionError(path, line, f"expected YAML ({getattr(error, 'problem', error)})") from error
+    except (ValueError, OverflowError) as error:  # a date that is none, a number of a million digits
+        raise DescriptionError(path, "file", f"expected YAML ({error})") from error
     if not isinstance(data, dict):
         raise DescriptionError(path, "file", "expected a mapping of keys to values at the top level")
+    if _size(data, {}) > _MOST_ENTRIES:
+        raise DescriptionError(path, "file", f"expected at most {_MOST_ENTRIES} entries, those of aliases included")
     return data
+
+
+def _check_nesting(path: Path, text: str) -> None:
+    """Refuse lists and mappings that are deep within each other, which the loader would follow by recursion."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > _MOST_DEPTH:
+                place = f"line {event.start_mark.line + 1}" if event.start_mark else "file"
+                raise DescriptionError(path, place, f"expected lists and mappings at most {_MOST_DEPTH} deep")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+
+
+def _size(data: Any, known: dict[int, float]) -> float:
+    """Count the entries as if every alias were written out; something that contains itself has infinitely many."""
+    if not isinstance(data, (dict, list)):
+        return 1.0
+    if id(data) not in known:
+        known[id(data)] = math.inf
+        known[id(data)] = 1.0 + sum(
+            _size(entry, known) for entry in (data.values() if isinstance(data, dict) else data)
+        )
+    return known[id(data)]

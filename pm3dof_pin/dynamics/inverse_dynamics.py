@@ -94,9 +94,10 @@ def inverse_dynamics(
             finite or has the wrong shape.
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
         JointNotFoundError: the model has no such joint.
-        DescriptionError: the mechanism has no tool frame.
+        DescriptionError: the mechanism has no tool frame, or a body has moments of inertia that no body has.
     """
     mechanism = configuration.mechanism
+    mechanism.require_possible_inertias()
     motion = loop_motion(configuration, rates, accelerations, joints=joints, tolerance=tolerance)
     model = model_with_payloads(mechanism, payloads)
     external = generalised_forces(configuration, wrenches)

@@ -23,7 +23,9 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
     Raises:
         FrameNotFoundError: a payload names a frame that the model does not have.
         InvalidValueError: a payload's mass is negative or no finite number.
+        DescriptionError: a body has moments of inertia that no body has.
     """
+    configuration.mechanism.require_possible_inertias()
     model = model_with_payloads(configuration.mechanism, payloads)
     upper = np.triu(pin.crba(model, model.createData(), np.array(configuration.q)).reshape(model.nv, model.nv))
     return frozen(upper + np.triu(upper, 1).T)
@@ -47,6 +49,7 @@ def manifold_mass_matrix(
     Raises:
         FrameNotFoundError: a payload names a frame that the model does not have.
         InvalidValueError: a payload or `motions` is not finite or has the wrong shape, or the loops are not closed.
+        DescriptionError: a body has moments of inertia that no body has.
     """
     z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
     product = z.T @ mass_matrix(configuration, payloads=payloads) @ z

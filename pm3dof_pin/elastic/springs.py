@@ -26,7 +26,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.description.schema import Name, Positive, Schema, checked
+from pm3dof_pin.description.physical_bounds import STIFFNESS
+from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, Stiffness, checked
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Matrix
 
@@ -178,7 +179,7 @@ class _Entry(Schema):
 
 class _Joint(_Entry):
     joint: Name
-    stiffness: Positive
+    stiffness: Stiffness
     unit: JointSpringUnit
 
     def spring(self) -> Spring:
@@ -188,7 +189,7 @@ class _Joint(_Entry):
 class _Axial(_Entry):
     at: Name
     axis: tuple[float, float, float]
-    stiffness: Positive
+    stiffness: Stiffness
     unit: Literal["N/m"]
 
     def spring(self) -> Spring:
@@ -197,17 +198,17 @@ class _Axial(_Entry):
 
 class _Length(Schema):
     joint: Name
-    at_zero: float
+    at_zero: Length
 
 
 class _Cantilever(_Entry):
     at: Name
     axis: tuple[float, float, float]
-    bending_stiffness: Positive
-    torsional_stiffness: Positive
-    length: Positive | _Length
+    bending_stiffness: Stiffness
+    torsional_stiffness: Stiffness
+    length: PositiveLength | _Length
     unit: Literal["N m^2"]
-    axial_stiffness: Positive | None = None
+    axial_stiffness: Stiffness | None = None
 
     def spring(self) -> Spring:
         length = (
@@ -278,8 +279,8 @@ def _square(rows: list[list[float]]) -> Matrix:
 
 
 def _require_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0.0):
-        raise InvalidValueError(name, value, "a positive, finite number")
+    if not STIFFNESS.least <= value <= STIFFNESS.greatest:
+        raise InvalidValueError(name, value, f"a number from {STIFFNESS.least:g} to {STIFFNESS.greatest:g}")
 
 
 def _unit_vector(axis: ArrayLike) -> tuple[float, float, float]:
@@ -298,8 +299,10 @@ def _positive_definite(name: str, matrix: ArrayLike, sizes: tuple[int, ...]) -> 
         expected = " or ".join(f"{size} x {size}" for size in sizes)
         raise InvalidValueError(name, f"of shape {array.shape}", expected)
     diagonal = array.diagonal()
-    if not np.isfinite(array).all() or not (diagonal > 0.0).all():
-        raise InvalidValueError(name, array.tolist(), "finite numbers and a positive diagonal")
+    in_reach = (diagonal >= STIFFNESS.least).all() and (np.abs(array) <= STIFFNESS.greatest).all()
+    if not np.isfinite(array).all() or not in_reach:
+        expected = f"finite numbers and a diagonal from {STIFFNESS.least:g} to {STIFFNESS.greatest:g}"
+        raise InvalidValueError(name, array.tolist(), expected)
     scale = np.sqrt(diagonal)
     scaled = array / np.outer(scale, scale)
     if np.abs(scaled - scaled.T).max() > _SYMMETRY:

@@ -24,7 +24,8 @@ import pinocchio as pin
 import yaml
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles, read_xml
+from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
+from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.visuals import read_visuals

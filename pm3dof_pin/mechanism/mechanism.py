@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, Unit
+from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
@@ -226,6 +228,27 @@ class Mechanism:
         """
         return self if self._prototype is None else self._prototype
 
+    @cached_property
+    def impossible_inertias(self) -> Mapping[str, str]:
+        """What is wrong with the moments of inertia of moving bodies, links fixed to each other being one, by link."""
+        bodies = {joint: name for name, joint in self._bodies()}
+        problems = {
+            bodies.get(joint, self.model.names[joint]): inertia_problem(inertia.mass, np.array(inertia.inertia))
+            for joint, inertia in enumerate(self.model.inertias)
+            if joint > 0
+        }
+        return MappingProxyType({name: problem for name, problem in problems.items() if problem})
+
+    def require_possible_inertias(self) -> None:
+        """Raise if a moving body has moments of inertia that no body has: equations of motion would be none.
+
+        Raises:
+            DescriptionError: one has, see :attr:`impossible_inertias`.
+        """
+        for name, problem in self.impossible_inertias.items():
+            path = self._source if self.files is None else self.files.path
+            raise DescriptionError(path, f"link '{name}', with what is fixed to it: inertia", problem)
+
     @property
     def tool_frame_id(self) -> int:
         """Pinocchio's index of the tool frame.
@@ -318,6 +341,12 @@ class Mechanism:
                 q[joint.idx_q : joint.idx_q + joint.nq] = numbers
             free[joint.idx_v : joint.idx_v + joint.nv] = False
         return self.checked_positions(q), np.flatnonzero(free)
+
+    def _bodies(self) -> list[tuple[str, int]]:
+        """List links and the joints that carry them, the link that a joint moves itself last."""
+        bodies = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+        bodies.sort(key=lambda frame: self.model.frames[frame.parentFrame].type == pin.FrameType.JOINT)
+        return [(str(frame.name), int(frame.parentJoint)) for frame in bodies]
 
     def _constraint(
         self, index: int, loop: LoopClosure

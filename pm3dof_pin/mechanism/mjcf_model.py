@@ -13,7 +13,7 @@ from pm3dof_pin.description.closures import ClosuresFile, LoopClosure
 from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.description.mjcf import EqualityConstraint, Mjcf, read_mjcf
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
-from pm3dof_pin.mechanism.model_files import UNLIMITED, captured_output, first_error, log_output
+from pm3dof_pin.mechanism.model_files import UNLIMITED
 
 _INITIAL = "qpos0"
 _HOME = "home"
@@ -72,16 +72,14 @@ def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, Closures
 
 
 def _tree(mjcf: Mjcf) -> pin.Model:
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(prefix="pm3dof_") as folder:
         copy = Path(folder) / "model.xml"
         copy.write_text(mjcf.text, encoding="utf-8")
         try:
-            with captured_output() as output:
-                model = pin.buildModelFromMJCF(str(copy))
+            model = pin.buildModelFromMJCF(str(copy))
         except (ValueError, RuntimeError) as error:
-            reason = first_error(output) or " ".join(str(error).split())
+            reason = " ".join(str(error).split())
             raise DescriptionError(mjcf.path, "MJCF", f"expected a model that Pinocchio reads ({reason})") from error
-    log_output(mjcf.path, output)
     if lost := [name for name in mjcf.joints if not model.existJointName(name)]:
         raise DescriptionError(
             mjcf.path, f"joint '{lost[0]}'", "is not read: expected a hinge, slide, ball or free joint"

@@ -10,7 +10,7 @@ import pinocchio as pin
 from pm3dof_pin.description.mjcf import read_mjcf
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.mechanism.model_files import captured_output
+from pm3dof_pin.mechanism.parser_messages import parser_messages
 
 
 def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
@@ -24,10 +24,11 @@ def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
         DescriptionError: a shape or mesh cannot be read.
     """
     try:
-        with captured_output(), tempfile.TemporaryDirectory() as folder:
-            if files.format == "urdf":
-                packages = [str(path) for path in files.package_paths]
+        if files.format == "urdf":
+            packages = [str(path) for path in files.package_paths]
+            with parser_messages():
                 return pin.buildGeomFromUrdf(model, str(files.path), pin.GeometryType.VISUAL, package_dirs=packages)
+        with tempfile.TemporaryDirectory(prefix="pm3dof_") as folder:
             copy = Path(folder) / "model.xml"
             copy.write_text(read_mjcf(files.path).text, encoding="utf-8")
             return pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL)

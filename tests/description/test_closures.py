@@ -133,7 +133,7 @@ def test_a_robot_without_loops_is_a_robot(tmp_path: Path) -> None:
         (COMMAND.format("unit: m, offset: true"), "commands[0].offset", "expected a number, not True"),
         (COMMAND.format("unit: m, offset: .nan"), "commands[0].offset", "expected a finite number, not nan"),
         (COMMAND.format("unit: m, offset: nan"), "commands[0].offset", "expected a finite number, not nan"),
-        (COMMAND.format("unit: m, scale: 0"), "commands[0].scale", "other than zero"),
+        (COMMAND.format("unit: m, scale: 0"), "commands[0].scale", "magnitude"),
         (COMMAND.format("unit: m, zero: 1"), "commands[0].zero", "unknown key, expected some of joint, name, offset"),
         (COMMAND.replace("[motor_a]", "[motor_b]").format("unit: m"), "commands", "in its order: motor_b"),
         (COORDINATE.format("unit: m"), "coordinates[0]", "either 'joint' or 'tool'"),

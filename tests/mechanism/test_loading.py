@@ -123,8 +123,8 @@ def test_unknown_robot() -> None:
         (ARM.replace("</joint>", "</joynt>"), "line 6", "mismatched tag"),
         (ARM.replace("robot", "machine"), "file", "<machine>, which is not read: expected URDF, xacro or MJCF"),
         ('<sdf version="1.9"><model name="arm"/></sdf>', "file", "this is SDF, which is not read"),
-        (ARM.replace('<link name="forearm"/>', ""), "URDF", "forearm"),
-        (ARM.replace('lower="-1"', 'lower="low"'), "URDF", "elbow.*low"),
+        (ARM.replace('<link name="forearm"/>', ""), "joint 'elbow': child", "forearm"),
+        (ARM.replace('lower="-1"', 'lower="low"'), "joint 'elbow': limit: lower", "'low'"),
     ],
 )
 def test_a_bad_urdf_is_one_error_and_silence(

@@ -253,7 +253,11 @@ def test_the_closures_file_beside_it_goes_first(tmp_path: Path) -> None:
     ("text", "error", "said"),
     [
         ("<mujoco><worldbody><replicate/></worldbody></mujoco>", DescriptionError, "<replicate>: is not read"),
-        (SEVERAL_BODIES.replace('stiffness="5"', 'stiffness="soft"'), DescriptionError, "expected numbers, not 'soft'"),
+        (
+            SEVERAL_BODIES.replace('stiffness="5"', 'stiffness="soft"'),
+            DescriptionError,
+            "stiffness: expected a number, not 'soft'",
+        ),
         (SEVERAL_BODIES.replace('body2="e"', 'body2="ghost"'), FrameNotFoundError, "<weld name='weld3'>.*'ghost'"),
         (SEVERAL_BODIES.replace('site2="post"', 'site2="ghost"'), DescriptionError, "expected sites that are there"),
         (

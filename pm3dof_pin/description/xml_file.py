@@ -1,0 +1,87 @@
+"""Reading an XML file into its elements, with bounds on what a file may ask of the reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+from pm3dof_pin.exceptions import DescriptionError
+
+MOST_BYTES = 64 * 2**20
+"""Size of a file up to which it is read."""
+
+MOST_DEPTH = 200
+"""Elements within each other that are read: what comes after, in C++ and here, goes into them by recursion."""
+
+
+def read_xml(path: Path | str) -> ElementTree.Element:
+    """Read the root element of an XML file; comments are left out.
+
+    Args:
+        path: the file. It may not declare entities, which can grow without end.
+
+    Raises:
+        DescriptionError: the file is unreadable, too large, nested too deeply, declares entities, or is no XML, with
+            the line.
+    """
+    try:
+        content = read_bytes(path)
+        reader = _Reader(path)
+        reader.parser.Parse(content, True)
+    except expat.ExpatError as error:
+        place = f"line {error.lineno}, column {error.offset}"
+        raise DescriptionError(path, place, f"expected XML ({expat.ErrorString(error.code)})") from error
+    except (ValueError, LookupError) as error:  # an encoding that is not there
+        raise DescriptionError(path, "file", f"expected XML in an encoding that is known ({error})") from error
+    return reader.builder.close()
+
+
+def read_bytes(path: Path | str) -> bytes:
+    """Read a file of moderate size.
+
+    Raises:
+        DescriptionError: it is unreadable or too large.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise DescriptionError(path, "file", f"expected a readable file ({error.strerror})") from error
+    if len(content) > MOST_BYTES:
+        raise DescriptionError(path, "file", f"expected no more than {MOST_BYTES >> 20} MiB")
+    return content
+
+
+class _Reader:
+    def __init__(self, path: Path | str) -> None:
+        self._path = path
+        self._depth = 0
+        self.builder = ElementTree.TreeBuilder()
+        self.parser = expat.ParserCreate(namespace_separator="}")
+        self.parser.buffer_text = True
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self.parser.CharacterDataHandler = self.builder.data
+        self.parser.EntityDeclHandler = self._refuse_entity
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._depth += 1
+        if self._depth > MOST_DEPTH:
+            raise DescriptionError(self._path, self._place(), f"expected elements at most {MOST_DEPTH} deep")
+        self.builder.start(_qualified(tag), {_qualified(name): value for name, value in attributes.items()})
+
+    def _end(self, tag: str) -> None:
+        self._depth -= 1
+        self.builder.end(_qualified(tag))
+
+    def _refuse_entity(self, name: str, *_: object) -> None:
+        raise DescriptionError(self._path, self._place(), f"declares the entity '{name}': expected none")
+
+    def _place(self) -> str:
+        return f"line {self.parser.CurrentLineNumber}"
+
+
+def _qualified(name: str) -> str:
+    """Write a name as ElementTree does: {namespace}name."""
+    return f"{{{name}" if "}" in name else name
