@@ -83,6 +83,8 @@ def _place_and_expected(message: str, data: Any, schema: Any) -> tuple[str, str]
         return _joined(place, missing[1]), "is missing"
     if problem.startswith("Invalid enum value"):
         return place, f"expected one of {', '.join(map(str, get_args(form)))}, not {reprlib.repr(value)}"
+    if str(value).lstrip("+-").lower() in ("nan", "inf", "infinity"):
+        return place, f"expected a finite number, not {value}"
     expected = re.sub(r", got .*", "", problem).removeprefix("Expected ")
     expected = re.sub(r"`([\w |]+)`", lambda kinds: _in_words(kinds[1]), expected)
     return place, f"expected {expected}, not {reprlib.repr(value)}"
