@@ -49,7 +49,7 @@ _DAMPING = 0.1  # of the first of them
 _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
 _GREATEST_SHARE = 20.0  # of a pose in the prediction of another; that of equally spaced ones is 6
-_CHECKED_AT_ONCE = 4096
+_AT_ONCE = 4096  # poses whose numbers stay near the processor
 _SINGULAR = 1e-5  # regularity below which a pose is left to damped steps
 _REGULAR = 1e-3  # regularity of a configuration away from singular ones
 
@@ -125,8 +125,9 @@ class Continuation:
     def _home_mode(self) -> float:
         return float(self._regularity_and_mode(self._home[None])[1][0])
 
-    def _regularity_and_mode(self, q: Matrix) -> tuple[Vector, Vector]:
-        outputs = self._step(self._inputs(q, self._given_numbers(self.read(q))))
+    def _regularity_and_mode(self, q: Matrix, values: Matrix | None = None) -> tuple[Vector, Vector]:
+        """Return both at q, where the coordinates have these values."""
+        outputs = self._step(self._inputs(q, self._given_numbers(self.read(q) if values is None else values)))
         return regularity_and_mode(outputs[:, self._nq])
 
     def read(self, q: Matrix) -> Matrix:
@@ -154,7 +155,9 @@ class Continuation:
         """
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
-        self._solve_each(q, targets, self._home)
+        for first in range(0, len(q), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            self._solve_each(q[part], targets[part], self._home)
         return self._check(q, targets)
 
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
@@ -207,12 +210,12 @@ class Continuation:
     def _walked(self, q: Matrix, targets: Matrix) -> tuple[Mask, Matrix]:
         """Walk without the careful solver; return which poses arrived, and where each ended."""
         origins = self.read(q)
+        _, modes = self._regularity_and_mode(q, origins)
         turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
         origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
         way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
         legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / _LEG), 1.0), 1.0)
         shortest, step = _SHORTEST_LEG / legs, 1.0 / legs
-        _, modes = self._regularity_and_mode(q)
         done, last_step = np.zeros(len(q)), np.zeros(len(q))
         before = q.copy()
         active = np.flatnonzero(np.isfinite(way) & np.isfinite(q).all(axis=1))
@@ -367,9 +370,9 @@ class Continuation:
         n, program = len(q), self._checks.compiled.program
         residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
         transforms = np.empty((n, 4, 4)) if placed and "transform" in program.outputs else None
-        room = np.empty((min(n, _CHECKED_AT_ONCE), len(program.results)))
-        for first in range(0, n, _CHECKED_AT_ONCE):  # the results of so many stay near the processor
-            part = slice(first, first + _CHECKED_AT_ONCE)
+        room = np.empty((min(n, _AT_ONCE), len(program.results)))
+        for first in range(0, n, _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
             outputs = program.split(self._checks(q[part], room[: len(q[part])]))
             broken[part] = outputs["broken"]
             if values is not None and self._tool:

@@ -8,14 +8,17 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Vector
 
 _ROUNDS = 40
 _TRIAL = 200
 _LEAST_RATE = 0.02
 _MOST_DRAWS = 4  # a round, times the poses wanted
+_NEAR = 0.2  # edge of the cells that draws are walked to from the middle of [rad, characteristic lengths]
+_DRAWS_A_NODE = 4
 
 
 def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *, margin: float = 0.0) -> Poses:
@@ -78,5 +81,31 @@ def _draw(robot: Robot, by_commands: bool, count: int, generator: np.random.Gene
     shares = generator.uniform(margin, 1.0 - margin, (count, len(coordinates)))
     values = lower + shares * (upper - lower)
     solve = robot.forward if by_commands else robot.solve
-    poses = solve(values, on_failure="nan")
+    lattice = _lattice(robot, coordinates, lower, upper, count)
+    if lattice is None:
+        poses = solve(values, on_failure="nan")
+    else:  # a walk from home to each point of a lattice, and from there a short one to each of the values
+        nodes = solve(lattice.values, on_failure="nan")
+        starts = np.where(nodes.solved[..., None], nodes.q, robot.home.q)
+        nearest = (
+            np.abs(axis - column[:, None]).argmin(axis=1)
+            for axis, column in zip(lattice.axes.values(), values.T, strict=True)
+        )
+        poses = solve(values, guess=starts[tuple(nearest)], on_failure="nan")
     return np.asarray(poses.q[poses.within_limits])
+
+
+def _lattice(
+    robot: Robot, coordinates: tuple[Coordinate, ...], lower: Vector, upper: Vector, count: int
+) -> Grid | None:
+    """Return points to which it is near from anywhere between the ends; None where they are many for so many draws."""
+    units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates]
+    sizes = np.maximum(np.ceil((upper - lower) / (_NEAR * np.array(units))), 1.0)
+    if _DRAWS_A_NODE * np.prod(sizes) > count:
+        return None
+    steps = (upper - lower) / sizes
+    axes = {
+        c.name: first + step * (np.arange(size) + 0.5)
+        for c, first, step, size in zip(coordinates, lower, steps, sizes, strict=True)
+    }
+    return Grid(coordinates, axes, {})

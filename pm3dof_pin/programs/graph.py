@@ -105,7 +105,7 @@ class Graph:
         leaves = [*self._inputs.values(), *self._parameters.values()]
         order = [self._values[index] for index in sorted(needed)]
         constants = [value for value in order if isinstance(value, Number) and value.value is not None]
-        lines = [value for value in order if value.operands]
+        lines = _by_first_use(order, flat)
         place = {value.index: number for number, value in enumerate([*leaves, *constants, *lines])}
         return Program(
             name=name,
@@ -145,6 +145,28 @@ class Graph:
                         OPERATIONS[value.operation][1](*[samples[operand.index] for operand in value.operands])
                     )
         return samples[index] if index >= 0 else None
+
+
+def _by_first_use(order: list[Value], results: list[Number]) -> list[Value]:
+    """Return the lines depth first from the results, so that fewer numbers wait at a time for their use.
+
+    Of the operands of a line the one that keeps more numbers waiting comes first (R. Sethi and J. Ullman, J. ACM 17,
+    1970).
+    """
+    waiting: dict[int, int] = {}
+    for value in order:
+        counts = sorted((waiting[operand.index] for operand in value.operands), reverse=True)
+        waiting[value.index] = max((count + k for k, count in enumerate(counts)), default=0) or bool(counts)
+    lines: dict[int, Value] = {}
+    stack: list[tuple[Value, bool]] = [(result, False) for result in reversed(results)]
+    while stack:
+        value, is_ready = stack.pop()
+        if is_ready:
+            lines.setdefault(value.index, value)
+        elif value.operands and value.index not in lines:
+            stack.append((value, True))
+            stack.extend((o, False) for o in sorted(value.operands, key=lambda operand: waiting[operand.index]))
+    return list(lines.values())
 
 
 class Value:

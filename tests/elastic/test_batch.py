@@ -59,19 +59,6 @@ def load(name: str) -> ElasticModel:
     return ElasticModel.load(known if known.exists() else name)
 
 
-@pytest.mark.parametrize(
-    ("name", "count"),
-    [("pm3dof", 2_000), ("hexapod", 2_000), ("three_rps", 1_000), ("delta", 1_000), ("five_bar", 2_000)],
-)
-def test_random_poses(name: str, count: int) -> None:
-    model = load(name)
-    poses = reachable_poses(model.rigid, count, np.random.default_rng(1))
-    found = evaluate(model, poses, COMPLIANCE)
-    assert found.redone.sum() <= count // 1000
-    careful = compliance(model, poses, engine="pinocchio")
-    assert difference(found.values, careful, model.mechanism.characteristic_length) < 1e-10
-
-
 def test_four_bar_through_its_whole_turn() -> None:
     model = load("four_bar")
     poses = model.rigid.solve(np.linspace(-0.6, 0.6, 2000)[:, None], on_failure="nan")

@@ -1,0 +1,297 @@
+"""Programs against Pinocchio: 10,000 random poses of every robot here, of the test machines, and of hard variants.
+
+Closing: values of the coordinates, and then of the commands, are drawn around home, over a box a quarter wider than the
+one that poses within limits span, so that some are out of reach. Compared are which poses are found, which limits they
+break, and where all joints and the tool are. Where the two engines found different poses, continuation from home in
+legs of a hundredth of a radian, on Pinocchio's Jacobians, tells whose assembly mode is that of home.
+
+Elasticity and sensitivities: at the poses that the program closed.
+
+    python scripts/studies/agreement.py [NAME ...] [--poses N]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.elastic import AxialSpring, ClosureSpring, ElasticModel, JointSpring, evaluate, stiffness
+from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
+from pm3dof_pin.exceptions import UnreachablePoseError
+from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Matrix, Vector
+
+POSES = 10_000
+MACHINES = Path(__file__).parents[2] / "tests" / "machines"
+DESCRIPTIONS = {
+    "pm3dof": "pm3dof",
+    "hexapod": "hexapod",
+    "three_rps": "three_rps",
+    "delta": MACHINES / "delta",
+    "five_bar": MACHINES / "five_bar",
+    "three_rpr": MACHINES / "three_rpr",
+    "four_bar": MACHINES / "four_bar",
+    "walker": MACHINES / "walker" / "walker.xml",
+}
+
+_WIDER = 1.25
+_WIDTH = 0.4  # of the box where poses within limits are not to be had [rad, characteristic lengths]
+_SAME = 1e-7  # difference up to which two poses are the same one, within rounding at a nearly singular pose
+_LEG = 0.01  # of the walk that decides on assembly modes [rad, characteristic lengths]
+_SMOOTH = 20.0  # times as far as the coordinates a joint may go in one leg
+_IDLE = 1e-3  # part of the most an error moves the tool that counts as size of one that hardly moves it
+_RIGID = 1e-12  # part of the softest direction that counts as rigid
+
+
+def stiffer_spring(model: ElasticModel) -> ElasticModel:
+    """Return the model with its first spring a million times stiffer."""
+    springs = list(model.springs)
+    k = next(k for k, spring in enumerate(springs) if isinstance(spring, (JointSpring, AxialSpring)))
+    springs[k] = replace(springs[k], stiffness=1e6 * springs[k].stiffness)  # type: ignore[call-arg]
+    return ElasticModel(model.rigid, springs)
+
+
+def rigid_branches(model: ElasticModel) -> ElasticModel:
+    """Return the model with its first spring only: all other branches are rigid."""
+    return ElasticModel(model.rigid, model.springs[:1])
+
+
+def giving_closures(model: ElasticModel) -> ElasticModel:
+    """Return the model with a bushing in every closure besides."""
+    generator = np.random.default_rng(5)
+    roots = generator.uniform(-1.0, 1.0, (len(model.rigid.closures), 3, 3)) + 3.0 * np.eye(3)
+    bushings = [ClosureSpring(f"bushing{k}", k, 1e7 * root @ root.T) for k, root in enumerate(roots)]
+    return ElasticModel(model.rigid, [*model.springs, *bushings])
+
+
+VARIANTS: dict[str, tuple[str, Callable[[ElasticModel], ElasticModel]]] = {
+    "pm3dof, a spring 1e6 times stiffer": ("pm3dof", stiffer_spring),
+    "hexapod, a spring 1e6 times stiffer": ("hexapod", stiffer_spring),
+    "pm3dof, branches without springs": ("pm3dof", rigid_branches),
+    "pm3dof, springs in closures": ("pm3dof", giving_closures),
+    "hexapod, springs in closures": ("hexapod", giving_closures),
+}
+
+
+def load(name: str) -> Robot:
+    """Load one of the robots of :data:`DESCRIPTIONS`."""
+    return Robot.load(DESCRIPTIONS[name])
+
+
+@dataclass(frozen=True)
+class Closing:
+    """How two engines close loops at the same values.
+
+    Attributes:
+        poses: number of values.
+        solved: number of poses that the program found.
+        found_otherwise: number of poses that only one of the two found.
+        other_mode: number of poses that both found, in different assembly modes.
+        won: those of both kinds for which a walk in short legs ends where the program does, and the careful engine not.
+        lost: those for which it is the other way round. All other walks meet a singular pose.
+        limits: number of common poses at which they differ on broken limits.
+        difference: greatest difference of joints and tool at common poses [rad, characteristic lengths].
+        q: configurations that the program found.
+    """
+
+    poses: int
+    solved: int
+    found_otherwise: int
+    other_mode: int
+    won: int
+    lost: int
+    limits: int
+    difference: float
+    q: Matrix
+
+
+def compared_closing(robot: Robot, coordinates: tuple[Coordinate, ...], count: int, seed: int = 0) -> Closing:
+    """Close loops at random values of coordinates, which are the robot's or its commands, with both engines."""
+    values = random_values(robot, coordinates, count, seed)
+    solve = robot.solve if coordinates == robot.coordinates else robot.forward
+    found, careful = (solve(values, on_failure="nan", engine=engine) for engine in ("program", "pinocchio"))
+    differences = np.abs(places(robot, found.q) - places(robot, careful.q)).max(axis=1, initial=0.0)
+    both = found.solved & careful.solved
+    same = both & (differences < _SAME)
+    otherwise = found.solved != careful.solved
+    sides = [0, 0]
+    for row in np.flatnonzero(otherwise | (both & ~same)):
+        walked = places(robot, walk(robot, coordinates, values[row])[None])
+        arrived = [np.abs(places(robot, q[row][None]) - walked).max() < _SAME for q in (found.q, careful.q)]
+        for k in range(2):
+            sides[k] += arrived[k] and not arrived[1 - k]
+    return Closing(
+        count,
+        int(found.solved.sum()),
+        int(otherwise.sum()),
+        int((both & ~same).sum()),
+        *sides,
+        int((found.broken_limits != careful.broken_limits)[same].sum()),
+        float(differences[same].max(initial=0.0)),
+        found.q[found.solved],
+    )
+
+
+def random_values(robot: Robot, coordinates: tuple[Coordinate, ...], count: int, seed: int) -> Matrix:
+    """Draw values of the coordinates around home, some of them out of reach."""
+    home = robot.read(coordinates, robot.home.q, _transform(robot))
+    width = np.array([_WIDTH * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates])
+    lower, upper = home - width, home + width
+    try:
+        poses = reachable_poses(robot, 200, np.random.default_rng(0))
+        inside = poses.coordinates if coordinates == robot.coordinates else poses.commands
+        middle, half = 0.5 * (inside.max(axis=0) + inside.min(axis=0)), 0.5 * np.ptp(inside, axis=0)
+        lower, upper = middle - _WIDER * half, middle + _WIDER * half
+    except UnreachablePoseError:
+        pass
+    return np.random.default_rng(seed).uniform(lower, upper, (count, len(home)))
+
+
+def places(robot: Robot, q: Matrix) -> Matrix:
+    """Return where joints, frames of closures and the tool are, in characteristic lengths; a rod may spin."""
+    model, data = robot.model, robot.model.createData()
+    frames = [robot.frame_id(name) for loop in robot.closures for name in (loop.frame_a, loop.frame_b)]
+    rows = []
+    for positions in q:
+        pin.framesForwardKinematics(model, data, positions)  # NaN stays NaN
+        tool = data.oMf[robot.tool_frame_id] if robot.tool_frame else pin.SE3.Identity()
+        points = [data.oMi[k].translation for k in range(1, model.njoints)] + [data.oMf[k].translation for k in frames]
+        rows.append(np.ravel([*points, tool.translation, *robot.characteristic_length * tool.rotation]))
+    return np.array(rows) / robot.characteristic_length
+
+
+def walk(robot: Robot, coordinates: tuple[Coordinate, ...], target: Vector) -> Vector:
+    """Return where continuation from home in short legs ends; NaN where it meets a singular pose or comes to an end."""
+    home, q = robot.read(coordinates, robot.home.q, _transform(robot)), robot.home.q
+    units = np.array([abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates])
+    legs = max(1, int(np.ceil(np.abs((target - home) / units).max() / _LEG)))
+    before = places(robot, q[None])
+    for leg in range(1, legs + 1):
+        values = home + (target - home) * (leg / legs)
+        numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, values, strict=True)]
+        joints = {c.joint: n for c, n in zip(coordinates, numbers, strict=True) if c.joint is not None}
+        tool = {c.tool: float(n) for c, n in zip(coordinates, numbers, strict=True) if c.tool is not None}
+        result = assemble(robot, q, joints=joints, tool=tool)
+        here = places(robot, result.configuration.q[None])
+        if not result.converged or np.abs(here - before).max() > _SMOOTH * _LEG:
+            return np.full(robot.model.nq, np.nan)
+        q, before = result.configuration.q, here
+    return q
+
+
+def _transform(robot: Robot) -> Array | None:
+    return robot.home.tool_placement.homogeneous if robot.tool_frame else None
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How far matrices of two engines are apart.
+
+    Attributes:
+        poses: number of poses.
+        redone: number of poses at which the program was in doubt.
+        missing: number of poses at which one of the two has no value and the other has.
+        difference: greatest relative difference where the program was in no doubt.
+    """
+
+    poses: int
+    redone: int
+    missing: int
+    difference: float
+
+
+def compared_elasticity(model: ElasticModel, q: Matrix) -> tuple[Agreement, Agreement]:
+    """Compare the compliance and the stiffness; an entry is measured by the roots of its row's and column's diagonals.
+
+    Entries of rigid directions are measured by the softest one over a characteristic length.
+    """
+    poses = Poses(model.rigid, q)
+    found = evaluate(model, poses, COMPLIANCE_AND_STIFFNESS, on_failure="nan")
+    careful = evaluate(model, poses, COMPLIANCE_AND_STIFFNESS, on_failure="nan", engine="pinocchio").values
+    length = model.mechanism.characteristic_length
+    return tuple(  # type: ignore[return-value]
+        _agreement(found.values[:, k], careful[:, k], found.redone, _scale(careful[:, k], unit))
+        for k, unit in enumerate((np.repeat([length, 1.0], 3), np.repeat([1.0, length], 3)))
+    )
+
+
+def model_is_rigid(model: ElasticModel, q: Matrix) -> bool:
+    """Tell whether the tool is rigid in some direction, so that there is no stiffness."""
+    return bool(np.isnan(stiffness(model, q[:1])).any())
+
+
+def compared_sensitivities(robot: Robot, q: Matrix) -> Agreement:
+    """Compare how the tool moves with every error of the geometry with which the loops close, and every command."""
+    poses = Poses(robot, q)
+    errors = closable(GeometricErrors(robot), poses[:5])
+    found, careful = (sensitivities(errors, poses, engine=engine) for engine in ("program", "pinocchio"))
+    unit = np.repeat([robot.characteristic_length, 1.0], 3)[:, None]
+    matrices, expected = (np.concatenate([s.errors, s.commands], axis=2) / unit for s in (found, careful))
+    sizes = np.abs(expected).max(axis=1, keepdims=True)
+    scale = np.broadcast_to(np.maximum(sizes, _IDLE * sizes.max(axis=2, keepdims=True)), expected.shape)
+    return _agreement(matrices, expected, np.zeros(len(q), dtype=bool), scale)
+
+
+def _scale(matrices: Array, unit: Vector) -> Array:
+    diagonals = np.einsum("nii->ni", matrices) / unit**2
+    sizes = unit * np.sqrt(np.maximum(diagonals, _RIGID * diagonals.max(axis=1, keepdims=True)))
+    return sizes[:, :, None] * sizes[:, None, :]
+
+
+def _agreement(matrices: Array, expected: Array, redone: Array, scale: Array) -> Agreement:
+    missing = (np.isnan(matrices) != np.isnan(expected)).any(axis=(1, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        differences = np.nan_to_num(np.abs(matrices - expected) / scale)[~redone]
+    return Agreement(len(matrices), int(redone.sum()), int(missing.sum()), float(differences.max(initial=0.0)))
+
+
+def closing_rows(names: Iterable[str], count: int) -> Iterable[tuple[str, Closing]]:
+    """Compare closing of the robots named, from coordinates and from commands."""
+    for name in names:
+        robot = load(name)
+        for what, coordinates in (("coordinates", robot.coordinates), ("commands", robot.command_coordinates)):
+            if what == "coordinates" or coordinates != robot.coordinates:
+                yield f"{name}, {what}", compared_closing(robot, coordinates, count)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=list(DESCRIPTIONS), help=f"some of {', '.join(DESCRIPTIONS)}")
+    parser.add_argument("--poses", type=int, default=POSES, help="poses of each robot")
+    arguments = parser.parse_args()
+    closed: dict[str, Matrix] = {}
+    print("| closing | solved | only one finds | other mode | of these won | lost | limits differ | difference |")
+    print("|---|---|---|---|---|---|---|---|")
+    for title, row in closing_rows(arguments.names, arguments.poses):
+        closed.setdefault(title.split(",")[0], row.q)
+        differing = f"{row.found_otherwise} | {row.other_mode} | {row.won} | {row.lost}"
+        print(f"| {title} | {row.solved} | {differing} | {row.limits} | {row.difference:.0e} |", flush=True)
+    print("\n| matrices | poses | in doubt, redone | NaNs differ | $C$ | $K$ | sensitivities |")
+    print("|---|---|---|---|---|---|---|")
+    models = {name: ElasticModel(load(name)) for name in arguments.names if load(name).springs}
+    models |= {title: vary(models[name]) for title, (name, vary) in VARIANTS.items() if name in models}
+    for title, model in models.items():
+        q = closed[title.split(",")[0]]
+        C, K = compared_elasticity(model, q)
+        is_variant = title in VARIANTS
+        moved = "as above" if is_variant else f"{compared_sensitivities(model.rigid, q).difference:.0e}"
+        print(
+            f"| {title} | {C.poses} | {C.redone} | {C.missing + K.missing} | {C.difference:.0e} | "
+            f"{'none' if model_is_rigid(model, q) else f'{K.difference:.0e}'} | {moved} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
