@@ -15,7 +15,7 @@ from pm3dof_pin.calibration.learned_part import InputScale, LearnedModel, Learne
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -116,23 +116,23 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
     _warn_of_gaps(identification)
     trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
-    shown = measurements[trusted]
-    nominal = errors.robot.forward(shown.commands)
-    _warn_of_unseen_motions(shown, nominal, options)
-    compensation = compensation_from(shown, nominal, errors, options, identification if options.identifies else None)
+    shown = identification.settled[trusted]
+    _warn_of_unseen_motions(shown, errors.robot.forward(shown.visits.commands), options)
+    compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
     if options.identifies:
         shown = compensation.without_loads(shown)
     # what no command corrects and no parameter explains, root mean square without noise
+    nominal = errors.robot.forward(shown.visits.commands)
     found = pseudo_errors(shown, compensation.model_poses(nominal), options.eta)
-    across = np.eye(found.left.shape[1]) - found.control @ control_inverse(found.control)
-    noise = np.einsum("nii,ni->", across, (shown.sigmas * tip_weights(options.eta)[: across.shape[1]]) ** 2)
-    unexplained = float(np.sqrt(max(0.0, (np.sum(found.left**2) - noise) / len(shown))))
-    return Calibration(options, measurements, identification, replace(compensation, unexplained=unexplained))
+    across = found.seen.shown - found.control @ control_inverse(found.control)
+    noise = np.einsum("nij,njk,nik->", across, found.seen.covariances, across)
+    unexplained = float(np.sqrt(max(0.0, (np.sum(found.left**2) - noise) / len(nominal))))
+    compensation = replace(compensation, unexplained=unexplained)
+    return Calibration(options, identification.measurements, identification, compensation)
 
 
 def compensation_from(
     measurements: Measurements,
-    nominal: Poses,
     errors: GeometricErrors,
     options: Options,
     identification: Identification | None,
@@ -141,7 +141,6 @@ def compensation_from(
 
     Args:
         measurements: what the learned part is shown.
-        nominal: poses of the robot as described, at the commands of these.
         errors: the parameters, with their tolerances.
         options: how.
         identification: the parameters identified; None for the robot as described.
@@ -161,12 +160,14 @@ def compensation_from(
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation
-    if len(measurements) < LEAST_POSES:
+    visits = measurements.visits
+    if len(visits) < LEAST_POSES:
         expected = f"at least {LEAST_POSES} to learn a pseudo-error from"
-        raise InvalidValueError("measurements", f"{len(measurements)} poses", expected)
+        raise InvalidValueError("measurements", f"{len(visits)} poses", expected)
+    nominal = errors.robot.forward(visits.commands)
     found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
-    scale = InputScale.of(nominal.robot, measurements)
-    inputs = scale.scaled(measurements.commands, measurements.conditions)
+    scale = InputScale.of(nominal.robot, visits)
+    inputs = scale.scaled(visits.commands, visits.conditions)
     model: LearnedModel
     if "nn" in options.method:
         model = NeuralNetwork.fit(inputs, found.deviations, options.seed)

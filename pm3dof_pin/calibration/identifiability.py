@@ -114,12 +114,14 @@ class Identifiability:
         return observability_indices(self.decision.singular_values[: self.rank], self.poses)
 
 
-def identifiability(errors: Unknowns, regressor: ArrayLike) -> Identifiability:
+def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike | None = None) -> Identifiability:
     """Judge what a scaled regressor identifies.
 
     Args:
         errors: the parameters, with their tolerances; geometric errors, or these and others.
         regressor: rows of each pose, shape=(n, rows of a pose, number of parameters); see :func:`scaled_regressor`.
+        nuisances: rows of each pose by nuisance parameters, shape=(n, rows of a pose, k): what they can stand for
+            counts as not seen.
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.
@@ -129,6 +131,8 @@ def identifiability(errors: Unknowns, regressor: ArrayLike) -> Identifiability:
         expected = f"finite numbers of shape (n, rows, {len(names)})"
         raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
     matrix = blocks.reshape(-1, len(names))
+    if nuisances is not None:
+        matrix = _beside(matrix, np.asarray(nuisances, dtype=float).reshape(len(matrix), -1))
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
@@ -224,6 +228,16 @@ def _direction_name(names: Sequence[str], direction: Array) -> str:
         terms.append((" - " if scaled[k] < 0.0 else " + ", f"{size}{names[k]}"))
     first = terms[0][1]
     return first + "".join(sign + term for sign, term in terms[1:])
+
+
+def _beside(matrix: Array, nuisances: Array) -> Array:
+    """Return what is left of columns beside those that nuisance columns can stand for."""
+    sizes = np.linalg.norm(nuisances, axis=0)
+    left, values, _ = np.linalg.svd(nuisances[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
+    left = left[:, values > RANK_TOLERANCE * values.max(initial=0.0)]
+    for _ in range(2):  # twice is enough (W. Kahan; B. Parlett, 1980)
+        matrix = matrix - left @ (left.T @ matrix)
+    return matrix
 
 
 def _base_parameters(

@@ -1,9 +1,11 @@
 """Geometric parameters out of measurements: weighted, robust, regularised nonlinear least squares.
 
-Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2, with r_k what measurement k lacks of the closed-loop forward
-kinematics, in units of its noise. Gauss-Newton on the exact Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in
-each step the robust linear problem is solved to its end by reweighting (P. Holland and R. Welsch, 1977): first with
-Huber's weights, which have one minimum, then from there with Tukey's, which leave gross outliers no say.
+Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2 + |y / sigma|^2, with r_k what measurement k lacks of the
+closed-loop forward kinematics, in units of its noise, p the machine's parameters and y those of the measuring itself
+(:mod:`pm3dof_pin.measuring.nuisances`): the instrument's frame, offsets of targets, drift. Gauss-Newton on the exact
+Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in each step the robust linear problem is solved to its end by
+reweighting (P. Holland and R. Welsch, 1977): first with Huber's weights, which have one minimum, then from there with
+Tukey's, which leave gross outliers no say.
 """
 
 from __future__ import annotations
@@ -19,11 +21,14 @@ import scipy.special
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, NamedUnknowns, identifiability
+from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
 Loss = Literal["squares", "huber", "tukey"]
@@ -44,6 +49,7 @@ _HUBER = 0.95  # part of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
 _FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
 _LEAST_FREEDOM = 0.2  # of the measurements
+_UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that says nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +59,24 @@ class Identification:
     Attributes:
         errors: the parameters.
         values: p, shape=(number of parameters,) [m, rad].
-        covariance: of the values, given noise and prior; the noise is what the residuals show where that is more than
-            the sigmas say, shape=(number of parameters, number of parameters).
+        nuisances: what the measurements depend on besides.
+        nuisance_values: y, shape=(number of nuisance parameters,) [m, rad]; 0 for a frame, which has become part of the
+            registration of `measurements`.
+        joint_covariance: of p, the logarithms of stiffness and y together, given noise and prior; the noise is what the
+            residuals show where that is more than the sigmas say.
         prior: k, standard deviation before the measurements in units of the tolerances; infinite for none.
-        measurements: what was measured.
+        measurements: what was measured, in the axes of the base as identified.
+        settled: the same without what the nuisance parameters explain.
         poses: the calibrated machine's at the commands.
-        residuals: measured minus calibrated machine, shape=(n, rows) [m, rad].
+        residuals: settled measurements minus calibrated machine, shape=(n, rows) [m, rad].
         weights: what robust weighting left of each measurement, 0 to 1, shape=(n,).
         noise_factor: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the
             covariance.
         outliers: rows whose residual is no noise.
-        identifiability: rank of the data and combinations that they say nothing about.
+        rows: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
+            parameters).
+        identifiability: rank of the data, beside nuisance parameters of which nothing is known beforehand, and
+            combinations that they say nothing about.
         steps: Gauss-Newton steps taken.
         elastic: the deflections under known wrenches; without unknowns where there were none.
         stiffness_logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
@@ -72,14 +85,18 @@ class Identification:
 
     errors: GeometricErrors
     values: Array
-    covariance: Array
+    nuisances: Nuisances
+    nuisance_values: Array
+    joint_covariance: Array
     prior: float
     measurements: Measurements
+    settled: Measurements
     poses: Poses
     residuals: Array
     weights: Array
     noise_factor: float
     outliers: tuple[int, ...]
+    rows: Array
     identifiability: Identifiability
     steps: int
     elastic: ElasticTerm
@@ -93,9 +110,20 @@ class Identification:
         return dict(zip(self.elastic.springs, pairs, strict=True))
 
     @property
+    def covariance(self) -> Array:
+        """Covariance of p, shape=(number of parameters, number of parameters)."""
+        return self.joint_covariance[: len(self.errors), : len(self.errors)]
+
+    @property
     def sigmas(self) -> Array:
         """Standard deviation of each parameter, shape=(number of parameters,) [m, rad]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def nuisance_sigmas(self) -> Array:
+        """Standard deviation of each nuisance parameter, shape=(number of nuisance parameters,) [m, rad]."""
+        first = len(self.joint_covariance) - len(self.nuisances)
+        return np.asarray(np.sqrt(np.diag(self.joint_covariance)[first:]))
 
     @property
     def normalized_residuals(self) -> Array:
@@ -113,6 +141,20 @@ class Identification:
         dominated = self.sigmas >= PRIOR_DOMINATED * self.prior * self.errors.tolerances
         return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
 
+    def settle(self, measurements: Measurements) -> Measurements:
+        """Return other measurements of the same session in this base, without what the nuisance parameters explain.
+
+        Args:
+            measurements: rows as they were read, in the axes of the registration that was identified from.
+        """
+        if measurements.registration is not None and self.measurements.registration is not None:
+            measurements = measurements.registered_as(self.measurements.registration)
+        poses = _poses_at(
+            self.errors.apply(self.values), measurements, self.errors.robot.forward(measurements.commands).q
+        )
+        drives = drive_motions(poses)
+        return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
+
 
 def identify(
     measurements: Measurements,
@@ -120,6 +162,7 @@ def identify(
     *,
     prior: float = PRIOR,
     loss: Loss = "tukey",
+    nuisances: Nuisances | None = None,
 ) -> Identification:
     """Identify geometric parameters, and the stiffness of springs from measurements under known wrenches.
 
@@ -129,6 +172,7 @@ def identify(
         prior: k, how many tolerances a parameter may be expected to be off. Infinite for no prior: then what cannot be
             told stays at its nominal value, and its deviation is infinite.
         loss: "squares", "huber", or "tukey" after Huber's.
+        nuisances: what the measurements depend on besides; by default what they say themselves.
 
     Raises:
         InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
@@ -141,21 +185,48 @@ def identify(
         )
     if not prior > 0.0:
         raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
+    if nuisances is None:
+        nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
     elastic = ElasticTerm.of(errors.robot, measurements)
-    x, previous = np.zeros(len(errors) + len(elastic.names)), np.inf
-    poses = errors.robot.forward(measurements.commands)
+    count = len(errors)
+    frame = count + len(elastic.names) + nuisances.columns("frame")
+    x, previous = np.zeros(count + len(elastic.names) + len(nuisances)), np.inf
+    poses = _poses_at(errors.robot, measurements)
     for step in range(1, _MAX_STEPS + 1):
-        linear = _Linearised(measurements, errors, elastic, poses, x, prior)
+        linear = _Linearised(measurements, errors, elastic, nuisances, poses, x, prior)
         fit = linear.robust(loss)
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
-        poses = errors.apply(x[: len(errors)] * errors.tolerances).forward(measurements.commands, guess=poses.q)
+        if frame.size:
+            # the frame found becomes part of the registration, so that it never is more than a small motion
+            measurements = measurements.in_moved_base(x[frame] * linear.units[frame])
+            x[frame] = 0.0
+        poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
         if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
-            return _result(_Linearised(measurements, errors, elastic, poses, x, prior), fit, step)
+            return _result(_Linearised(measurements, errors, elastic, nuisances, poses, x, prior), fit, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
     )
+
+
+def drive_motions(poses: Poses, commands: Array | None = None) -> Array:
+    """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands).
+
+    Args:
+        poses: of the machine.
+        commands: the tool's motion by the commands, if it is known already.
+    """
+    by_commands = command_jacobians(poses) if commands is None else commands
+    return np.asarray(by_commands * np.abs(command_scales(poses)))
+
+
+def _poses_at(robot: Robot, measurements: Measurements, guess: Array | None = None) -> Poses:
+    """Return the robot's poses at the commands of the rows, each different one solved once."""
+    numbers = measurements.pose_numbers
+    _, first = np.unique(numbers, return_index=True)
+    solved = robot.forward(measurements.commands[first], guess=None if guess is None else guess[first])
+    return solved[numbers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,31 +239,34 @@ class _Fit:
 
 
 class _Linearised:
-    """The measurements' residuals as linear functions of the parameters, both in units of their deviations."""
+    """The measurements' residuals as linear functions of all parameters, both in units of their deviations."""
 
     def __init__(
         self,
         measurements: Measurements,
         errors: GeometricErrors,
         elastic: ElasticTerm,
+        nuisances: Nuisances,
         poses: Poses,
         x: Array,
         prior: float,
     ) -> None:
-        self.measurements, self.errors, self.elastic, self.poses = measurements, errors, elastic, poses
-        self.prior = prior
-        # the prior counts in tolerances of the geometry, and takes springs as they are
-        springs = elastic.sigmas if np.isinf(prior) else elastic.sigmas / prior
-        self.units = np.concatenate([errors.tolerances, springs])
-        values, logarithms = np.split(x * self.units, [len(errors)])
+        self.measurements, self.errors, self.poses, self.prior = measurements, errors, poses, prior
+        self.elastic, self.nuisances = elastic, nuisances
+        self.units = np.concatenate([errors.tolerances, elastic.sigmas, nuisances.scales])
+        self.ends = np.cumsum([len(errors), len(elastic.names)])
+        values, logarithms, measuring = np.split(x * self.units, self.ends)
+        machine, drives = _tool_motions(errors, measurements, poses, values)
         loaded = elastic.deflected(poses, logarithms)
-        self.residuals = measurements.residuals(loaded)
-        motions = [sensitivities(errors, poses, values).errors, elastic.derivatives(poses, logarithms)]
-        derivatives = measurements.derivatives(loaded, np.concatenate(motions, axis=2))
+        self.settled = nuisances.removed(measurements, loaded, drives, measuring)
+        motions = [machine, elastic.derivatives(poses, logarithms), nuisances.motions(measurements, loaded, drives)]
+        self.residuals = self.settled.residuals(loaded)
+        derivatives = self.settled.derivatives(loaded, np.concatenate(motions, axis=2))
         self.rows = derivatives / measurements.sigmas[:, :, None] * self.units
         self._start = x
         self._wanted = self.residuals / measurements.sigmas + self.rows @ x  # rows x = wanted - residual
-        self._prior = 0.0 if np.isinf(prior) else 1.0 / prior
+        self._sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names)), nuisances.sigmas])
+        self._precisions = 1.0 / self._sigmas**2
         self._count, self.dimension = self._wanted.shape
 
     def robust(self, loss: Loss) -> _Fit:
@@ -202,7 +276,7 @@ class _Linearised:
             for _ in range(_REWEIGHTINGS):
                 last, last_factor = weights, factor
                 squares = self.squares(x)
-                factor = self.noise_factor(squares, weights)
+                factor = self.noise_factor(squares)
                 weights = _weights(squares / factor**2, self.dimension, kind)
                 x = self._solve(weights, factor)
                 if max(np.abs(weights - last).max(), abs(factor - last_factor)) < _SETTLED:
@@ -213,35 +287,52 @@ class _Linearised:
         """Return |r_k|^2, shape=(n,)."""
         return np.asarray(np.sum((self._wanted - self.rows @ x) ** 2, axis=1))
 
-    def noise_factor(self, squares: Array, weights: Array) -> float:
+    def noise_factor(self, squares: Array) -> float:
         """Return how much the residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
         median = np.median(squares) / _chi_square_quantile(0.5, self.dimension)
-        freedom = max(_LEAST_FREEDOM, 1.0 - self._used(weights) / (self._count * self.dimension))
+        freedom = max(_LEAST_FREEDOM, 1.0 - self._used / (self._count * self.dimension))
         return float(max(1.0, np.sqrt(median / freedom)))
 
     def information(self, weights: Array, factor: float) -> Array:
-        """Return the information on the parameters in units of the tolerances, without the prior."""
+        """Return the information on the parameters in units of their scales, without the prior."""
         return np.asarray(np.einsum("n,njk->jk", weights, self._blocks) / factor**2)
 
-    @cached_property
-    def _singular_values(self) -> Array:
-        return np.asarray(np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]), compute_uv=False))
+    def covariance(self, weights: Array, factor: float) -> Array:
+        """Return the covariance of all parameters; infinite for those that a singular information leaves open."""
+        information = self.information(weights, factor)
+        unit = np.outer(self.units, self.units)
+        if np.isfinite(self.prior):
+            return np.asarray(np.linalg.inv(information + np.diag(self._precisions)) * unit)
+        # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
+        known_before = np.where(self._sigmas < _UNKNOWN, self._precisions, 0.0)
+        values, axes = np.linalg.eigh(information + np.diag(known_before))
+        known = values > (RANK_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
+        covariance = (axes[:, known] / values[known]) @ axes[:, known].T * unit
+        open_ones = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
+        covariance[open_ones, open_ones] = np.inf
+        return np.asarray(covariance)
 
-    def _used(self, weights: Array) -> float:
-        """Return how many degrees of freedom the parameters take from the measurements."""
-        s = self._singular_values
-        s = s[s > RANK_TOLERANCE * s.max(initial=0.0)]
-        return float(np.sum(s**2 / (s**2 + self._prior**2)))
+    @cached_property
+    def _used(self) -> float:
+        """How many degrees of freedom the parameters take from the measurements."""
+        relative = self.rows.reshape(self._count * self.dimension, -1) * np.minimum(self._sigmas, _UNKNOWN)
+        s = np.linalg.svd(relative, compute_uv=False)
+        if np.isinf(self.prior):
+            return float(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
+        return float(np.sum(s**2 / (s**2 + 1.0)))
 
     def _solve(self, weights: Array, factor: float) -> Array:
-        if self._prior:
+        if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and many times quicker to weight again
             pull = np.einsum("n,nj->j", weights, self._pulls) / factor**2
-            return np.asarray(scipy.linalg.solve(self.information(weights, factor) + self._prior_information, pull))
+            return np.asarray(scipy.linalg.solve(self.information(weights, factor) + np.diag(self._precisions), pull))
         scale, count = np.sqrt(weights) / factor, self.rows.shape[2]
-        damping = np.sqrt(_DAMPING) * np.eye(count)
-        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), damping])
-        right = np.concatenate([(scale[:, None] * self._wanted).ravel(), damping @ self._start])
+        known_before = self._sigmas < _UNKNOWN
+        held = np.diag(np.where(known_before, 1.0 / self._sigmas, np.sqrt(_DAMPING)))
+        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), held])
+        right = np.concatenate(
+            [(scale[:, None] * self._wanted).ravel(), held @ np.where(known_before, 0.0, self._start)]
+        )
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK_TOLERANCE)[0])
 
     @cached_property
@@ -253,48 +344,44 @@ class _Linearised:
     def _pulls(self) -> Array:
         return np.asarray(np.einsum("nij,ni->nj", self.rows, self._wanted))
 
-    @cached_property
-    def _prior_information(self) -> Array:
-        return self._prior**2 * np.eye(self.rows.shape[2])
+
+def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Poses, p: Array) -> tuple[Array, Array]:
+    """Return the tool's motion by the parameters and by the drives at each row, each different pose computed once."""
+    numbers = measurements.pose_numbers
+    _, first = np.unique(numbers, return_index=True)
+    found = sensitivities(errors, poses[first], p)
+    return found.errors[numbers], drive_motions(poses[first], found.commands)[numbers]
 
 
 def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
     """Return what a fit says, given the problem linearised at its solution."""
     errors, measurements, count = linear.errors, linear.measurements, len(linear.errors)
     bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
-    information = linear.information(fit.weights, fit.noise_factor)
-    values, covariance = fit.x * linear.units, _covariance(information, linear.prior, linear.units)
-    unknowns = NamedUnknowns((*errors.names, *linear.elastic.names), linear.units)
+    values = np.split(fit.x * linear.units, linear.ends)
+    covariance = linear.covariance(fit.weights, fit.noise_factor)
+    machine = int(linear.ends[1])
+    unknowns = NamedUnknowns((*errors.names, *linear.elastic.names), linear.units[:machine])
     return Identification(
         errors=errors,
-        values=frozen(values[:count]),
-        covariance=frozen(covariance[:count, :count]),
+        values=frozen(values[0]),
+        nuisances=linear.nuisances,
+        nuisance_values=frozen(values[2]),
+        joint_covariance=frozen(covariance),
         prior=linear.prior,
         measurements=measurements,
+        settled=linear.settled,
         poses=linear.poses,
         residuals=frozen(linear.residuals),
         weights=frozen(fit.weights),
         noise_factor=fit.noise_factor,
         outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
-        identifiability=identifiability(unknowns, linear.rows),
+        rows=frozen(linear.rows),
+        identifiability=identifiability(unknowns, linear.rows[:, :, :machine], linear.rows[:, :, machine:]),
         steps=steps,
         elastic=linear.elastic,
-        stiffness_logarithms=frozen(values[count:]),
-        stiffness_sigmas=frozen(np.sqrt(covariance.diagonal()[count:])),
+        stiffness_logarithms=frozen(values[1]),
+        stiffness_sigmas=frozen(np.sqrt(covariance.diagonal()[count:machine])),
     )
-
-
-def _covariance(information: Array, prior: float, tolerances: Array) -> Array:
-    """Return the covariance of the parameters; infinite for those that a singular information leaves open."""
-    scale = np.outer(tolerances, tolerances)
-    if np.isfinite(prior):
-        return np.asarray(np.linalg.inv(information + np.eye(len(tolerances)) / prior**2) * scale)
-    values, axes = np.linalg.eigh(information)
-    known = values > (RANK_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
-    covariance = (axes[:, known] / values[known]) @ axes[:, known].T * scale
-    open_ones = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
-    covariance[open_ones, open_ones] = np.inf
-    return np.asarray(covariance)
 
 
 def _weights(squares: Array, dimension: int, loss: str) -> Array:

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
+from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import identify
-from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
+from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.errors.command_correction import command_scales, nearest_poses
 from pm3dof_pin.errors.error_map import section_grid
-from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array, Indices
 
 _FOLDS = 5
@@ -21,17 +23,17 @@ _FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors at measured poses, predicted by calibrations that were not shown them. Outliers are left out.
+    """Errors of measured poses, one for each visit, as far as the measurements show them. Outliers are left out.
 
     Attributes:
-        rows: which measurements, shape=(n,).
-        before: tip error of the machine as described, shape=(n,) [m].
-        after: tip error with the corrected commands, the measurements' noise included, shape=(n,) [m].
-        floor: tip error with the best commands, the measurements' noise included, shape=(n,) [m].
-        noise: tip error that the measurements' noise amounts to, root mean square over its distribution, shape=(n,)
-            [m].
-        excess: by how much the corrected commands miss the best ones, root mean square over the drives' joints,
-            shape=(n,) [m, rad].
+        rows: which measurements were judged by, shape=(n,).
+        before: tip error of the machine as described, shape=(visits,) [m].
+        after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
+        floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
+        noise: tip error that the measurements' noise amounts to, root mean square, shape=(visits,) [m].
+        excess: by how much the corrected commands miss the best ones, root mean square over the drives' joints, without
+            the share that the measurements' noise has in it on the whole, shape=(visits,) [m, rad].
+        excess_noise: that share, root mean square over the visits [m, rad].
     """
 
     rows: Indices
@@ -40,12 +42,14 @@ class HeldOut:
     floor: Array
     noise: Array
     excess: Array
+    excess_noise: float
 
 
 def held_out_errors(calibration: Calibration) -> HeldOut:
     """Judge a calibration by cross-validation: the same method, shown four fifths of the poses at a time.
 
-    Measurements at the same commands, of several targets or repeated, are hidden together.
+    Measurements at the same commands, of several targets or repeated, are hidden together. The instrument's frame and
+    the targets' offsets are those that the others tell.
 
     Args:
         calibration: what to judge.
@@ -60,35 +64,68 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     count = int(numbers.max(initial=-1)) + 1
     if count <= LEAST_POSES:
         raise InvalidValueError("measurements", f"{count} poses", f"more than {LEAST_POSES} for a cross-validation")
-    nominal = errors.robot.forward(measurements.commands)
-    predicted = np.zeros_like(nominal.commands)
     folds = np.random.default_rng(options.seed).permutation(np.arange(count) % min(_FOLDS, count))[numbers]
+    parts, starts = [], []
     for fold in range(int(folds.max()) + 1):
         shown, hidden = np.flatnonzero(folds != fold), np.flatnonzero(folds == fold)
-        part, found = measurements[shown], None
-        if options.identifies:
-            found = identify(part, errors, prior=options.prior, loss=options.loss)
-        compensation = compensation_from(part, nominal[shown], errors, options, found)
-        unloaded = compensation.without_loads(measurements[hidden]) if options.identifies else measurements[hidden]
-        predicted[hidden] = compensation.deviations(nominal[hidden], unloaded.conditions)
-    if options.identifies:
-        measurements = calibration.compensation.without_loads(measurements)
-    weights = tip_weights(options.eta)[: measurements.sigmas.shape[1]]
-    true = pseudo_errors(measurements, nominal, options.eta)
-    best = true.left
-    if measurements.measured == "pose":
-        best = pseudo_errors(measurements, nominal, options.eta, seen=_FLOOR_SEEN).left
-    reached = errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
+        found = identify(
+            measurements[shown],
+            errors,
+            prior=options.prior,
+            loss=options.loss,
+            nuisances=calibration.identification.nuisances,
+        )
+        compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
+        part = measurements[hidden]
+        parts.append(_judged(compensation, found.settle(part)))
+        starts.append(hidden[np.unique(part.visit_numbers, return_index=True)[1]])
+    return _together(rows, np.concatenate(parts, axis=1)[:, np.argsort(np.concatenate(starts))])
+
+
+def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
+    """Judge a calibration by measurements that it was not made from.
+
+    Args:
+        calibration: what to judge.
+        measurements: the others, of the same session or in the base's axes. The frame of an instrument that has its own
+            is the one identified, where both were registered.
+    """
+    settled = calibration.identification.settle(measurements)
+    return _together(np.arange(len(measurements)), _judged(calibration.compensation, settled))
+
+
+def _judged(compensation: Compensation, measurements: Measurements) -> Array:
+    """Return before, after, floor, noise, squared excess and its share of noise of each visit, shape=(6, visits)."""
+    if compensation.values is not None:
+        measurements = compensation.without_loads(measurements)
+    visits = measurements.visits
+    nominal = compensation.errors.robot.forward(visits.commands)
+    predicted = compensation.deviations(nominal, visits.conditions)
+    eta = compensation.eta
+    true = pseudo_errors(measurements, nominal, eta)
+    best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
+    reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
     missed = np.einsum("nij,nj->ni", true.control, (true.deviations - predicted) / command_scales(nominal))
-    excess = np.einsum("nij,nj->ni", control_inverse(true.control), missed)  # what is not seen is not judged
-    return HeldOut(
-        rows,
-        np.linalg.norm(true.before, axis=1),
-        np.linalg.norm(measurements.residuals(reached) * weights, axis=1),
-        np.linalg.norm(best, axis=1),
-        np.linalg.norm(measurements.sigmas * weights, axis=1),
-        np.sqrt(np.mean(excess**2, axis=1)),
+    gain = control_inverse(true.control)
+    excess = np.einsum("nij,nj->ni", gain, missed)  # what is not seen is not judged
+    noise = np.einsum("nij,njk,nik->n", gain, true.seen.covariances, gain) / gain.shape[1]
+    return np.array(
+        [
+            np.linalg.norm(true.before, axis=1),
+            np.linalg.norm(seen_errors(measurements, reached, eta).errors, axis=1),
+            np.linalg.norm(best, axis=1),
+            np.sqrt(np.einsum("nii->n", true.seen.covariances)),
+            np.mean(excess**2, axis=1),
+            noise,
+        ]
     )
+
+
+def _together(rows: Indices, scores: Array) -> HeldOut:
+    before, after, floor, noise, excess, share = scores
+    # of a mean square the noise is a part that is known; what is left keeps the shape of its distribution
+    left = max(0.0, float(excess.mean() - share.mean())) / max(float(excess.mean()), np.finfo(float).tiny)
+    return HeldOut(rows, before, after, floor, noise, np.sqrt(left * excess), float(np.sqrt(share.mean())))
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -1,7 +1,13 @@
 """The pseudo-error source: all errors of a machine as deviations of its commands, Fig. 8.5 of the chapter.
 
-At command u the machine stands where a model of it stands at u + du. du is found by inverting the model's kinematics at
-the pose measured, as far as the measurements show it (:mod:`pm3dof_pin.errors.command_correction`).
+At command u the machine stands where a model of it stands at u + du. du is found by inverting the model's kinematics
+at the pose measured, as far as the measurements show it (:mod:`pm3dof_pin.errors.command_correction`). All rows of a
+visit, such as those of three targets, are one pose: with residuals r, their derivatives A by the tool's motion and
+their noise S,
+
+    information L = A^T S^-1 A,      pose error e = L^+ A^T S^-1 r,
+
+which has as many of six components as the rows show.
 """
 
 from __future__ import annotations
@@ -21,17 +27,60 @@ SEEN = 0.02
 positions of the tool point alone show its height only; both tilts turn it on the spot. Near a singular pose an arm has
 such directions even where whole poses are measured."""
 
+_SHOWN = 1e-4  # of the best seen direction of a pose: one that is 100 times as noisy counts as not shown
+
+
+@dataclass(frozen=True, eq=False)
+class SeenErrors:
+    """Errors of poses against a model, as far as measurements show them, in tip-weighted components.
+
+    Attributes:
+        errors: e, 0 along directions that are not shown, shape=(visits, 6) [m].
+        covariances: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2].
+        shown: projections on the directions that are shown, shape=(visits, 6, 6).
+    """
+
+    errors: Array
+    covariances: Array
+    shown: Array
+
+
+def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
+    """Put the rows of each visit together.
+
+    Args:
+        measurements: the rows.
+        poses: of the model, one for each visit, shape=(visits,).
+        eta: weight of the orientation [m/rad].
+    """
+    visits, count = measurements.visit_numbers, len(poses)
+    at_rows, weights = poses[visits], tip_weights(eta)
+    motions = np.tile(np.diag(1.0 / weights), (len(measurements), 1, 1))
+    rows = measurements.derivatives(at_rows, motions) / measurements.sigmas[:, :, None]
+    residuals = measurements.residuals(at_rows) / measurements.sigmas
+    information, pull = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    np.add.at(information, visits, np.swapaxes(rows, 1, 2) @ rows)
+    np.add.at(pull, visits, np.einsum("nij,ni->nj", rows, residuals))
+    values, axes = np.linalg.eigh(information)
+    known = values > _SHOWN * values.max(axis=1, keepdims=True)
+    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
+    transposed = np.swapaxes(axes, 1, 2)
+    covariances = (axes * inverse[:, None, :]) @ transposed
+    shown = (axes * known[:, None, :]) @ transposed
+    return SeenErrors(np.einsum("nij,nj->ni", covariances, pull), covariances, shown)
+
 
 @dataclass(frozen=True, eq=False)
 class PseudoErrors:
-    """Pseudo-errors found from measurements against a model of the machine.
+    """Pseudo-errors found from measurements against a model of the machine, one for each visit.
 
     Attributes:
-        deviations: du, shape=(n, number of commands) [m, rad].
-        covariances: of du, from the measurements' noise, shape=(n, number of commands, same).
-        before: tip-weighted residuals of the model at the commands, shape=(n, 3 or 6) [m].
-        left: those at the deviated commands: what no command corrects, shape=(n, 3 or 6) [m].
-        control: tip-weighted motion of what is seen by the drives' joints, shape=(n, 3 or 6, number of commands).
+        deviations: du, shape=(visits, number of commands) [m, rad].
+        covariances: of du, from the measurements' noise, shape=(visits, number of commands, same).
+        before: what is seen of the tip-weighted error of the model at the commands, shape=(visits, 6) [m].
+        left: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m].
+        control: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands).
+        seen: errors at the deviated commands with their noise.
     """
 
     deviations: Array
@@ -39,13 +88,19 @@ class PseudoErrors:
     before: Array
     left: Array
     control: Array
+    seen: SeenErrors
+
+    @property
+    def whole(self) -> bool:
+        """Whether all six components of every pose are seen."""
+        return bool(np.all(np.einsum("nii->n", self.seen.shown) > 5.5))
 
 
 def control_inverse(control: Array, seen: float = SEEN) -> Array:
     """Return the pseudo-inverse of tip-weighted motions by the drives' joints, without unobservable directions.
 
     Args:
-        control: shape=(n, 3 or 6, number of commands).
+        control: shape=(n, 6, number of commands).
         seen: see :data:`SEEN`.
     """
     return np.asarray(np.linalg.pinv(control, rcond=seen))
@@ -58,7 +113,7 @@ def pseudo_errors(
 
     Args:
         measurements: poses, positions or points.
-        model: poses of the model, nominal or calibrated, at the commands of the measurements.
+        model: poses of the model, nominal or calibrated, at the commands of the visits, shape=(visits,).
         eta: weight of the orientation [m/rad].
         seen: see :data:`SEEN`.
 
@@ -66,19 +121,21 @@ def pseudo_errors(
         UnreachablePoseError: no commands bring the model there.
         SingularConfigurationError: at a command the tool can move while all drives stand still.
     """
-    weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
-    scales = command_scales(model)
+    scales, weights = command_scales(model), tip_weights(eta)
 
     def residuals(poses: Poses) -> Array:
-        return np.asarray(measurements.residuals(poses) * weights)
+        return seen_errors(measurements, poses, eta).errors
 
-    def control(poses: Poses) -> Array:
-        return np.asarray(measurements.derivatives(poses, command_jacobians(poses) * scales) * weights[:, None])
+    def control(poses: Poses, found: SeenErrors) -> Array:
+        return np.asarray(found.shown @ (command_jacobians(poses) * scales * weights[:, None]))
 
     def step(poses: Poses) -> Array:
-        return np.asarray(scales * np.einsum("nij,nj->ni", control_inverse(control(poses), seen), residuals(poses)))
+        found = seen_errors(measurements, poses, eta)
+        return np.asarray(scales * np.einsum("nij,nj->ni", control_inverse(control(poses, found), seen), found.errors))
 
-    deviations, poses = descend(model, measurements.commands, step, residuals)
-    reached = control(poses)
-    spread = scales[:, None] * control_inverse(reached, seen) * (weights * measurements.sigmas)[:, None, :]
-    return PseudoErrors(deviations, spread @ np.swapaxes(spread, 1, 2), residuals(model), residuals(poses), reached)
+    deviations, poses = descend(model, measurements.visits.commands, step, residuals)
+    found = seen_errors(measurements, poses, eta)
+    reached = control(poses, found)
+    gain = scales[:, None] * control_inverse(reached, seen)
+    covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
+    return PseudoErrors(deviations, covariances, residuals(model), found.errors, reached, found)

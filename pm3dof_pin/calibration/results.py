@@ -145,7 +145,7 @@ def summary_of(calibration: Calibration, robot: str, held_out: HeldOut | None = 
             "tip_noise_m": held_out.noise,
             "_".join(["excess_joint_error", *units]): held_out.excess,
         }
-        summary["held_out"] = {"poses": len(held_out.rows)} | {name: statistics(kinds[name]) for name in kinds}
+        summary["held_out"] = {"poses": len(held_out.after)} | {name: statistics(kinds[name]) for name in kinds}
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary

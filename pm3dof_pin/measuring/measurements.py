@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pm3dof_pin.errors.pose_error import pose_difference, rotation_vector_rates
+from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, rotation_vector_rates
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument, Measured
@@ -39,6 +39,12 @@ class Measurements:
         lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
         warnings: what is odd about them.
         registration: how they came into the axes of the base; None if they were measured in them.
+        target_sigma: how well `points` other than the tool point are known, standard deviation of each coordinate [m];
+            0 for exactly.
+        tool_point_sigma: likewise for the tool point itself, where that is what was seen [m].
+        times: when each row was measured, shape=(n,) [s]; None if that is not known.
+        approaches: direction from which each drive came, +1 or -1, 0 for unknown, shape=(n, number of commands); None
+            if that is not known.
     """
 
     commands: Array
@@ -50,6 +56,10 @@ class Measurements:
     lines: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
     registration: Registration | None = None
+    target_sigma: float = 0.0
+    tool_point_sigma: float = 0.0
+    times: Array | None = None
+    approaches: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and numbers.
@@ -70,6 +80,10 @@ class Measurements:
         if self.rotations is not None:
             shapes["rotations"] = (self.rotations, (n, 3, 3))
         shapes |= {name: (values, (n,)) for name, values in self.conditions.items()}
+        if self.times is not None:
+            shapes["times"] = (self.times, (n,))
+        if self.approaches is not None:
+            shapes["approaches"] = (self.approaches, self.commands.shape)
         for name, (array, shape) in shapes.items():
             if array.shape != shape or not np.isfinite(array).all():
                 raise InvalidValueError(
@@ -77,6 +91,11 @@ class Measurements:
                 )
         if not np.all(self.sigmas > 0.0):
             raise InvalidValueError("sigmas", float(self.sigmas.min()), "positive numbers")
+        for name in ("target_sigma", "tool_point_sigma"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise InvalidValueError(
+                    name, getattr(self, name), "a standard deviation in metres, 0 for exactly known"
+                )
 
     def __len__(self) -> int:
         return len(self.commands)
@@ -93,6 +112,8 @@ class Measurements:
             points=self.points[chosen],
             conditions={name: values[chosen] for name, values in self.conditions.items()},
             lines=tuple(self.lines[k] for k in chosen),
+            times=None if self.times is None else self.times[chosen],
+            approaches=None if self.approaches is None else self.approaches[chosen],
         )
 
     @property
@@ -122,8 +143,87 @@ class Measurements:
     @property
     def pose_numbers(self) -> Indices:
         """Number of the pose of each row, counted from 0 as they appear: rows at the same commands are one pose."""
-        _, first, poses = np.unique(np.round(self.commands / _SAME), axis=0, return_index=True, return_inverse=True)
-        return np.asarray(np.argsort(np.argsort(first))[poses.reshape(-1)])
+        return _numbered(self.commands)
+
+    @property
+    def visits(self) -> Measurements:
+        """Return the first row of each visit: commands and conditions of each."""
+        return self[np.unique(self.visit_numbers, return_index=True)[1]]
+
+    @property
+    def visit_numbers(self) -> Indices:
+        """Number of the visit of each row, counted from 0 as they appear: one pose, taken up once.
+
+        Rows at the same commands, temperatures and loads are one visit until a target comes again.
+        """
+        keys = np.column_stack([self.pose_numbers, *self.conditions.values()])
+        place = np.column_stack([_numbered(keys), self.target_numbers]).astype(float)
+        again = np.zeros(len(self))
+        count: dict[tuple[float, ...], int] = {}
+        for row, key in enumerate(map(tuple, place.tolist())):
+            again[row] = count[key] = count.get(key, -1) + 1
+        return _numbered(np.column_stack([place[:, 0], again]))
+
+    @property
+    def target_numbers(self) -> Indices:
+        """Number of the target of each row, counted from 0 as they appear: rows with the same `points` see the same."""
+        return _numbered(self.points)
+
+    def in_moved_base(self, twist: Array) -> Measurements:
+        """Return them in the axes of a base that stands elsewhere: they come into it as from another registration.
+
+        Args:
+            twist: where that base is in the axes of this one, [translation; rotation vector], shape=(6,) [m, rad].
+
+        Raises:
+            InvalidValueError: they were measured in the axes of the base, which leaves nothing to move.
+        """
+        if self.registration is None:
+            raise InvalidValueError(
+                "measurements", "in the base's own axes", "those of an instrument with its own frame"
+            )
+        return self.registered_as(self.registration.moved(twist))
+
+    def registered_as(self, registration: Registration) -> Measurements:
+        """Return them in the axes of the base by another registration of the same instrument.
+
+        Args:
+            registration: the other one.
+
+        Raises:
+            InvalidValueError: they were measured in the axes of the base.
+        """
+        if self.registration is None:
+            raise InvalidValueError(
+                "measurements", "in the base's own axes", "those of an instrument with its own frame"
+            )
+        turn = registration.rotation @ self.registration.rotation.T
+        shift = registration.translation - turn @ self.registration.translation
+        return replace(
+            self,
+            positions=self.positions @ turn.T + shift,
+            rotations=None if self.rotations is None else turn @ self.rotations,
+            registration=registration,
+        )
+
+    def with_points(self, points: Array) -> Measurements:
+        """Return them with the points seen elsewhere on the tool, shape=(n, 3) [m]."""
+        return replace(self, points=points)
+
+    def without_motions(self, poses: Poses, motions: Array) -> Measurements:
+        """Return what would have been seen had the tool not made small motions.
+
+        Args:
+            poses: of the machine, at the commands of the measurements.
+            motions: [translation; rotation vector] of the tool at each row, shape=(n, 6) [m, rad].
+        """
+        offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
+        turns = np.swapaxes(rotation_matrix(motions[:, 3:]), 1, 2)
+        return replace(
+            self,
+            positions=self.positions - motions[:, :3] - np.cross(motions[:, 3:], offsets),
+            rotations=None if self.rotations is None else turns @ self.rotations,
+        )
 
     def residuals(self, poses: Poses) -> Array:
         """Return what was measured minus what a machine does, shape=(n, 3 or 6) [m, rad].
@@ -156,3 +256,9 @@ class Measurements:
             return np.asarray(points)
         rates = rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2))
         return np.concatenate([points, rates @ angular], axis=1)
+
+
+def _numbered(rows: Array) -> Indices:
+    """Number different rows from 0 as they appear, shape=(n,)."""
+    _, first, numbers = np.unique(np.round(rows / _SAME), axis=0, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[numbers.reshape(-1)])

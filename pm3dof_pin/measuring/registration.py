@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, rotation_matrix
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
 
@@ -45,6 +45,15 @@ class Registration:
         transform[:3, :3] = self.rotation.T
         transform[:3, 3] = -self.rotation.T @ self.translation
         return transform
+
+    def moved(self, twist: Array) -> Registration:
+        """Return the registration whose base stands elsewhere.
+
+        Args:
+            twist: where it is in the axes of this base, [translation; rotation vector], shape=(6,) [m, rad].
+        """
+        turn = rotation_matrix(twist[3:]).T
+        return Registration(turn @ self.rotation, turn @ (self.translation - twist[:3]), self.residual)
 
     def positions(self, seen: Array) -> Array:
         """Return positions in the axes of the base, shape=(n, 3) [m]."""

@@ -56,7 +56,7 @@ def test_positions_show_the_height_and_nothing_else(tripod_nominal: Poses) -> No
     moved = np.array(poses.transforms)
     moved[:, :3, 3] += [2e-4, -1e-4, 3e-4]
     found = pseudo_errors(Measurements.of_poses(poses.commands, moved, Instrument("position")), poses)
-    np.testing.assert_allclose(found.left, np.tile([2e-4, -1e-4, 0.0], (20, 1)), atol=1e-9)
+    np.testing.assert_allclose(found.left, np.tile([2e-4, -1e-4, 0.0, 0.0, 0.0, 0.0], (20, 1)), atol=1e-9)
     assert np.abs(found.deviations).max() < 1e-3
 
 

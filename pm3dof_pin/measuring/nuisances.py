@@ -1,0 +1,344 @@
+"""What measurements depend on besides the machine: where the instrument stands and targets sit, drift, direction.
+
+Each nuisance parameter is a small motion of the tool that is seen, like a geometric error. So measurements are one
+function of machine parameters p and nuisance parameters y, with one stacked derivative [S, N],
+
+    dx_seen = S dp + N dy,
+
+from which identification, rank, covariance and plan all start.
+
+============  =====================================================  ==================================================
+frame         the instrument has a frame of its own                  6: where the base is in it, known only by the data
+targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
+tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
+drift         rows have times                                        a motion of the base and of each drive's zero, [m]
+                                                                     and [rad] from the first row to the last
+hysteresis    rows have approaches                                   for each drive, from one direction to the other
+============  =====================================================  ==================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array, Indices
+
+TARGET_SIGMA = 1e-3
+"""How well targets are known where nobody has measured them [m]."""
+
+FRAME_SCALE = (1e-3, 1e-3)
+"""Units in which an instrument's frame is counted [m, rad]."""
+
+_FRAME_SIGMA = 1e3  # in these units: not known beforehand at all
+_DRIFT_SIGMA = (1e-4, 2e-4)  # from the first row to the last [m, rad]
+_HYSTERESIS_SIGMA = (1e-4, 2e-4)  # of a drive that slides, turns [m, rad]
+_AXES = ("x", "y", "z")
+_TWIST = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+class Nuisance(Protocol):
+    """One kind of nuisance parameters."""
+
+    @property
+    def kind(self) -> str:
+        """Return "frame", "targets" ..."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        ...
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each, "m" or "rad"."""
+        ...
+
+    @property
+    def scales(self) -> Array:
+        """Scales in which they are counted, shape=(k,) [m, rad]."""
+        ...
+
+    @property
+    def sigmas(self) -> Array:
+        """Standard deviations beforehand, in these scales, shape=(k,)."""
+        ...
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k).
+
+        Args:
+            measurements: the rows.
+            poses: of the machine, one for each row.
+            drives: motion of the tool by the joints of the drives, shape=(n, 6, number of commands).
+        """
+        ...
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """Return what would have been measured without it.
+
+        Args:
+            measurements: the rows.
+            poses: of the machine, one for each row.
+            drives: as above.
+            values: the parameters, shape=(k,) [m, rad].
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class InstrumentFrame:
+    """Where the base is, beyond the registration: a twist in the base's axes."""
+
+    kind = "frame"
+    names = tuple(f"frame.{name}" for name in _TWIST)
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    scales = frozen(np.repeat(FRAME_SCALE, 3))
+    sigmas = frozen(np.full(6, _FRAME_SIGMA))
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`: everything moves with the base."""
+        return rigid_motions(poses)
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        return measurements.in_moved_base(values) if values.any() else measurements
+
+
+@dataclass(frozen=True, eq=False)
+class PointOffsets:
+    """Where points sit on the tool, beyond what the measurements say, in the tool's axes.
+
+    Attributes:
+        points: the points, shape=(k, 3) [m].
+        sigma: how well they are known [m].
+        kind: "targets" or "tool_point".
+    """
+
+    points: Array
+    sigma: float
+    kind: str
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        labels = [f"target{k}" for k in range(1, len(self.points) + 1)] if self.kind == "targets" else [self.kind]
+        return tuple(f"{label}.{axis}" for label in labels for axis in _AXES)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return ("m",) * len(self.names)
+
+    @property
+    def scales(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.full(len(self.names), self.sigma)
+
+    @property
+    def sigmas(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.ones(len(self.names))
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`: a target elsewhere on the tool is the tool shifted."""
+        motions = np.zeros((len(measurements), 6, len(self.points), 3))
+        motions[:, :3] = poses.rotations[:, :, None, :] * self._members(measurements)[:, None, :, None]
+        return motions.reshape(len(measurements), 6, -1)
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        return measurements.with_points(measurements.points + self._members(measurements) @ values.reshape(-1, 3))
+
+    def _members(self, measurements: Measurements) -> Array:
+        """Tell which point a row sees, 1 or 0, shape=(n, k)."""
+        return np.array(
+            np.all(np.isclose(measurements.points[:, None], self.points, rtol=0.0, atol=1e-9), axis=2), float
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last.
+
+    Attributes:
+        start: time of the first row [s].
+        duration: to the last [s].
+        drive_units: "m" or "rad" of each drive's joint.
+    """
+
+    start: float
+    duration: float
+    drive_units: tuple[str, ...]
+    kind = "drift"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        drives = [f"drift.u{k}" for k in range(1, len(self.drive_units) + 1)]
+        return (*(f"drift.{name}" for name in _TWIST), *drives)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return (*InstrumentFrame.units, *self.drive_units)
+
+    @property
+    def scales(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.array([_DRIFT_SIGMA[unit == "rad"] for unit in self.units])
+
+    @property
+    def sigmas(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.ones(len(self.units))
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`."""
+        return np.concatenate([rigid_motions(poses), drives], axis=2) * self._parts(measurements)[:, None, None]
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
+
+    def _parts(self, measurements: Measurements) -> Array:
+        """Return times from -1/2 to 1/2, so that what is identified is the machine in the middle."""
+        times = self.start if measurements.times is None else measurements.times
+        return np.broadcast_to((times - self.start) / self.duration - 0.5, len(measurements))
+
+
+@dataclass(frozen=True, eq=False)
+class Hysteresis:
+    """By how much each drive stands elsewhere when it comes from below, less when it comes from above.
+
+    Attributes:
+        drive_units: "m" or "rad" of each drive's joint.
+    """
+
+    drive_units: tuple[str, ...]
+    kind = "hysteresis"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return tuple(f"hysteresis.u{k}" for k in range(1, len(self.drive_units) + 1))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return self.drive_units
+
+    @property
+    def scales(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.array([_HYSTERESIS_SIGMA[unit == "rad"] for unit in self.units])
+
+    @property
+    def sigmas(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.ones(len(self.units))
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`."""
+        if measurements.approaches is None:
+            return np.zeros_like(drives)
+        return np.asarray(0.5 * drives * measurements.approaches[:, None, :])
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
+
+
+class Nuisances:
+    """All nuisance parameters of some measurements, in one row. Not to be changed once made.
+
+    Args:
+        parts: the kinds there are.
+    """
+
+    def __init__(self, parts: tuple[Nuisance, ...] = ()) -> None:
+        self.parts = parts
+        self.names = tuple(name for part in parts for name in part.names)
+        self.units = tuple(unit for part in parts for unit in part.units)
+        self.scales = frozen(np.concatenate([np.zeros(0), *(part.scales for part in parts)]))
+        self.sigmas = frozen(np.concatenate([np.zeros(0), *(part.sigmas for part in parts)]))
+
+    @classmethod
+    def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
+        """Return what measurements depend on, as they say themselves.
+
+        Args:
+            measurements: the measurements.
+            drive_units: "m" or "rad" of each drive's joint.
+        """
+        parts: list[Nuisance] = []
+        if measurements.registration is not None:
+            parts.append(InstrumentFrame())
+        points = measurements.points[np.unique(measurements.target_numbers, return_index=True)[1]]
+        off = points.any(axis=1)
+        for kind, chosen, sigma in (
+            ("targets", points[off], measurements.target_sigma),
+            ("tool_point", points[~off], measurements.tool_point_sigma),
+        ):
+            if len(chosen) and sigma > 0.0:
+                parts.append(PointOffsets(frozen(chosen), sigma, kind))
+        times = measurements.times
+        if times is not None and np.ptp(times) > 0.0:
+            parts.append(Drift(float(times.min()), float(np.ptp(times)), drive_units))
+        if measurements.approaches is not None and measurements.approaches.any():
+            parts.append(Hysteresis(drive_units))
+        return cls(tuple(parts))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def columns(self, kind: str) -> Indices:
+        """Return the indices of the parameters of a kind; none if there are none."""
+        kinds = [part.kind for part in self.parts for _ in part.names]
+        return np.flatnonzero([entry == kind for entry in kinds])
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, number of parameters).
+
+        Args:
+            measurements: the rows.
+            poses: of the machine, one for each row.
+            drives: motion of the tool by the joints of the drives, shape=(n, 6, number of commands).
+        """
+        blocks = [part.motions(measurements, poses, drives) for part in self.parts]
+        return np.concatenate([np.zeros((len(measurements), 6, 0)), *blocks], axis=2)
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """Return what would have been measured without any of it.
+
+        Args:
+            measurements: the rows.
+            poses: of the machine, one for each row.
+            drives: as above.
+            values: the parameters, shape=(number of parameters,) [m, rad].
+        """
+        ends = np.cumsum([len(part.names) for part in self.parts])
+        for part, own in zip(self.parts, np.split(values, ends[:-1]) if self.parts else (), strict=True):
+            measurements = part.removed(measurements, poses, drives, own)
+        return measurements
+
+
+def rigid_motions(poses: Poses) -> Array:
+    """Return how the tool moves with a twist [v; omega] of everything, at the base's origin, shape=(n, 6, 6).
+
+    Args:
+        poses: n poses.
+    """
+    motions = np.tile(np.eye(6), (len(poses), 1, 1))
+    x, y, z = poses.positions.T
+    motions[:, 0, 4], motions[:, 0, 5] = z, -y
+    motions[:, 1, 3], motions[:, 1, 5] = -z, x
+    motions[:, 2, 3], motions[:, 2, 4] = y, -x
+    return motions
