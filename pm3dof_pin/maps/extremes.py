@@ -6,10 +6,11 @@ Extremes often are corners, where two limits bind, so that the best ray may end 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pm3dof_pin.maps.limit_space import LimitSpace
-from pm3dof_pin.maps.rays import crossings
-from pm3dof_pin.typing import Array
+from pm3dof_pin.maps.rays import brackets, closed_in
+from pm3dof_pin.typing import Array, Mask
 
 # What the four extremes of a set are greatest in: minus and plus the first coordinate, then the second.
 _OUTWARD = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
@@ -87,14 +88,30 @@ def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
 
 
 def _outermost_radii(space: LimitSpace, outward: Array, rays: Array, radii: Array) -> Array:
-    """Radius at which each ray (azimuth, level), shape=(m, k, 2), crosses the boundary near the radius given for its m.
+    """Radius at which the best ray (azimuth, level) of each m crosses the boundary near the radius given for its m.
 
-    Of several crossings the one that is farthest outward; NaN where there is none.
+    Args:
+        space: coordinates and limits.
+        outward: what is to be greatest, shape=(m, 2).
+        rays: shape=(m, k, 2).
+        radii: shape=(m,).
+
+    Returns:
+        shape=(m, k); NaN for rays without a crossing, and for those found to end less far out than another of their m.
     """
-    samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), rays.shape[1], axis=0)
+    count = rays.shape[1]
+    samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), count, axis=0)
     azimuths, levels = rays.reshape(-1, 2).T
-    crossed, found, _, _ = crossings(space, azimuths, levels, samples)
-    order = np.argsort(np.sum(outward[crossed // rays.shape[1]] * _directions(found, azimuths[crossed]), axis=1))
+    within = space.within(space.points(samples, azimuths[:, None]), levels[:, None])
+    growth = np.sum(np.repeat(outward, count, axis=0) * _directions(np.ones(len(azimuths)), azimuths), axis=1)
+
+    def contenders(crossed: NDArray[np.intp], inner: Array, outer: Array) -> Mask:
+        best = np.full(len(radii), -np.inf)
+        np.maximum.at(best, crossed // count, growth[crossed] * inner)
+        return np.asarray(growth[crossed] * np.maximum(inner, outer) >= best[crossed // count])
+
+    crossed, found, _ = closed_in(space, azimuths, levels, brackets(within, samples), contenders)
+    order = np.argsort(growth[crossed] * found)
     outermost = np.full(len(azimuths), np.nan)
     outermost[crossed[order]] = found[order]  # the farthest is written last
     return outermost.reshape(rays.shape[:2])

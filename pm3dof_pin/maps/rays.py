@@ -1,18 +1,22 @@
 """Rays in sections of the reachable set, and where they cross its boundary.
 
 A ray leaves the centre of a section in the direction of one azimuth, see
-:class:`~pm3dof_pin.maps.limit_space.LimitSpace`.
+:class:`~pm3dof_pin.maps.limit_space.LimitSpace`. Poses out of reach take a solver longest to decide about. So a grid of
+poses is checked on a coarse part of it first, and from there on only as far as the reachable set goes and one step
+beyond.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found, as a radius
 
@@ -33,27 +37,119 @@ class Crossings(NamedTuple):
     limits: Flags
 
 
-def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> Crossings:
+class Brackets(NamedTuple):
+    """Neighbouring samples of rays between which they cross the boundary, ordered by ray and, on a ray, by radius.
+
+    Attributes:
+        rays: index of the ray, shape=(m,).
+        inner: radius of the sample within the limits, shape=(m,).
+        outer: radius of the other, shape=(m,).
+    """
+
+    rays: NDArray[np.intp]
+    inner: Array
+    outer: Array
+
+
+Index: TypeAlias = tuple[NDArray[np.intp], ...]
+
+Contenders: TypeAlias = Callable[[NDArray[np.intp], Array, Array], Mask]
+"""From rays, inner and outer radii to which crossings are still of interest."""
+
+_COARSE = 3  # of a grid, every third point along each dimension is checked first
+
+
+def explored(
+    within: Callable[[tuple[NDArray[np.intp], ...]], Mask],
+    shape: tuple[int, ...],
+    *,
+    first: int = 0,
+    ring: bool = False,
+) -> Mask:
+    """Tell which points of a grid are within the limits, by checking few of those that are not.
+
+    Every third point along each dimension is checked, then the neighbours of what is found within, until there are no
+    more. A part of the set that lies between those points and is not connected with another may be missed, but not if
+    it is all there is.
+
+    Args:
+        within: from indices of points to whether they are within the limits.
+        shape: of the grid.
+        first: index of the first point of the last two dimensions that is checked.
+        ring: whether the second to last dimension is closed to a ring.
+
+    Returns:
+        shape.
+    """
+    found, checked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    unchecked = np.zeros(shape, dtype=bool)
+    unchecked[..., first % _COARSE :: _COARSE, first % _COARSE :: _COARSE] = True
+    unchecked[np.arange(shape[0]) % _COARSE != 0] = False
+    modes = [*["nearest"] * (len(shape) - 2), "wrap" if ring else "nearest", "nearest"]
+    while unchecked.any():
+        found[unchecked] = within(np.nonzero(unchecked))
+        checked |= unchecked
+        unchecked = maximum_filter(found, size=3, mode=modes) & ~checked if found.any() else ~checked
+    return found
+
+
+def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> list[Crossings]:
     """Check the limits along rays, and close in every change by bisection to :data:`BOUNDARY_TOLERANCE`.
 
     A part of the set, or of its outside, that is thinner than the distance of the samples may be missed.
 
     Args:
         space: coordinates and limits.
-        azimuths: direction of each ray, shape=(n,) [rad].
-        levels: third coordinate of each ray, shape=(n,) [m, rad].
-        samples: growing radii at which the limits are checked, for all rays or for each, shape=(k,) or (n, k).
+        azimuths: directions of the rays in each section, all around, shape=(n,) [rad].
+        levels: third coordinate of each section, shape=(s,) [m, rad].
+        samples: growing radii at which the limits are checked, shape=(k,).
+
+    Returns:
+        Those of each section, their rays as indices of its azimuths.
     """
-    radii = np.broadcast_to(samples, (len(azimuths), samples.shape[-1]))
-    within = space.within(space.points(radii, azimuths[:, None]), levels[:, None])
+
+    def within(index: Index) -> Mask:
+        level, ray, sample = index
+        return space.within(space.points(samples[sample], azimuths[ray]), levels[level])
+
+    count = len(azimuths)
+    inside = explored(within, (len(levels), count, len(samples)), ring=True).reshape(-1, len(samples))
+    all_azimuths, all_levels = np.tile(azimuths, len(levels)), np.repeat(levels, count)
+    found = brackets(inside, np.broadcast_to(samples, inside.shape))
+    leaving = found.inner < found.outer
+    rays, inner, outer = closed_in(space, all_azimuths, all_levels, found)
+    limits = space.flags(space.points(outer, all_azimuths[rays]), all_levels[rays])
+    of_levels = np.split(np.arange(len(rays)), np.searchsorted(rays, count * np.arange(1, len(levels))))
+    return [Crossings(rays[part] % count, inner[part], leaving[part], limits[part]) for part in of_levels]
+
+
+def brackets(within: Mask, radii: Array) -> Brackets:
+    """Return where neighbouring samples of rays differ, from masks and growing radii, shape=(n, k)."""
     rays, sample = np.nonzero(within[:, 1:] != within[:, :-1])
     leaving = within[rays, sample]
     near, far = radii[rays, sample], radii[rays, sample + 1]
-    inner, outer = np.where(leaving, near, far), np.where(leaving, far, near)
-    longest = float(np.abs(far - near).max(initial=BOUNDARY_TOLERANCE))
+    return Brackets(rays, np.where(leaving, near, far), np.where(leaving, far, near))
+
+
+def closed_in(
+    space: LimitSpace, azimuths: Array, levels: Array, start: Brackets, contenders: Contenders | None = None
+) -> Brackets:
+    """Close in crossings by bisection to :data:`BOUNDARY_TOLERANCE`.
+
+    Args:
+        space: coordinates and limits.
+        azimuths: direction of each ray, shape=(n,) [rad].
+        levels: third coordinate of each ray, shape=(n,) [m, rad].
+        start: brackets of the crossings.
+        contenders: which crossings to follow further; by default all.
+    """
+    rays, inner, outer = start
+    longest = float(np.abs(outer - inner).max(initial=BOUNDARY_TOLERANCE))
     for _ in range(int(np.ceil(np.log2(longest / BOUNDARY_TOLERANCE)))):
+        if contenders is not None:
+            follow = contenders(rays, inner, outer)
+            rays, inner, outer = rays[follow], inner[follow], outer[follow]
         middle = 0.5 * (inner + outer)
         keeps = space.within(space.points(middle, azimuths[rays]), levels[rays])
         inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
-    limits = space.flags(space.points(outer, azimuths[rays]), levels[rays])
-    return Crossings(rays, inner, leaving, limits)
+    return Brackets(rays, inner, outer)

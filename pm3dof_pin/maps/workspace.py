@@ -7,12 +7,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter
 
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
 from pm3dof_pin.maps.limit_space import LimitSpace
+from pm3dof_pin.maps.rays import Index, explored
 from pm3dof_pin.maps.workspace_section import WorkspaceSection, boundary_points, limit_shares, workspace_sections
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
 
@@ -109,21 +111,31 @@ def level_range(space: LimitSpace) -> tuple[float, float]:
     """
     steps = int(space.reach / (_PLANE_STEPS * space.ray_step))
     offsets = _PLANE_STEPS * space.ray_step * np.arange(-steps, steps + 1)
-    plane = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-    points = space.centre + space.scale * plane
+    plane = space.centre + space.scale * np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1)
     lowest, highest = space.level_range
     levels = np.linspace(lowest, highest, int(np.ceil((highest - lowest) / space.level_step)) + 1)
-    reachable = np.flatnonzero([space.within(points, level).any() for level in levels])
+
+    def within(index: Index) -> Mask:
+        level, *place = index
+        return space.within(plane[tuple(place)], levels[level])
+
+    found = explored(within, (len(levels), *plane.shape[:2]), first=steps)
+    reachable = np.flatnonzero(found.any(axis=(1, 2)))
     if len(reachable) == 0:
         raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
-    first, last = reachable[0], reachable[-1]
-    low = _end_of_levels(space, points, levels[first], levels[max(first - 1, 0)])
-    high = _end_of_levels(space, points, levels[last], levels[min(last + 1, len(levels) - 1)])
-    return low, high
+    ends = []
+    for last, beyond in ((reachable[0], max(reachable[0] - 1, 0)), (reachable[-1], reachable[-1] + 1)):
+        points = plane[maximum_filter(found[last], size=3)]  # a slanting set may end beside what it is at this level
+        ends.append(_end_of_levels(space, points, levels[last], levels[min(beyond, len(levels) - 1)]))
+    return ends[0], ends[1]
 
 
 def _end_of_levels(space: LimitSpace, points: Array, inner: float, outer: float) -> float:
     while abs(outer - inner) > LEVEL_TOLERANCE:
         middle = 0.5 * (inner + outer)
-        inner, outer = (middle, outer) if space.within(points, middle).any() else (inner, middle)
+        reachable = space.within(points, middle)
+        if reachable.any():
+            inner, points = middle, points[reachable]
+        else:
+            outer = middle
     return float(inner)

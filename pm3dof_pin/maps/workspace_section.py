@@ -107,10 +107,10 @@ def workspace_sections(
         raise InvalidValueError("directions", directions, "at least 8 rays")
     samples = np.linspace(0.0, space.reach, int(np.ceil(space.reach / space.ray_step)) + 1)
     azimuths = 2.0 * np.pi * np.arange(directions) / directions
-    sections = []
-    for level in levels:
-        found = crossings(space, azimuths, np.full(directions, level), samples)
-        sections.append(WorkspaceSection(space, float(level), azimuths, *found, np.full((2, 2), np.nan)))
+    sections = [
+        WorkspaceSection(space, float(level), azimuths, *found, np.full((2, 2), np.nan))
+        for level, found in zip(levels, crossings(space, azimuths, levels, samples), strict=True)
+    ]
     return _with_ranges(space, sections, 2.0 * np.pi / directions) if ranges else sections
 
 
