@@ -111,6 +111,20 @@ class ConvergenceError(PM3DofError):
         )
 
 
+class DeflectionRangeError(PM3DofError):
+    """Loads deflect a spring further than a body of its size can be.
+
+    Attributes:
+        factor: what the loads were multiplied by before.
+    """
+
+    def __init__(self, deflection: str, factor: float) -> None:
+        self.factor = factor
+        super().__init__(
+            f"beyond a factor of {factor:.6g} {deflection}: expected smaller loads, or a body cut into more springs"
+        )
+
+
 class SingularConfigurationError(PM3DofError):
     """A quantity does not exist because the mechanism is in a singular configuration, which the message names."""
 

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.load_path import LoadPath, PathPoint
+from pm3dof_pin.elastic.load_path import FIRST_STEP, LoadPath
 from pm3dof_pin.elastic.loaded import EQUILIBRIUM_TOLERANCE, LoadedEquilibrium
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError, InvalidValueError, SingularConfigurationError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
 
-_PRECISION = 1e-9
-_ASYMMETRY = 1e-6
-_STEP = 0.2
+_log = logging.getLogger(__name__)
+
 _REACH = 10.0
+_ROUNDING = 1e-9  # part of the loads' greatest stiffness below which what they take away counts as none
+_MOST_POINTS = 1000
+_TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,21 @@ class BucklingLoad:
     equilibrium: LoadedEquilibrium
 
 
+@dataclass(frozen=True, eq=False)
+class BucklingSearch:
+    """What a search for a buckling load found.
+
+    Attributes:
+        load: the buckling load; None if the mechanism was stable as far as it was looked.
+        largest_factor: the largest factor that the loads were multiplied by.
+        end: why the search ended there.
+    """
+
+    load: BucklingLoad | None
+    largest_factor: float
+    end: str
+
+
 def buckling_load(
     model: ElasticModel,
     configuration: Configuration | ArrayLike,
@@ -59,82 +76,127 @@ def buckling_load(
 ) -> BucklingLoad | None:
     """Find the first buckling load on the path of equilibria from no loads on.
 
-    The path is followed by its arc length until the least eigenvalue of Z^T H Z changes its sign, and the root is found
-    by Brent's method. An imperfect structure has no bifurcation: it bends away, and its path is followed as it bends.
+    The path is followed by its arc length until the least eigenvalue of Z^T H Z changes its sign, and the bracket is
+    closed in on from the nearest point found. An imperfect structure has no bifurcation: it bends away, and its path is
+    followed as it bends.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> hexapod = pm.ElasticModel.load("hexapod")
+        >>> down = pm.Loads(wrenches={"O_e": [0.01, 0.0, -1.0, 0.0, 0.0, 0.0]})
+        >>> found = pm.buckling_load(hexapod, hexapod.rigid.home, down)
+        >>> print(f"{found.kind} at {found.factor:.0f} N")
+        limit point at 656061 N
 
     Args:
         model: the elastic mechanism.
         configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
         loads: loads, which are multiplied by the factor that is looked for.
         permanent: loads that always act in full.
-        largest_factor: factor to look up to; ten times the linear estimate by default.
+        largest_factor: factor to look up to; by default ten times the linear estimate, or, where the loads add
+            stiffness only, ten times the factor at which they double one.
         tolerance: see :func:`~pm3dof_pin.elastic.loaded.loaded_equilibrium`.
-        max_steps: Newton steps for one increment.
+        max_steps: Newton steps under the permanent loads to give up after.
 
     Returns:
-        The buckling load, or None if the mechanism is stable up to the largest factor, or if none is given and the
-        loads add stiffness only.
+        The buckling load, or None if the mechanism is stable up to the largest factor, or until a spring that stands
+        for a body is deflected further than a body can be, or the mechanism runs into a dead point;
+        :func:`search_buckling` says how far that was, and why it ended there.
 
     Raises:
         InvalidValueError: the loads have no potential (a moment that keeps its direction in the world), or see
             :func:`~pm3dof_pin.elastic.loaded.loaded_equilibrium`.
         SingularConfigurationError: the mechanism is unstable under the permanent loads alone.
-        ConvergenceError: it has no equilibrium under the permanent loads alone, or the path could not be followed.
+        ConvergenceError: it has no equilibrium under the permanent loads alone.
         FrameNotFoundError: a load acts on a frame that the model does not have.
     """
+    return search_buckling(
+        model,
+        configuration,
+        loads,
+        permanent=permanent,
+        largest_factor=largest_factor,
+        tolerance=tolerance,
+        max_steps=max_steps,
+    ).load
+
+
+def search_buckling(
+    model: ElasticModel,
+    configuration: Configuration | ArrayLike,
+    loads: Loads,
+    *,
+    permanent: Loads | None = None,
+    largest_factor: float | None = None,
+    tolerance: float = EQUILIBRIUM_TOLERANCE,
+    max_steps: int = 60,
+) -> BucklingSearch:
+    """Find the first buckling load as :func:`buckling_load` does, and say how far it was looked if there is none.
+
+    Args:
+        model: see :func:`buckling_load`.
+        configuration: see there.
+        loads: see there.
+        permanent: see there.
+        largest_factor: see there.
+        tolerance: see there.
+        max_steps: see there.
+
+    Raises:
+        PM3DofError: see there.
+    """
     path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
-    start, _ = path.equilibrium(0.0, path.rest)
+    start = path.unloaded()
     if start.least_eigenvalue <= 0.0:
         raise SingularConfigurationError(
             f"{model} is unstable without the loads that are to grow: least eigenvalue {start.least_eigenvalue:.3e}"
         )
-    estimate = _linear_estimate(start, path.growing)
-    largest = _REACH * estimate if largest_factor is None else largest_factor
+    estimate, doubling, moving = _scales(start, path.growing)
+    largest = _REACH * (estimate if np.isfinite(estimate) else doubling) if largest_factor is None else largest_factor
     if not np.isfinite(largest):
-        return None
-    stable = path.begin(start, min(estimate, largest))
-    while stable.factor < largest:
-        beyond, step = path.advance(stable, _STEP)
-        _require_potential(beyond.state)
-        if beyond.state.least_eigenvalue <= 0.0:
-            critical = _critical_point(path, stable, beyond, step)
-            return BucklingLoad(
+        return BucklingSearch(None, 0.0, "the loads move nothing and change no stiffness")
+    point, length = path.begin(start, min(estimate, largest, moving)), FIRST_STEP
+    for _ in range(_MOST_POINTS):
+        try:
+            step = path.advance(point, length)
+        except DeflectionRangeError as error:
+            return BucklingSearch(None, error.factor, str(error))
+        except ConvergenceError as error:
+            _log.warning("looked for buckling only up to a factor of %.6g: %s", point.factor, error)
+            return BucklingSearch(None, point.factor, str(error))
+        _require_potential(step.end.state)
+        if not step.end.stable:
+            critical = path.critical_point(step)
+            if critical.factor > largest:
+                break
+            load = BucklingLoad(
                 factor=critical.factor,
                 linear_estimate=estimate,
-                kind="bifurcation" if beyond.load_grows else "limit point",
+                kind="limit point" if step.limit_point else "bifurcation",
                 mode=_softest_motion(critical.state),
                 equilibrium=LoadedEquilibrium(critical.factor, critical.steps, critical.state),
             )
-        stable = beyond
-    return None
-
-
-def _critical_point(path: LoadPath, stable: PathPoint, beyond: PathPoint, step: float) -> PathPoint:
-    """Return the point between two where the least eigenvalue vanishes."""
-    found = {0.0: stable, step: beyond}
-
-    def least_eigenvalue(length: float) -> float:
-        if length not in found:
-            point = path.point_at(stable, length)
-            if point is None:
-                raise ConvergenceError(
-                    f"the load path beyond a factor of {stable.factor:.6g}", stable.state.imbalance, "J^(1/2)", 0
-                )
-            found[length] = point
-        return found[length].state.least_eigenvalue
-
-    root = scipy.optimize.brentq(least_eigenvalue, 0.0, step, xtol=_PRECISION * step, rtol=_PRECISION)
-    return found[min(found, key=lambda length: abs(length - root))]
+            return BucklingSearch(load, critical.factor, load.kind)
+        if step.end.factor > largest:
+            break
+        point, length = step.end, 2.0 * step.length
+    else:
+        return BucklingSearch(None, point.factor, f"stable at each of {_MOST_POINTS} points of the path")
+    return BucklingSearch(None, largest, "stable up to the largest factor")
 
 
 def _require_potential(state: LoadedState) -> None:
-    asymmetry = np.abs(state.tangent - state.tangent.T).max(initial=0.0)
-    if asymmetry > _ASYMMETRY * np.abs(state.tangent).max(initial=0.0):
+    if not state.symmetric:
         raise InvalidValueError("loads", "without a potential", "no moments that keep their direction in the world")
 
 
-def _linear_estimate(state: LoadedState, loads: AppliedLoads) -> float:
-    """Return the factor at which the loads' stiffness, taken as proportional to them, uses up the tangent stiffness."""
+def _scales(state: LoadedState, loads: AppliedLoads) -> tuple[float, float, float]:
+    """Return the load factors at which something happens, to first order; each infinite if it never does.
+
+    Returns:
+        Where the loads' stiffness, taken as proportional to them, uses up the tangent stiffness in some motion; where
+        it is as much in some motion, of either sign; and where a joint has moved by what shows.
+    """
     model, where, motions = state.model, state.configuration, state.bearing_motions
     forces = loads.forces(where)
     moved = motions @ np.linalg.solve(state.tangent, motions.T @ forces)
@@ -143,12 +205,18 @@ def _linear_estimate(state: LoadedState, loads: AppliedLoads) -> float:
     ahead, back = (model.energy_derivatives(where, deflections + sign * moved)[1] for sign in (1.0, -1.0))
     change = motions.T @ (loads.resistance(where, closure_forces) + 0.5 * (ahead - back)) @ motions
     tangent = 0.5 * (state.tangent + state.tangent.T)
-    greatest = float(scipy.linalg.eigvalsh(-0.5 * (change + change.T), tangent).max(initial=0.0))
-    return 1.0 / greatest if greatest > 0.0 else float("inf")
+    values = scipy.linalg.eigvalsh(-0.5 * (change + change.T), tangent)
+    largest = float(np.abs(values).max(initial=0.0))
+    softening = float(values.max(initial=0.0))
+    motion = float(np.abs(moved / model.mechanism.velocity_scale).max(initial=0.0))
+    return (
+        1.0 / softening if softening > _ROUNDING * largest else np.inf,
+        1.0 / largest if largest > 0.0 else np.inf,
+        _TYPICAL_MOTION / motion if motion > 0.0 else np.inf,
+    )
 
 
 def _softest_motion(state: LoadedState) -> Vector:
-    vectors = np.linalg.eigh(0.5 * (state.tangent + state.tangent.T))[1]
-    motion = state.bearing_motions @ vectors[:, 0]
+    motion = state.bearing_motions @ state.softest
     scaled = motion / state.model.mechanism.velocity_scale
     return frozen(motion / scaled[np.argmax(np.abs(scaled))])

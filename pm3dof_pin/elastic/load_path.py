@@ -5,11 +5,18 @@ motions Z, the path's direction (y, df) solves T y - p df = 0; a step goes along
 shortest way, the least (y, df) with T y - p df = -residual (E. Allgower and K. Georg, Numerical Continuation Methods,
 1990). So it goes through limit points, where the load has a maximum and T is singular. Lengths are measured with f on a
 typical factor and y on the strain that the loads cause at first.
+
+A step is taken for a piece of one path only if nothing happened on it, or one thing: the number of T's negative
+eigenvalues is what it was, or it has changed by one and the load has begun to fall or to grow again. Otherwise the step
+is halved, until it is a piece of one path (which bends sharply, as that of a slightly imperfect structure) or is so
+short that two paths meet within it, at a bifurcation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,15 +24,31 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded_state import LoadedState, find_equilibrium
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
-from pm3dof_pin.exceptions import ConvergenceError
+from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
+
+FIRST_STEP = 0.2
+"""Length of the first step along a path, in its measures."""
 
 _CORRECTIONS = 12
 _SINGULAR = 1e-9
 _BRANCHING = 1e-6  # singular values below leave more than one direction to go
-_SHARPEST_TURN = 0.8  # least cosine of the angle between two points' directions
-_SMALLEST_STEP = 2.0**-16
+_SHARPEST_TURN = 0.9  # least cosine of the angle between two points' directions
+_GREATEST_DRIFT = 0.5  # corrections together, as a part of the step
+_LONGEST_MOTION = 0.3  # rad, or characteristic lengths
+_SHORTEST_STEP = 1e-6
+_MEETING = 1e-5  # longest step that counts as one across a bifurcation
+_PUSHED = 1e-9
+_NEARLY_SINGULAR = 1e2  # times the threshold of the rank
+_AT_RANGE = 0.02  # longest step that counts as one out of the springs' range
+_GROWTH = 2.0
+_MOST_POINTS = 1000
+_CRITICAL = 1e-12
+_BRACKETINGS = 60
+_BRANCH_STEPS = (0.02, 0.05, 0.1, 0.2)
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +73,36 @@ class PathPoint:
         """Whether the load grows along the path's direction."""
         return bool(self.direction[-1] > 0.0)
 
+    @property
+    def stable(self) -> bool:
+        """Whether the equilibrium resists every motion."""
+        return self.state.least_eigenvalue > 0.0
+
     def reversed(self) -> PathPoint:
         """Return the same point, with the path followed the other way."""
-        return PathPoint(self.factor, self.state, -self.direction, self.steps)
+        return replace(self, direction=-self.direction)
+
+
+@dataclass(frozen=True, eq=False)
+class PathStep:
+    """One step along the path.
+
+    Attributes:
+        start: where it began.
+        end: where it ended.
+        length: how long it is.
+        bifurcation: whether two paths meet within it.
+    """
+
+    start: PathPoint
+    end: PathPoint
+    length: float
+    bifurcation: bool
+
+    @property
+    def limit_point(self) -> bool:
+        """Whether the load turned round within it."""
+        return self.end.load_grows != self.start.load_grows and not self.bifurcation
 
 
 class LoadPath:
@@ -110,34 +160,195 @@ class LoadPath:
         towards[-1] = 1.0
         return PathPoint(0.0, state, self._direction(state, towards), 0)
 
-    def advance(self, point: PathPoint, step: float) -> tuple[PathPoint, float]:
-        """Go on along the path; return the next point and the length of the step, which is halved where needed.
+    def settle(self) -> tuple[LoadedState, int]:
+        """Find where the mechanism stands under the full growing loads: on the path from rest, if that leads there.
+
+        Returns:
+            The equilibrium and the number of corrections of the last step.
 
         Raises:
+            DeflectionRangeError: the path from rest leads out of the springs' range.
+            ConvergenceError: no equilibrium was found.
+        """
+        rest = LoadedState(self._model, self.rest, self._applied(0.0), self.rest)
+        pushed = rest.motions.unstrained.T @ self.growing.forces(self.rest)
+        if np.abs(pushed).max(initial=0.0) > _PUSHED * self.growing.size:
+            return self.equilibrium(1.0, self.rest)  # what no spring holds has no place yet where loads are nothing
+        try:
+            point = self.follow(self.begin(rest, 1.0), 1.0)
+        except ConvergenceError as error:
+            found = self.equilibrium(1.0, self.rest)
+            _log.warning("the equilibrium is not one that the mechanism comes to from rest: %s", error)
+            return found
+        return point.state, point.steps
+
+    def unloaded(self) -> LoadedState:
+        """Find where the mechanism stands under the permanent loads alone.
+
+        Raises:
+            PM3DofError: see :meth:`settle`.
+        """
+        path = LoadPath(
+            self._model, self.rest, self._permanent, None, tolerance=self._tolerance, max_steps=self._max_steps
+        )
+        state, _ = path.settle()
+        return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
+
+    def straight(self, point: PathPoint, length: float) -> PathPoint:
+        """Go on along the path by a length, straight on at bifurcations, and round limit points.
+
+        Raises:
+            PM3DofError: see :meth:`advance`.
+        """
+        step = self.advance(point, length)
+        if step.bifurcation:
+            _log.warning("bifurcation at a factor of %.6g, branch followed: straight on", step.start.factor)
+        return step.end
+
+    def advance(self, point: PathPoint, length: float) -> PathStep:
+        """Go on along the path by a length, or less where the path bends or branches.
+
+        Raises:
+            DeflectionRangeError: a spring would be deflected further than it can be.
             ConvergenceError: the path could not be followed; the message says from where.
         """
-        length = step
-        while length > _SMALLEST_STEP * step:
+        beyond = ""
+        while length > _SHORTEST_STEP and not (beyond and length < _AT_RANGE):
             found = self.point_at(point, length)
-            if found is not None:
-                return found, length
+            if found is not None and _one_piece(point, found):
+                beyond = found.state.out_of_range
+                if not beyond:
+                    return PathStep(point, found, length, bifurcation=False)
+            elif found is not None:
+                if length <= _MEETING:
+                    return PathStep(point, found, length, bifurcation=True)
+                length *= float(np.clip(0.95 * _crossing(point, found), 0.02, 0.7))
+                continue
             length /= 2.0
-        residual = float(np.abs(point.state.unbalanced).max(initial=0.0))
-        raise ConvergenceError(
-            f"the load path beyond a factor of {point.factor:.6g}", residual, "N or N m", _CORRECTIONS
+        if beyond:
+            raise DeflectionRangeError(beyond, point.factor)
+        rank = point.state.motions.passive_rank
+        nearly = rank.least(rank.rank) < _NEARLY_SINGULAR * rank.threshold
+        self._give_up(
+            point, "it runs into a singular configuration, a dead point of its passive joints" if nearly else ""
         )
 
-    def point_at(self, point: PathPoint, step: float) -> PathPoint | None:
+    def point_at(self, point: PathPoint, length: float) -> PathPoint | None:
         """Return the point of the path at a distance from another; None if not found, or if the path turns sharply."""
-        y, rise = self._split(point.state, step * point.direction)
+        return self._corrected(point, length, None)
+
+    def follow(self, point: PathPoint, factor: float) -> PathPoint:
+        """Follow the path to a factor. Where it stops being stable at a bifurcation, a stable branch is taken.
+
+        Raises:
+            DeflectionRangeError: a spring would be deflected further than it can be.
+            ConvergenceError: the path turns round before, at a limit point or at a bifurcation without a stable branch
+                that goes on, or could not be followed.
+        """
+        grows = factor > point.factor
+        if point.load_grows != grows:
+            point = point.reversed()
+        length = FIRST_STEP
+        for _ in range(_MOST_POINTS):
+            if point.factor == factor:
+                return point
+            remaining = (factor - point.factor) / (self._typical_factor * point.direction[-1])
+            if remaining <= max(2.0, 4.0 * length):
+                found = self._corrected(point, remaining, factor)
+                if found is not None and _one_piece(point, found) and not found.state.out_of_range:
+                    point = found
+                    continue
+            step = self.advance(point, min(length, 0.5 * remaining))
+            if step.bifurcation:
+                point = self._past_bifurcation(step, grows=grows)
+                length = FIRST_STEP
+                continue
+            if step.limit_point:
+                self._give_up(self.critical_point(step), "it turns round there, at a limit point")
+            point, length = step.end, _GROWTH * step.length
+        self._give_up(point, f"after {_MOST_POINTS} points a factor of {factor:.6g} is still not reached")
+
+    def critical_point(self, step: PathStep) -> PathPoint:
+        """Return the point within a step where an eigenvalue of the tangent changes its sign.
+
+        The bracket closes in from the nearest point found so far, so that every search begins next to the path.
+        """
+        near, far, width = step.start, step.end, step.length
+        index = min(near.state.instability, far.state.instability)
+
+        def value(point: PathPoint) -> float:
+            return float(point.state.eigenvalues[index])
+
+        best = min(near, far, key=lambda point: abs(value(point)))
+        for _ in range(_BRACKETINGS):
+            if abs(value(best)) <= _CRITICAL or width <= _CRITICAL:
+                break
+            fraction = float(np.clip(value(near) / (value(near) - value(far)), 0.05, 0.95))
+            found = self.point_at(near, fraction * width) or self.point_at(near, 0.5 * fraction * width)
+            if found is None:
+                break
+            if (value(found) > 0.0) == (value(near) > 0.0):
+                # the end is as far as it was, or a little further where the path is curved
+                near, width = found, 1.2 * (1.0 - fraction) * width
+            else:
+                far, width = found, fraction * width
+            best = min(best, found, key=lambda point: abs(value(point)))
+        return best
+
+    def _past_bifurcation(self, step: PathStep, *, grows: bool) -> PathPoint:
+        """Go on past a bifurcation: on a stable branch if the path was stable, else straight on."""
+        if not step.start.stable:
+            _log.warning("bifurcation at a factor of %.6g, branch followed: straight on, unstable", step.start.factor)
+            return step.end
+        critical = self.critical_point(step)
+        if step.end.stable:
+            return step.end
+        for sign in (1.0, -1.0):
+            sideways = np.append(critical.state.invariant(sign * critical.state.softest), 0.0)
+            for length in _BRANCH_STEPS:
+                found = self.point_at(replace(critical, direction=sideways), length)
+                if found is not None and found.stable and found.load_grows == grows:
+                    _log.warning(
+                        "bifurcation at a factor of %.6g, branch followed: a stable one of those that bend away, %s",
+                        critical.factor,
+                        self._mode(sign * critical.state.softest, critical.state),
+                    )
+                    return found
+        self._give_up(critical, "it loses its stability there, at a bifurcation that no stable branch leaves")
+
+    def _mode(self, motion: Vector, state: LoadedState) -> str:
+        """Say in words which way a motion goes: the joint that moves most."""
+        mechanism = self._model.mechanism
+        velocity = state.bearing_motions @ motion / mechanism.velocity_scale
+        most = int(np.argmax(np.abs(velocity)))
+        joints = [joint.nv for joint in list(mechanism.model.joints)[1:]]
+        name = mechanism.model.names[1 + int(np.searchsorted(np.cumsum(joints), most, side="right"))]
+        return f"with '{name}' {'growing' if velocity[most] > 0.0 else 'falling'}"
+
+    def _give_up(self, point: PathPoint, why: str) -> NoReturn:
+        residual = float(np.abs(point.state.unbalanced).max(initial=0.0))
+        task = f"the load path beyond a factor of {point.factor:.8g}"
+        raise ConvergenceError(task, residual, "N or N m", point.steps, why)
+
+    def _corrected(self, point: PathPoint, length: float, target: float | None) -> PathPoint | None:
+        """Go along the path's direction and come back to the path: the shortest way, or at a factor if one is given."""
+        y, rise = self._split(point.state, length * point.direction)
         factor, velocity = point.factor + rise, point.state.bearing_motions @ y
+        if target is not None:
+            factor = target
+        if np.abs(velocity / self._model.mechanism.velocity_scale).max(initial=0.0) > _LONGEST_MOTION:
+            return None
         state = point.state.moved(velocity, self._applied(factor))
+        drift = 0.0
         for count in range(_CORRECTIONS):
-            if state is None:
+            if state is None or drift > _GREATEST_DRIFT * length:
                 return None
             balanced = state.balanced(self._tolerance)
-            y, rise = self._correction(state)
-            closer = state.moved(state.bearing_motions @ y, self._applied(factor + rise))
+            change = self._correction(state, held=target is not None)
+            drift += float(np.linalg.norm(change))
+            rise = self._typical_factor * float(change[-1])
+            velocity = state.bearing_motions @ (self._typical_strain * change[:-1])
+            closer = state.moved(velocity, self._applied(factor + rise))
             if balanced:
                 if closer is not None and closer.imbalance < state.imbalance:
                     state, factor = closer, factor + rise
@@ -146,46 +357,6 @@ class LoadPath:
                 return None if turned else PathPoint(factor, state, direction, count + 1)
             state, factor = closer, factor + rise
         return None
-
-    def point_with_factor(self, point: PathPoint, factor: float) -> PathPoint | None:
-        """Return the point near by with a given factor; None if not found, or if the path turns sharply."""
-        step = (factor - point.factor) / (self._typical_factor * point.direction[-1])
-        y, _ = self._split(point.state, step * point.direction)
-        state = point.state.moved(point.state.bearing_motions @ y, self._applied(factor))
-        if state is None:
-            return None
-        try:
-            state, steps = find_equilibrium(state, tolerance=self._tolerance, max_steps=_CORRECTIONS)
-        except ConvergenceError:
-            return None
-        direction = self._direction(state, point.direction)
-        return None if direction @ point.direction < _SHARPEST_TURN else PathPoint(factor, state, direction, steps)
-
-    def follow(self, point: PathPoint, factor: float, longest_step: float) -> PathPoint:
-        """Follow the path to a factor.
-
-        Raises:
-            ConvergenceError: the path turns round before, at a limit point, or could not be followed.
-        """
-        grows = factor > point.factor
-        if point.load_grows != grows:
-            point = point.reversed()
-        while point.factor != factor:
-            remaining = (factor - point.factor) / (self._typical_factor * point.direction[-1])
-            found = self.point_with_factor(point, factor) if remaining <= longest_step else None
-            if found is None:
-                found, _ = self.advance(point, min(longest_step, 0.5 * remaining))
-            if found.load_grows != grows:
-                residual = float(np.abs(found.state.unbalanced).max(initial=0.0))
-                raise ConvergenceError(
-                    f"the load path beyond a factor of {point.factor:.6g}",
-                    residual,
-                    "N or N m",
-                    found.steps,
-                    "it turns round there, at a limit point: no equilibrium near by bears more",
-                )
-            point = found
-        return point
 
     def _applied(self, factor: float) -> AppliedLoads:
         return AppliedLoads(self._model.mechanism, [(factor, self._loads), (1.0, self._permanent)])
@@ -200,18 +371,32 @@ class LoadPath:
         y = self._typical_strain * state.coordinates(direction[:-1])
         return y, self._typical_factor * float(direction[-1])
 
-    def _correction(self, state: LoadedState) -> tuple[Vector, float]:
-        solved = np.linalg.lstsq(self._equations(state), -state.bearing_residual, rcond=_SINGULAR)[0]
-        least = np.asarray(solved, dtype=np.float64)
-        y: Vector = self._typical_strain * least[:-1]
-        return y, self._typical_factor * float(least[-1])
+    def _correction(self, state: LoadedState, *, held: bool) -> Vector:
+        """Return the least (y, df), in the path's measures, that takes away what is out of balance."""
+        equations = self._equations(state)
+        if held:
+            equations[:, -1] = 0.0
+        solved = np.linalg.lstsq(equations, -state.bearing_residual, rcond=_SINGULAR)[0]
+        return np.asarray(solved, dtype=np.float64)
 
     def _direction(self, state: LoadedState, before: Vector) -> Vector:
         """Return the direction of the path that turns least from the one before."""
-        _, values, right = np.linalg.svd(self._equations(state))
-        threshold = _BRANCHING * float(values.max(initial=0.0))
-        directions = right[int(np.count_nonzero(values > threshold)) :]
+        equations = self._equations(state)
         wanted = np.append(state.coordinates(before[:-1]), before[-1])
-        nearest = directions.T @ (directions @ wanted)
+        # what the equations leave free of the direction before; where they leave more than one, what is nearest to it
+        nearest = wanted - np.linalg.lstsq(equations, equations @ wanted, rcond=_BRANCHING)[0]
         nearest /= np.linalg.norm(nearest)
         return np.append(state.invariant(nearest[:-1]), nearest[-1])
+
+
+def _one_piece(start: PathPoint, end: PathPoint) -> bool:
+    """Tell whether nothing happens between two points of a path, or one limit point."""
+    changed = abs(end.state.instability - start.state.instability)
+    return changed == (end.load_grows != start.load_grows)
+
+
+def _crossing(start: PathPoint, end: PathPoint) -> float:
+    """Estimate where between two points an eigenvalue vanishes, as a part of their distance."""
+    index = min(start.state.instability, end.state.instability)
+    near, far = float(start.state.eigenvalues[index]), float(end.state.eigenvalues[index])
+    return near / (near - far) if near * far < 0.0 else 0.5

@@ -25,6 +25,7 @@ Dynamics 18, 2007).
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,15 +38,15 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import LoadPath
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import Loads
-from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError, RigidDirectionError
+from pm3dof_pin.exceptions import DeflectionRangeError, FreeDirectionError, InvalidValueError, RigidDirectionError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 
 EQUILIBRIUM_TOLERANCE = 1e-10
-"""Imbalance that counts as none, as a part of the size of the loads."""
+"""Equilibrium tolerance, relative to the load."""
 
-_LONGEST_STEP = 0.5
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +197,12 @@ def loaded_equilibrium(
 ) -> LoadedEquilibrium:
     """Find where an elastic mechanism stands under loads.
 
-    Newton's method with the exact tangent stiffness and a line search; the loops are closed after each step. Actuated
-    joints hold their place, through their springs if they have such.
+    The loads grow from nothing to what they are, and the equilibrium is followed with the exact tangent stiffness, in
+    one step where they are small. Where it stops being stable at a bifurcation, a stable branch is followed. The loops
+    are closed after each step. Actuated joints hold their place, through their springs if they have such.
+
+    A warning is logged if the equilibrium is not stable, if a bifurcation was passed, or if the path from rest ends
+    before the whole load is on and the equilibrium was found by Newton's method from rest, elsewhere.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -212,20 +217,28 @@ def loaded_equilibrium(
         model: the elastic mechanism.
         configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
         loads: what acts on it.
-        guess: configuration to start from, of the mechanism with virtual joints; that at rest by default.
+        guess: configuration to start Newton's method from, of the mechanism with virtual joints, instead of following
+            the equilibrium from rest.
         tolerance: imbalance that counts as none, as a part of the size of the loads.
         max_steps: Newton steps to give up after.
 
     Raises:
-        ConvergenceError: no equilibrium was found: the loads may be more than the mechanism bears, or want to be
-            applied in steps, see :func:`load_deflection`.
+        ConvergenceError: no equilibrium was found: the loads may be more than the mechanism bears.
+        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
         FrameNotFoundError: a load acts on a frame that the model does not have.
         InvalidValueError: a load is not finite or of the wrong shape, the loops are not closed, or a length that a
             joint changes is not positive.
         DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
     """
     path = LoadPath(model, configuration, loads, None, tolerance=tolerance, max_steps=max_steps)
-    state, steps = path.equilibrium(1.0, path.rest if guess is None else model.configuration(guess))
+    if guess is None:
+        state, steps = path.settle()
+    else:
+        state, steps = path.equilibrium(1.0, model.configuration(guess))
+    if state.out_of_range:
+        raise DeflectionRangeError(state.out_of_range, 0.0)
+    if state.least_eigenvalue <= 0.0:
+        _log.warning("the equilibrium under load is not stable: least eigenvalue %.3g", state.least_eigenvalue)
     return LoadedEquilibrium(1.0, steps, state)
 
 
@@ -242,7 +255,8 @@ def load_deflection(
     """Follow the equilibrium while the loads grow: the load-deflection curve at given loads.
 
     The path from one factor to the next is followed by its arc length, so that no equilibrium is taken for one that
-    only looks near. It ends at a limit point: see :func:`equilibrium_path` for what comes after it.
+    only looks near. It ends at a limit point: see :func:`equilibrium_path` for what comes after it. At a bifurcation it
+    goes on along a stable branch, and a warning is logged with the factor and the branch.
 
     Args:
         model: the elastic mechanism.
@@ -257,18 +271,19 @@ def load_deflection(
         An equilibrium for each factor.
 
     Raises:
-        ConvergenceError: the path turns round before a factor is reached; the message says where.
+        ConvergenceError: the path turns round before a factor is reached, or no stable branch leaves a bifurcation; the
+            message says where.
+        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
         FrameNotFoundError: see :func:`loaded_equilibrium`.
         InvalidValueError: see there, or the factors are not finite or no list.
         DescriptionError: see there.
     """
     targets = finite_array("factors", factors, (np.size(factors),))
     path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
-    state, _ = path.equilibrium(0.0, path.rest)
-    point = path.begin(state, float(np.abs(targets).max(initial=0.0)) or 1.0)
+    point = path.begin(path.unloaded(), float(np.abs(targets).max(initial=0.0)) or 1.0)
     curve = []
     for target in targets:
-        point = path.follow(point, float(target), _LONGEST_STEP)
+        point = path.follow(point, float(target))
         curve.append(LoadedEquilibrium(point.factor, point.steps, point.state))
     return tuple(curve)
 
@@ -286,6 +301,8 @@ def equilibrium_path(
 ) -> tuple[LoadedEquilibrium, ...]:
     """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
 
+    At a bifurcation it goes straight on, and a warning is logged with the factor.
+
     Args:
         model: the elastic mechanism.
         configuration: see :func:`loaded_equilibrium`.
@@ -302,6 +319,7 @@ def equilibrium_path(
 
     Raises:
         ConvergenceError: the path could not be followed; the message says from where.
+        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
         FrameNotFoundError: see :func:`loaded_equilibrium`.
         InvalidValueError: see there, or the increment is not a positive number.
         DescriptionError: see there.
@@ -309,8 +327,7 @@ def equilibrium_path(
     if not (np.isfinite(increment) and increment > 0.0):
         raise InvalidValueError("increment", increment, "a positive number")
     path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
-    state, _ = path.equilibrium(0.0, path.rest)
-    points = [path.begin(state, increment)]
+    points = [path.begin(path.unloaded(), increment)]
     for _ in range(count):
-        points.append(path.advance(points[-1], 1.0)[0])
+        points.append(path.straight(points[-1], 1.0))
     return tuple(LoadedEquilibrium(point.factor, point.steps, point.state) for point in points)

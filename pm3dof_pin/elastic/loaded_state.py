@@ -10,13 +10,22 @@ import pinocchio as pin
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loads import AppliedLoads
 from pm3dof_pin.elastic.motions import elastic_motions
-from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Matrix, Vector
+from pm3dof_pin.typing import Indices, Matrix, Vector
 
-_IDLE = 1e-9  # stiffness that the loads give to a motion with the springs at rest, as a part of their size
+CLOSED = 1e-11
+"""Closure residual of an equilibrium [characteristic lengths, or rad]."""
+
+LARGEST_BEND = 1.0
+"""Rotation, in one spring that stands for a body, up to which small-deflection stiffness is used at all [rad]."""
+
+_IDLE = 1e-9  # stiffness of a motion with the springs at rest, as a part of the loads or of the greatest stiffness
+_SYMMETRY = 1e-6
 _CLOSING_STEPS = 20
+_CLOSING_ROUNDS = 4
 _LONGEST_STEP = 0.3  # rad, or characteristic lengths
 _SHORTEST_FRACTION = 1e-5
 _LEAST_GAIN = 1e-4
@@ -30,6 +39,8 @@ class LoadedState:
         rest: configuration with the springs at rest, of `model.mechanism`.
         loads: the loads.
         configuration: an assembled configuration of `model.mechanism`.
+        near: deflections that those of continuous joints are near to, shape=(nv,): they count whole turns. Those within
+            half a turn by default.
 
     Attributes:
         motions: how the mechanism can move.
@@ -43,7 +54,12 @@ class LoadedState:
     """
 
     def __init__(
-        self, model: ElasticModel, rest: Configuration, loads: AppliedLoads, configuration: Configuration
+        self,
+        model: ElasticModel,
+        rest: Configuration,
+        loads: AppliedLoads,
+        configuration: Configuration,
+        near: Vector | None = None,
     ) -> None:
         self.model, self.rest, self.configuration = model, rest, configuration
         self._loads = loads
@@ -51,6 +67,10 @@ class LoadedState:
         self.deflections: Vector = pin.difference(
             model.mechanism.model, np.array(rest.q), np.array(configuration.q)
         ).reshape(model.mechanism.model.nv)
+        if near is not None:
+            turning = _continuous(model.mechanism.model)
+            turns = np.round((near[turning] - self.deflections[turning]) / (2.0 * np.pi))
+            self.deflections[turning] += 2.0 * np.pi * turns
         gradient, self._springs_hessian = model.energy_derivatives(configuration, self.deflections)
         forces = loads.forces(configuration)
         self.closure_forces: Vector = self.motions.closing.T @ (gradient - forces)
@@ -94,9 +114,38 @@ class LoadedState:
         return tangent
 
     @cached_property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric, as it is where the loads have a potential."""
+        asymmetry = np.abs(self.tangent - self.tangent.T).max(initial=0.0)
+        return bool(asymmetry <= _SYMMETRY * np.abs(self.tangent).max(initial=0.0))
+
+    @cached_property
+    def eigenvalues(self) -> Vector:
+        """Eigenvalues of the symmetric part of the tangent, rising, shape=(k,)."""
+        return np.asarray(np.linalg.eigvalsh(0.5 * (self.tangent + self.tangent.T)), dtype=np.float64)
+
+    @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of the symmetric part of the tangent; infinite if nothing can move."""
-        return float(np.linalg.eigvalsh(0.5 * (self.tangent + self.tangent.T)).min(initial=np.inf))
+        return float(self.eigenvalues.min(initial=np.inf))
+
+    @cached_property
+    def instability(self) -> int:
+        """Number of negative eigenvalues of the tangent; whether it is odd (1) or even (0) if it is not symmetric."""
+        if self.symmetric:
+            return int(np.count_nonzero(self.eigenvalues < 0.0))
+        return int(np.linalg.slogdet(self.tangent)[0] < 0.0)
+
+    @cached_property
+    def softest(self) -> Vector:
+        """The sum of bearing motions that meets the least resistance, of length 1, shape=(k,)."""
+        vector: Vector = np.linalg.eigh(0.5 * (self.tangent + self.tangent.T))[1][:, 0]
+        return vector
+
+    @cached_property
+    def out_of_range(self) -> str:
+        """Which spring is deflected further than any body of this size could be, and by how much; empty if none is."""
+        return _deflection_out_of_range(self.model, self.configuration, self.deflections)
 
     def force(self, loads: AppliedLoads) -> Vector:
         """Return what loads do on the bearing motions, shape=(k,)."""
@@ -140,20 +189,20 @@ class LoadedState:
             loads: the loads there; the same by default.
         """
         mechanism = self.model.mechanism
-        q = pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
-        configuration = Configuration(mechanism, q)
-        for _ in range(_CLOSING_STEPS):
-            residual = configuration.closure_residual
-            if residual == 0.0:
-                break
-            q = pin.integrate(mechanism.model, q, -self.motions.closing @ configuration.closure_error)
-            closer = Configuration(mechanism, q)
-            if closer.closure_residual >= residual:
-                break
-            configuration = closer
-        if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
+        configuration = Configuration(
+            mechanism, pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
+        )
+        near = self.deflections + velocity
+        motions, tolerance = self.motions, CLOSED * mechanism.characteristic_length
+        try:
+            for _ in range(_CLOSING_ROUNDS):
+                configuration = _closed(configuration, motions.closing)
+                if configuration.closure_residual <= tolerance:
+                    return LoadedState(self.model, self.rest, loads or self._loads, configuration, near)
+                motions = elastic_motions(self.model, configuration, tolerance=RANK_TOLERANCE)
+        except InvalidValueError:  # loops far from closed, or a spring whose length is gone
             return None
-        return LoadedState(self.model, self.rest, loads or self._loads, configuration)
+        return None
 
     @cached_property
     def _combinations(self) -> tuple[Matrix, Matrix]:
@@ -162,12 +211,56 @@ class LoadedState:
         whole = self.basis.T @ self.hessian @ self.basis
         both = np.vstack([whole[:, springs:], whole[springs:].T])
         values, right = np.linalg.svd(both)[1:] if both.size else (np.zeros(0), np.eye(count - springs))
-        rank = int(np.count_nonzero(values > _IDLE))
+        rank = int(np.count_nonzero(values > _IDLE * max(1.0, np.abs(whole).max())))
         bearing, idle = np.zeros((count, springs + rank)), np.zeros((count, count - springs - rank))
         bearing[:springs, :springs] = np.eye(springs)
         bearing[springs:, springs:] = right[:rank].T
         idle[springs:] = right[rank:].T
         return bearing, idle
+
+
+def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, deflections: Vector) -> str:
+    """Say which spring is deflected further than a body of its size can be; empty if none is.
+
+    Springs at joints that turn may turn as they like, others that turn by :data:`LARGEST_BEND`. What slides may give by
+    the length of the spring, or where it has none by the characteristic length of the mechanism.
+    """
+    scale = model.mechanism.characteristic_length
+    for spring, block in zip(model.springs, model.blocks, strict=True):
+        length, slides = scale, 1 if isinstance(spring, AxialSpring) else 3
+        by = np.abs(deflections[block.indices])
+        if isinstance(spring, JointSpring):
+            by = by[: spring.unit == "N/m"]
+        elif isinstance(spring, CantileverSpring):
+            slides = 2 if spring.axial_stiffness is None else 3
+            length = spring.length if isinstance(spring.length, float) else model.length(block, configuration)
+        give, bend = by[:slides].max(initial=0.0), by[slides:].max(initial=0.0)
+        if give > length:
+            return f"spring '{spring.name}' gives by {give:.3g} m, more than {length:.3g} m"
+        if bend > LARGEST_BEND:
+            return f"spring '{spring.name}' turns by {bend:.3g} rad, more than {LARGEST_BEND:g} rad"
+    return ""
+
+
+def _continuous(model: pin.Model) -> Indices:
+    """Return the entries of v of joints that turn without end, and whose angle q does not count."""
+    joints = [joint for joint in list(model.joints)[1:] if joint.nv == 1 and joint.nq == 2]
+    return np.array([joint.idx_v for joint in joints], dtype=np.intp)
+
+
+def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
+    """Close loops by simplified Newton steps, as long as they help."""
+    mechanism = configuration.mechanism
+    for _ in range(_CLOSING_STEPS):
+        residual = configuration.closure_residual
+        if residual == 0.0:
+            break
+        q = pin.integrate(mechanism.model, np.array(configuration.q), -closing @ configuration.closure_error)
+        closer = Configuration(mechanism, q)
+        if not closer.closure_residual < residual:
+            break
+        configuration = closer
+    return configuration
 
 
 def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) -> tuple[LoadedState, int]:
@@ -184,6 +277,7 @@ def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) ->
     Raises:
         ConvergenceError: no equilibrium was found.
     """
+    state = state.moved(np.zeros_like(state.deflections)) or state
     for step in range(max_steps):
         balanced = state.balanced(tolerance)
         better = _line_search(state)

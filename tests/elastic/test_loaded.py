@@ -24,6 +24,7 @@ from pm3dof_pin.elastic import (
     equilibrium_path,
     load_deflection,
     loaded_equilibrium,
+    search_buckling,
 )
 from pm3dof_pin.exceptions import (
     ConvergenceError,
@@ -32,7 +33,6 @@ from pm3dof_pin.exceptions import (
     FreeDirectionError,
     InvalidValueError,
     RigidDirectionError,
-    SingularConfigurationError,
 )
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -201,6 +201,17 @@ def test_equilibrium_is_the_minimum_of_the_potential(
     assert equilibrium.stable
     assert equilibrium.residual < 1e-5
     assert equilibrium.configuration.closure_residual < 1e-13
+
+
+def test_a_stable_equilibrium_is_found_at_204_kilonewtons(tripod: Tripod, elastic: ElasticModel) -> None:
+    """Beyond the bifurcation of the straight machine; there is an unstable equilibrium near by."""
+    home = elastic.rigid.home
+    force = 204e3 * np.array([0.3, 0.2, -1.0])
+    pose = np.array([0.0, 0.0, home.tool_placement.translation[2]])
+    equilibrium = loaded_equilibrium(elastic, home, Loads({"O_e": [*force, 0.0, 0.0, 0.0]}))
+    assert equilibrium.stable
+    expected = LoadedTripod(tripod, pose, force).displacement()
+    np.testing.assert_allclose(equilibrium.displacement(), expected, atol=2e-5)
 
 
 def test_forces_in_the_closures_balance_the_platform(elastic: ElasticModel, tripod_positions: Positions) -> None:
@@ -398,15 +409,25 @@ def test_moments_without_a_potential_have_no_buckling_load(elastic: ElasticModel
         buckling_load(elastic, home, Loads({"O_e": [0, 0, -1e4, 50.0, 30.0, 20.0]}), largest_factor=5.0)
 
 
-def test_a_mechanism_that_cannot_stand_by_itself(rigid_tree: RigidTree) -> None:
+def test_a_mechanism_that_cannot_stand_upright(rigid_tree: RigidTree, caplog: pytest.LogCaptureFixture) -> None:
     tree = rigid_tree(
         [("rod", "universe", IDENTITY, pin.JointModelRY()), ("top", "rod", at(0, 0, 1), None)], tool_frame="top"
     )
     model = ElasticModel(tree, [JointSpring("foot", "rod_joint", 5.0, "N m/rad")])
-    heavy, force = Loads(payloads={"top": 1.0}), Loads({"top": [0, 0, -1.0, 0, 0, 0]})
-    with pytest.raises(SingularConfigurationError, match="unstable"):
-        buckling_load(model, [0.0], force, permanent=heavy)
-    assert not loaded_equilibrium(model, [0.0], heavy).stable
+    heavy = Loads(payloads={"top": 1.0})
+    upright = loaded_equilibrium(model, [0.0], heavy, guess=model.configuration([0.0]))
+    assert not upright.stable
+    # 5 theta = m g l sin theta
+    leaning = loaded_equilibrium(model, [0.0], heavy)
+    (angle,) = leaning.spring_deflections
+    assert 5.0 * angle == pytest.approx(9.81 * np.sin(angle), rel=1e-9)
+    assert abs(angle) > 1.0
+    assert leaning.stable
+    assert "bifurcation at a factor of 0.509684, branch followed: a stable one" in caplog.text  # 5 / 9.81
+    # more weight bends it further, and nothing gives way any more
+    search = search_buckling(model, [0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=heavy, largest_factor=50.0)
+    assert search.load is None
+    assert search.largest_factor == 50.0
 
 
 def test_loads_that_make_no_sense(elastic: ElasticModel) -> None:
