@@ -5,7 +5,9 @@ from .batch import compliance as compliance
 from .batch import evaluate as evaluate
 from .batch import stiffness as stiffness
 from .buckling import BucklingLoad as BucklingLoad
+from .buckling import BucklingSearch as BucklingSearch
 from .buckling import buckling_load as buckling_load
+from .buckling import search_buckling as search_buckling
 from .condensation import CartesianCompliance as CartesianCompliance
 from .condensation import transformed_compliance as transformed_compliance
 from .condensation import transformed_stiffness as transformed_stiffness
