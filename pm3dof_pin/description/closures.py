@@ -78,7 +78,7 @@ class _Command(Schema):
     name: Name
     joint: Name
     unit: Unit
-    offset: Length = 0.0
+    offset: float = 0.0  # of the counter, which may count micrometres
     scale: float = 1.0
 
 
@@ -87,7 +87,7 @@ class _Coordinate(Schema):
     unit: Unit
     joint: Name | None = None
     tool: ToolComponent | None = None
-    offset: Length = 0.0
+    offset: float = 0.0
     scale: float = 1.0
     range: tuple[Length, Length] | None = None
 

@@ -6,6 +6,7 @@ same way, and say for which robots they exist.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,9 +28,10 @@ from pm3dof_pin.elastic.quantities import (
     free_stiffness,
     spring_shares,
 )
-from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.typing import Array, Engine
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -66,9 +68,28 @@ class MappedRobot:
 
     @cached_property
     def free_motions(self) -> FreeMotionStiffness | None:
-        """The motions that the robot is free to make at home; None where they are not independent or not elastic."""
+        """The motions that the robot is free to make; None where they are not independent or not elastic.
+
+        Those at home; if home is singular, those at most of the closed configurations near it.
+        """
+        found = [motions for q in self.usual_poses.q if (motions := self._free_motions_at(q)) is not None]
+        names = Counter(motions.names for motions in found).most_common(1)
+        return next((motions for motions in found if motions.names == names[0][0]), None)
+
+    @cached_property
+    def usual_poses(self) -> Poses:
+        """Home; or, if that is singular, closed configurations near it."""
+        home = self.robot.home.q
+        if self._free_motions_at(home) is not None:
+            return self.robot.at(home[None])
         try:
-            return free_motion_stiffness(self.elastic, self.robot.home)
+            return self.robot.at(samples_near(self.robot, home))
+        except ConvergenceError:
+            return self.robot.at(home[None])
+
+    def _free_motions_at(self, q: Array) -> FreeMotionStiffness | None:
+        try:
+            return free_motion_stiffness(self.elastic, self.robot.configuration(q))
         except PM3DofError:
             return None
 
@@ -370,7 +391,7 @@ def _free_motion_unit(mapped: MappedRobot) -> str:
 
 
 def _has_free_motions(mapped: MappedRobot) -> bool:
-    """Tell whether the free motions have a stiffness at home."""
+    """Tell whether the free motions have a stiffness."""
     return mapped.free_motions is not None
 
 

@@ -177,9 +177,10 @@ def stiffness_quantities(mapped: MappedRobot) -> tuple[str, ...]:
 
 
 def has_rigid_directions(mapped: MappedRobot) -> bool:
-    """Tell whether the tool is rigid in some direction at home, so that only its free motions have a stiffness."""
-    home = Evaluation(mapped, mapped.robot.at(mapped.robot.home.q[None]), engine="pinocchio")
-    return not np.isfinite(home.elastic(STIFFNESS)).all() and mapped.free_motions is not None
+    """Tell whether the tool is rigid in some direction, so that only its free motions have a stiffness."""
+    usual = Evaluation(mapped, mapped.usual_poses, engine="pinocchio")
+    has_stiffness = np.isfinite(usual.elastic(STIFFNESS)).all(axis=(1, 2)).any()
+    return not has_stiffness and mapped.free_motions is not None
 
 
 def cell_volumes(grid: Grid) -> Array:

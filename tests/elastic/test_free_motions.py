@@ -12,20 +12,23 @@ from pm3dof_pin.elastic import ElasticModel, JointSpring, cartesian_compliance
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 
 BASE = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.9]])
 PLATFORM = np.array([[-0.1, -0.06], [0.1, -0.06], [0.0, 0.12]])
 SPRINGS = np.array([2.0e5, 3.0e5, 5.0e5])
 
 
-def _three_rpr(coordinates: tuple[Coordinate, ...] = ()) -> Robot:
+def _three_rpr(
+    coordinates: tuple[Coordinate, ...] = (), bases: np.ndarray = BASE, corners: np.ndarray = PLATFORM
+) -> Robot:
     model = pin.Model()
     model.name = "three_rpr"
     joint = 0
     for name, kind in (("x", pin.JointModelPX()), ("y", pin.JointModelPY()), ("turn", pin.JointModelRZ())):
         joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"{name}_joint")
     model.addFrame(pin.Frame("tool", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    for leg, (base, point) in enumerate(zip(BASE, PLATFORM, strict=True)):
+    for leg, (base, point) in enumerate(zip(bases, corners, strict=True)):
         hinge = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.append(base, 0.0)), f"hinge{leg}_joint")
         slide = model.addJoint(hinge, pin.JointModelPX(), pin.SE3.Identity(), f"slide{leg}_joint")
         model.addFrame(pin.Frame(f"tip{leg}", slide, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
@@ -45,22 +48,22 @@ def _elastic(robot: Robot) -> ElasticModel:
     return ElasticModel(robot, [JointSpring(name, name, stiffness, "N/m") for name, stiffness in drives])
 
 
-def _legs(x: float, y: float, turn: float) -> tuple[np.ndarray, np.ndarray]:
+def _legs(x: float, y: float, turn: float, bases: np.ndarray, platform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vectors of the legs, and of the platform's corners from its centre, shape=(3, 2) each."""
     c, s = np.cos(turn), np.sin(turn)
-    corners = PLATFORM @ np.array([[c, s], [-s, c]])
-    return np.array([x, y]) + corners - BASE, corners
+    corners = platform @ np.array([[c, s], [-s, c]])
+    return np.array([x, y]) + corners - bases, corners
 
 
-def _joints(x: float, y: float, turn: float) -> np.ndarray:
-    legs, _ = _legs(x, y, turn)
+def _joints(x: float, y: float, turn: float, bases: np.ndarray = BASE, platform: np.ndarray = PLATFORM) -> np.ndarray:
+    legs, _ = _legs(x, y, turn, bases, platform)
     each = np.stack([np.arctan2(legs[:, 1], legs[:, 0]), np.linalg.norm(legs, axis=1)], axis=1)
     return np.concatenate([[x, y, turn], each.ravel()])
 
 
-def _gosselin(x: float, y: float, turn: float) -> np.ndarray:
+def _gosselin(x: float, y: float, turn: float, bases: np.ndarray = BASE, platform: np.ndarray = PLATFORM) -> np.ndarray:
     """J^T k J, C. Gosselin, IEEE Trans. Robotics and Automation 6 (1990), J the rates of the legs' lengths."""
-    legs, corners = _legs(x, y, turn)
+    legs, corners = _legs(x, y, turn, bases, platform)
     along = legs / np.linalg.norm(legs, axis=1, keepdims=True)
     jacobian = np.column_stack([along, corners[:, 0] * along[:, 1] - corners[:, 1] * along[:, 0]])
     return jacobian.T @ np.diag(SPRINGS) @ jacobian
@@ -105,3 +108,28 @@ def test_a_motion_that_the_springs_do_not_allow_is_refused() -> None:
     tool = cartesian_compliance(model, model.rigid.configuration(_joints(0.4, 0.3, 0.2)))
     with pytest.raises(RigidDirectionError, match="translation along"):
         tool.stiffness_over(np.eye(6))
+
+
+@pytest.mark.parametrize("is_declared", [True, False])
+def test_a_map_of_a_machine_that_is_singular_at_home(is_declared: bool) -> None:
+    """Base and platform are similar triangles with one centre: at home the legs meet there, and elsewhere not."""
+    angles = np.deg2rad([90.0, 210.0, 330.0])
+    corners = np.column_stack([np.cos(angles), np.sin(angles)])
+    robot = _three_rpr((), 0.5 * corners, 0.12 * corners)
+    coordinates = tuple(
+        Coordinate(name, "rad" if name == "turn" else "m", joint=f"{name}_joint") for name in ("x", "y", "turn")
+    )
+    robot = robot.replace(coordinates=coordinates if is_declared else ())
+    mapped = MappedRobot(_elastic(robot))
+    assert select_quantities(["free_stiffness"], mapped)
+    poses = np.array([[0.02, -0.03, turn] for turn in (-0.5, -0.2, 0.3, 0.6)])
+    q = np.array([_joints(*pose, 0.5 * corners, 0.12 * corners) for pose in (*poses, (0.0, 0.0, 0.0))])
+    found = QUANTITIES["free_stiffness"].compute(Evaluation(mapped, robot.at(q)))
+    for matrix, pose in zip(found, poses, strict=False):
+        expected = _gosselin(*pose, 0.5 * corners, 0.12 * corners)
+        np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+    at_home = _gosselin(0.0, 0.0, 0.0, 0.5 * corners, 0.12 * corners)
+    if is_declared:  # the coordinates are independent there, and one of them meets no stiffness
+        np.testing.assert_allclose(found[-1], at_home, rtol=0, atol=1e-11 * np.abs(at_home).max())
+    else:
+        assert np.isnan(found[-1]).all()
