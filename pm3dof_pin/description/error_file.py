@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pm3dof_pin.description.schema import AngleTolerance, LengthTolerance, Name, Schema, checked
+from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -44,11 +45,13 @@ class ErrorFile:
         path: the file.
         entries: its lines.
         command_zeros: for an actuated joint, the frame from which its command counts, along the joint's axis.
+        sources: the numbers of all other sources of error.
     """
 
     path: Path
     entries: tuple[_ErrorEntry, ...]
     command_zeros: Mapping[str, str]
+    sources: SourceNumbers
 
 
 class _Line(Schema):
@@ -66,13 +69,14 @@ class _Class(Schema):
 class _File(Schema):
     classes: dict[str, _Class]
     command_zeros: dict[Name, Name] | None = None
+    sources: SourceNumbers = SourceNumbers()
 
 
 def read_error_file(path: Path | str) -> ErrorFile:
     """Read and check an error file.
 
     Args:
-        path: YAML file with the keys `command_zeros` (optional) and `classes`; see
+        path: YAML file with the keys `classes`, and `command_zeros` and `sources` if there are such; see
             `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
 
     Raises:
@@ -93,7 +97,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
                 raise DescriptionError(path, element, "expected a place, and a translation or a rotation of it")
             tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
             entries.append(_ErrorEntry(group, places, translations, rotations, *tolerances))
-    return ErrorFile(path, tuple(entries), file.command_zeros or {})
+    return ErrorFile(path, tuple(entries), file.command_zeros or {}, file.sources)
 
 
 def _listed(words: str | Sequence[str] | None) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.expected_norm import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
@@ -73,9 +74,7 @@ class ErrorMap:
     @cached_property
     def uncompensable(self) -> Array:
         """The part of W S that no command can undo, shape=(n, 6, number of parameters)."""
-        control = self.sensitivities.commands * tip_weights(self.eta)[:, None]
-        left, values, _ = np.linalg.svd(control, full_matrices=False)
-        used = left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :]
+        used = control_basis(self.sensitivities.commands * tip_weights(self.eta)[:, None])
         return frozen(self.weighted - used @ (np.swapaxes(used, 1, 2) @ self.weighted))
 
     @property
@@ -102,6 +101,15 @@ class ErrorMap:
     def compensable_rms(self) -> Array:
         """Tip error that the best commands undo: the rest, at right angles to what is left, shape=(n,) [m]."""
         return _root_sum_square((self.weighted - self.uncompensable) * self.sigmas)
+
+    @property
+    def energy(self) -> Array:
+        """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
+        covariance = self.covariance()
+        position, orientation = (
+            expected_norm(np.zeros(3), covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
+        )
+        return np.asarray(position + self.eta * orientation)
 
     @property
     def worst_case(self) -> Array:
@@ -224,6 +232,16 @@ def section_grid(
         free = [name for name in limited if name not in (fixed or {})][:2]
         ranges = {name: (*limited[name], points) for name in free}
     return robot.grid(**{**values, **ranges}) if ranges else None
+
+
+def control_basis(control: Array) -> Array:
+    """Return an orthonormal basis of what commands can do to the tool, shape=(n, 6, k), columns of 0 where they cannot.
+
+    Args:
+        control: tip-weighted motion of the tool by the commands, shape=(n, 6, number of commands).
+    """
+    left, values, _ = np.linalg.svd(control, full_matrices=False)
+    return np.asarray(left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,30 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
     ANGLE_TOLERANCE,
     LENGTH_TOLERANCE,
     Distribution,
     GeometricErrors,
-    GeometricParameter,
-    across_directions,
     all_parameters,
 )
 from pm3dof_pin.errors.pose_error import moved_pose
 from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.errors.thermal_growth import ThermalGrowth
+from pm3dof_pin.errors.vibration import Vibration, correlated_normal
+from pm3dof_pin.errors.waviness import GuideWaviness, beside_guideways
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.error_sources import (
-    ElasticDeflection,
-    GeometricSource,
-    GuideWaviness,
-    ThermalGrowth,
-    Vibration,
-    correlated_normal,
-)
+from pm3dof_pin.simulation.geometric_source import GeometricSource
 from pm3dof_pin.typing import Array
 
 _POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
@@ -156,7 +151,7 @@ class SimulatedMachine:
         wanted = np.array(commands, dtype=float)
         noise = correlated_normal((instrument or Instrument()).covariance, len(wanted), generator)
         if self.vibration is not None:
-            noise = noise + self.vibration.tool_displacements(len(wanted), generator)
+            noise = noise + self.vibration.tool_displacements(self.nominal.forward(wanted), generator)
             wanted = wanted + self._scales * self.vibration.travel_errors(len(wanted), wanted.shape[1], generator)
         return moved_pose(self._carried_out(wanted, conditions or Conditions()), noise)
 
@@ -230,7 +225,7 @@ def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
     """
     if not robot.closures or not waves.straightness:
         return waves
-    across = GeometricErrors(robot, _across(robot))
+    across = GeometricErrors(robot, beside_guideways(robot))
     poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
     closing = iter(np.isin(across.names, closable(across, poses).names))
     kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
@@ -239,16 +234,7 @@ def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
 
 def _beside_their_lines(robot: Robot, offsets: Array) -> Robot:
     """Return a robot whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
-    return GeometricErrors(robot, _across(robot)).apply(offsets.ravel()) if offsets.any() else robot
-
-
-def _across(robot: Robot) -> list[GeometricParameter]:
-    """Return how far the carriage of each drive stands beside its guideway, in the two directions across it."""
-    return [
-        GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
-        for joint in robot.actuated_joints
-        for k, direction in enumerate(across_directions(robot, joint))
-    ]
+    return GeometricErrors(robot, beside_guideways(robot)).apply(offsets.ravel()) if offsets.any() else robot
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -9,12 +9,15 @@ from typing import Literal, get_args
 import numpy as np
 
 from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.thermal_growth import ThermalGrowth
+from pm3dof_pin.errors.vibration import Vibration
+from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, wrenches_of
-from pm3dof_pin.simulation.error_sources import ElasticDeflection, GuideWaviness, ThermalGrowth, Vibration
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, waves_that_close, with_all_parameters
 from pm3dof_pin.typing import Array
 

@@ -15,6 +15,7 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
+from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
@@ -24,7 +25,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS, without_deflections
-from pm3dof_pin.simulation.error_sources import ElasticDeflection, GeometricSource
+from pm3dof_pin.simulation.geometric_source import GeometricSource
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 from pm3dof_pin.simulation.worlds import World
 

@@ -13,21 +13,17 @@ from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.thermal_growth import ThermalGrowth
+from pm3dof_pin.errors.vibration import Vibration, correlated_normal
+from pm3dof_pin.errors.waviness import GuideWaviness, Wave
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.error_sources import (
-    ElasticDeflection,
-    GeometricSource,
-    GuideWaviness,
-    ThermalGrowth,
-    Vibration,
-    Wave,
-    correlated_normal,
-)
+from pm3dof_pin.simulation.geometric_source import GeometricSource
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, with_all_parameters
 
 HOME = [0.240272] * 3

@@ -1,0 +1,162 @@
+"""The numbers of a robot's sources of error, `sources` of its error file. What a file leaves out has the default here.
+
+None of the defaults is measured on any machine: they are what a careful builder may expect of one with preloaded ball
+screws in a workshop, there to be replaced.
+"""
+
+# ruff: noqa: N815 - the keys of the file end in their units
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated
+
+import msgspec
+
+from pm3dof_pin.description.schema import Name, Positive
+
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Pair = tuple[float, float]
+
+
+class _Numbers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers by name, each with a default; keys that are not known are refused."""
+
+
+class Waviness(_Numbers, frozen=True):
+    """Errors of sliding drives that wave along their travel; no constant parameter describes them.
+
+    Attributes:
+        pitch_m: standard deviation of the amplitude of each wave along the drive [m].
+        straightness_m: the same for those across it, in two directions [m].
+        lengths_m: wavelengths, one wave for each [m].
+    """
+
+    pitch_m: NotNegative = 3e-6
+    straightness_m: NotNegative = 3e-6
+    lengths_m: tuple[Positive, ...] = (0.12, 0.05, 0.02)
+
+
+class Thermal(_Numbers, frozen=True):
+    """Growth with temperature.
+
+    Attributes:
+        rise_K: the machine is anywhere between so much colder and so much warmer than when it was as described [K].
+        between_drives_K: each screw besides is anywhere between so much colder and warmer than their mean [K]: a
+            gradient across the machine.
+        expansion_per_K: thermal expansion [1/K]; steel's by default.
+        profile: temperature along each screw as multiples of its rise, at growing distances from its fixed bearing [m]:
+            a gradient along the screw; the same everywhere by default.
+        members: joints or frames whose distance from the joint before grows, with their share of the rise. By default
+            the frames at which links end, the first of each loop closure, at one half.
+    """
+
+    rise_K: NotNegative = 8.0
+    between_drives_K: NotNegative = 2.0
+    expansion_per_K: NotNegative = 11.5e-6
+    profile: tuple[Pair, ...] = ((0.0, 1.0),)
+    members: dict[Name, float] | None = None
+
+
+class Load(_Numbers, frozen=True):
+    """What the springs of the description give under.
+
+    Attributes:
+        wrench: force and moment on the tool at work, axes of the base [N, N m].
+        payload_kg: mass at the tool point [kg].
+        own_weight: whether the bodies have their weight; the description is of the weightless machine.
+    """
+
+    wrench: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    payload_kg: NotNegative = 0.0
+    own_weight: bool = True
+
+
+class Clearance(_Numbers, frozen=True):
+    """Play of passive joints.
+
+    Attributes:
+        at: joints or frames that move about within the play.
+        play_m: how far they move to either side, along each of their axes [m].
+    """
+
+    at: tuple[Name, ...] = ()
+    play_m: NotNegative = 0.0
+
+
+class Drives(_Numbers, frozen=True):
+    """What keeps a drive from where its counter says: lengths for those that slide, angles for those that turn.
+
+    Attributes:
+        backlash_m: lost motion when a drive turns round: it stands half of it to one side or the other [m].
+        backlash_rad: the same [rad].
+        encoder_step_m: step of the encoder; the drive stands anywhere within it [m].
+        encoder_step_rad: the same [rad].
+        servo_stiffness_N_per_m: force of the drive over its following error; none for a servo that integrates it away.
+        servo_stiffness_Nm_per_rad: the same [N m/rad].
+    """
+
+    backlash_m: NotNegative = 2e-6
+    backlash_rad: NotNegative = 2e-5
+    encoder_step_m: NotNegative = 1e-6
+    encoder_step_rad: NotNegative = 1e-5
+    servo_stiffness_N_per_m: Positive | None = None
+    servo_stiffness_Nm_per_rad: Positive | None = None
+
+
+class Spectrum(_Numbers, frozen=True):
+    """A one-sided power spectral density that is constant between edges, and zero beyond them.
+
+    Attributes:
+        edges_Hz: growing frequencies, one more than levels [Hz].
+        levels: densities between them [unit^2/Hz].
+    """
+
+    edges_Hz: tuple[NotNegative, ...]
+    levels: tuple[NotNegative, ...]
+
+    def __post_init__(self) -> None:
+        """Check the numbers; msgspec makes a ValueError an error of the file.
+
+        Raises:
+            ValueError: edges that do not grow, or another number of levels than of bands.
+        """
+        if len(self.edges_Hz) != len(self.levels) + 1 or any(b <= a for a, b in pairwise(self.edges_Hz)):
+            raise ValueError("growing edges_Hz, one more than levels")
+
+
+class VibrationNumbers(_Numbers, frozen=True):
+    """Vibration at a standing pose, by what shakes.
+
+    Attributes:
+        damping: of every natural mode, as part of the critical one.
+        tool: force on the tool along each axis of the base [N^2/Hz]; 1 N from 10 to 500 Hz by default.
+        motors: force of each drive along its travel [N^2/Hz], or its torque [(N m)^2/Hz]; 1 N or N m likewise.
+        axes: acceleration of the base that carries the machine's axes, along each axis of the base [(m/s^2)^2/Hz];
+            0.01 m/s^2 from 5 to 100 Hz by default, a quiet workshop's floor.
+    """
+
+    damping: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.02
+    tool: Spectrum | None = Spectrum(edges_Hz=(10.0, 500.0), levels=(1.0 / 490.0,))
+    motors: Spectrum | None = Spectrum(edges_Hz=(10.0, 500.0), levels=(1.0 / 490.0,))
+    axes: Spectrum | None = Spectrum(edges_Hz=(5.0, 100.0), levels=(1e-4 / 95.0,))
+
+
+class SourceNumbers(_Numbers, frozen=True):
+    """The numbers of all sources of error of a robot, beside the tolerances of its geometry.
+
+    Attributes:
+        waviness: of the drives.
+        thermal: growth.
+        load: what deflects it.
+        clearance: of passive joints.
+        drives: backlash, encoders, servos.
+        vibration: what shakes it.
+    """
+
+    waviness: Waviness = Waviness()
+    thermal: Thermal = Thermal()
+    load: Load = Load()
+    clearance: Clearance = Clearance()
+    drives: Drives = Drives()
+    vibration: VibrationNumbers = VibrationNumbers()

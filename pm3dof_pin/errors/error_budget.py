@@ -1,0 +1,231 @@
+"""All sources of error apart and together over poses of any robot: the error map of section 8.3, and its least region.
+
+To first order the error of a pose is dx = sum of shifts + sum of E_k x_k over all sources, x_k independent, of mean 0
+and deviation 1. Statistically, with W = diag(1, 1, 1, eta, eta, eta),
+
+    tip error, rms:    sqrt(|W shift|^2 + sum_k |W E_k|^2),
+
+and in the worst case, |x_k| being at most g_k, the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k
+|W E_k|. Known shifts of several sources add as vectors before they are squared. What repeats is left without the part
+that corrected commands undo, (1 - W C (W C)^+) W dx; what does not, such as vibration, is left as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pm3dof_pin.arrays import frozen
+from pm3dof_pin.errors.command_correction import command_jacobians
+from pm3dof_pin.errors.error_map import control_basis
+from pm3dof_pin.errors.expected_norm import expected_norm
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array, Mask
+
+TOGETHER = "together"
+"""Name of all sources at once."""
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """One line of the budget: a source, or all of them, over the poses of a map.
+
+    Attributes:
+        name: the source, or :data:`TOGETHER`.
+        error_class: its class of Table 8.4.
+        long_name: what it is.
+        tip_rms: tip error, root mean square over machines and poses [m].
+        greatest_tip_rms: that of the worst pose [m].
+        worst_tip: bound of the tip error at the worst pose [m].
+        left: tip error that is left with the best commands, root mean square over machines and poses [m].
+        energy: E of (8.15), mean over machines and poses [m].
+        share: of the squares of all sources.
+    """
+
+    name: str
+    error_class: str
+    long_name: str
+    tip_rms: float
+    greatest_tip_rms: float
+    worst_tip: float
+    left: float
+    energy: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBudget:
+    """What all sources of error do to the tool at n poses.
+
+    Attributes:
+        poses: the poses, of the robot as described.
+        sources: the sources there.
+        control: the tool's motion by the commands, shape=(n, 6, number of commands).
+        eta: weight of the orientation in the tip error [m/rad].
+    """
+
+    poses: Poses
+    sources: tuple[SourceErrors, ...]
+    control: Array
+    eta: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sources."""
+        return tuple(source.name for source in self.sources)
+
+    def select(self, names: Iterable[str]) -> ErrorBudget:
+        """Return the budget of some sources, chosen by name or by class.
+
+        Args:
+            names: of sources or of their classes, such as "geometry_legs", "wrench" or "thermal".
+
+        Raises:
+            InvalidValueError: there is no such source.
+        """
+        wanted = tuple(names)
+        known = {*self.names, *(source.error_class for source in self.sources)}
+        for name in wanted:
+            if name not in known:
+                raise InvalidValueError("source of error", name, f"one of {', '.join(sorted(known))}")
+        chosen = tuple(source for source in self.sources if source.name in wanted or source.error_class in wanted)
+        return ErrorBudget(self.poses, chosen, self.control, self.eta)
+
+    @cached_property
+    def shift(self) -> Array:
+        """What all sources together do for certain, shape=(n, 6) [m, rad]."""
+        return frozen(np.sum([source.shift for source in self.sources], axis=0) + np.zeros((len(self.poses), 6)))
+
+    @cached_property
+    def effects(self) -> Array:
+        """What each independent number of all sources does at one standard deviation, shape=(n, 6, k) [m, rad]."""
+        return frozen(np.concatenate([np.zeros((len(self.poses), 6, 0)), *(s.effects for s in self.sources)], axis=2))
+
+    @property
+    def tip_rms(self) -> Array:
+        """Tip error, root mean square over machines, shape=(n,) [m]."""
+        weights = tip_weights(self.eta)
+        squares = np.sum((self.shift * weights) ** 2, axis=1)
+        return np.asarray(np.sqrt(squares + np.sum((self.effects * weights[:, None]) ** 2, axis=(1, 2))))
+
+    @property
+    def worst_tip(self) -> Array:
+        """A tip error that is not exceeded while every number stays within its greatest value, shape=(n,) [m]."""
+        weights = tip_weights(self.eta)
+        greatest = np.concatenate([np.zeros(0), *(source.greatest for source in self.sources)])
+        components = np.abs(self.shift) + np.abs(self.effects) @ greatest
+        added = np.linalg.norm(self.shift * weights, axis=1)
+        added = added + np.linalg.norm(self.effects * weights[:, None], axis=1) @ greatest
+        return np.asarray(np.minimum(np.linalg.norm(components * weights, axis=1), added))
+
+    @property
+    def energy(self) -> Array:
+        """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
+        covariance = self.effects @ np.swapaxes(self.effects, 1, 2)
+        position, orientation = (
+            expected_norm(self.shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
+        )
+        return np.asarray(position + self.eta * orientation)
+
+    @property
+    def left_rms(self) -> Array:
+        """Tip error that is left with the best commands, root mean square over machines, shape=(n,) [m]."""
+        weights = tip_weights(self.eta)
+        shift, squares = np.zeros((len(self.poses), 6)), np.zeros(len(self.poses))
+        for source in self.sources:
+            effects = source.effects * weights[:, None]
+            if source.repeats:
+                shift += source.shift * weights
+                effects = self._left(effects)
+            squares += np.sum(effects**2, axis=(1, 2))
+        return np.asarray(np.sqrt(squares + np.sum(self._left(shift[:, :, None]) ** 2, axis=(1, 2))))
+
+    def lines(self) -> list[BudgetLine]:
+        """Return the budget, source by source, and last of all of them together."""
+        apart = {source.name: self.select([source.name]) for source in self.sources}
+        squares = {name: float(np.mean(alone.tip_rms**2)) for name, alone in apart.items()}
+        whole = sum(squares.values()) or 1.0
+        lines = [apart[s.name]._line(s.name, s.error_class, s.long_name, squares[s.name] / whole) for s in self.sources]
+        return [*lines, self._line(TOGETHER, "all", "all sources together", 1.0)]
+
+    def least_sensitive(self, part: float = 0.2) -> Mask:
+        """Tell which poses are in the region least sensitive to these sources, shape=(n,).
+
+        Args:
+            part: of all poses, the part with the smallest tip error.
+
+        Raises:
+            InvalidValueError: the part is not in (0, 1].
+        """
+        if not 0.0 < part <= 1.0:
+            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
+        size = self.tip_rms
+        return np.asarray(size <= np.sort(size)[max(1, round(part * len(size))) - 1])
+
+    def _line(self, name: str, error_class: str, long_name: str, share: float) -> BudgetLine:
+        tip = self.tip_rms
+        return BudgetLine(
+            name,
+            error_class,
+            long_name,
+            float(np.sqrt(np.mean(tip**2))),
+            float(tip.max()),
+            float(self.worst_tip.max()),
+            float(np.sqrt(np.mean(self.left_rms**2))),
+            float(self.energy.mean()),
+            share,
+        )
+
+    @cached_property
+    def _basis(self) -> Array:
+        return control_basis(self.control * tip_weights(self.eta)[:, None])
+
+    def _left(self, weighted: Array) -> Array:
+        return np.asarray(weighted - self._basis @ (np.swapaxes(self._basis, 1, 2) @ weighted))
+
+
+def error_budget(sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH) -> ErrorBudget:
+    """Compute what every source of error does to the tool at some poses.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.errors.error_budget import error_budget
+        >>> from pm3dof_pin.errors.source_errors import ErrorSources
+        >>> errors = pm.GeometricErrors.load("pm3dof")
+        >>> poses = pm.reachable_poses(errors.robot, 20, np.random.default_rng(0))
+        >>> budget = error_budget(ErrorSources(errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]), poses)
+        >>> [f"{1e6 * budget.select([name]).tip_rms.mean():.0f} um by {name}" for name in ("wrench", "thermal")]
+        ['... um by wrench', '... um by thermal']
+
+    Args:
+        sources: the sources with their numbers.
+        poses: poses of the robot as described, of shape (n,).
+        eta: weight of the orientation in the tip error [m/rad].
+
+    Raises:
+        InvalidValueError: there are no poses, or the loops cannot close with a geometric error.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still, or with all springs at
+            rest.
+        ConvergenceError: no equilibrium was found where deflections are large.
+    """
+    if not len(poses):
+        raise InvalidValueError("error budget", "no poses", "at least one")
+    return ErrorBudget(poses, sources.at(poses), command_jacobians(poses), eta)
+
+
+def budget_as_data(lines: Sequence[BudgetLine]) -> list[dict[str, Any]]:
+    """Return a budget as plain data; keys end in their unit.
+
+    Args:
+        lines: of :meth:`ErrorBudget.lines`.
+    """
+    lengths = ("tip_rms", "greatest_tip_rms", "worst_tip", "left", "energy")
+    return [{f"{key}_m" if key in lengths else key: value for key, value in vars(line).items()} for line in lines]

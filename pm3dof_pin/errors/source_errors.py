@@ -1,0 +1,409 @@
+"""What each source of errors does to the tool, to first order, in the classes of Table 8.4.
+
+A source is a shift that is known (a deflection under a given wrench) and independent random numbers of known standard
+deviation, each of which moves the tool along some twist. All sources are of this form, so they add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.error_file import read_error_file
+from pm3dof_pin.description.source_numbers import SourceNumbers
+from pm3dof_pin.dynamics.statics import holding_forces
+from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
+from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors, GeometricParameter
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
+from pm3dof_pin.errors.thermal_growth import ThermalGrowth, translation_errors
+from pm3dof_pin.errors.vibration import Vibration, covariance_root
+from pm3dof_pin.errors.waviness import beside_guideways
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array
+
+ErrorClass = Literal["kinematic parameters", "thermal", "stiffness", "drives", "vibration"]
+"""Classes of Table 8.4; "drives" are the clearance and the other factors that the chapter's text adds."""
+
+GREATEST_VIBRATION = 3.0
+"""Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
+
+_LINKS_SHARE = 0.5  # of the screws' rise
+_POSES_TO_CLOSE_AT = 20
+
+
+@dataclass(frozen=True, eq=False)
+class SourceErrors:
+    """What one source does to the tool at n poses.
+
+    Attributes:
+        name: the source, unique; words joined by underscores.
+        error_class: its class.
+        long_name: what it is, for a person.
+        repeats: whether it is the same whenever a pose is taken again, so that commands may undo it.
+        shift: what it does for certain, [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
+        effects: what each of its independent numbers does at one standard deviation, shape=(n, 6, k) [m, rad].
+        greatest: the greatest value of each number, in standard deviations, shape=(k,).
+    """
+
+    name: str
+    error_class: ErrorClass
+    long_name: str
+    repeats: bool
+    shift: Array
+    effects: Array
+    greatest: Array
+
+
+class ErrorSources:
+    """The sources of error of one robot, with their numbers.
+
+    Args:
+        errors: its geometric errors, with their tolerances.
+        numbers: of the other sources; by default those of the robot's error file, or the documented defaults.
+        wrench: force and moment on the tool at work instead of the file's, world axes, shape=(6,) [N, N m].
+        rise: how much colder or warmer the machine may be than when it was as described, instead of the file's [K].
+        large: whether deflections are those of the loaded equilibrium, not linear.
+        distribution: what the tolerances of the geometry are.
+
+    Attributes:
+        errors: see the argument.
+        numbers: those used.
+        large: see the argument.
+        distribution: see the argument.
+
+    Raises:
+        DescriptionError: the error file is unreadable or not of its form.
+        InvalidValueError: the wrench is not finite or not of shape (6,).
+    """
+
+    def __init__(
+        self,
+        errors: GeometricErrors,
+        numbers: SourceNumbers | None = None,
+        *,
+        wrench: ArrayLike | None = None,
+        rise: float | None = None,
+        large: bool = False,
+        distribution: Distribution = "normal",
+    ) -> None:
+        self.errors, self.large = errors, large
+        self.distribution: Distribution = distribution
+        found = numbers_of(errors.robot) if numbers is None else numbers
+        load, thermal = found.load, found.thermal
+        self.wrench = finite_array("wrench", load.wrench if wrench is None else wrench, (6,))
+        self.rise = float(finite_array("rise", thermal.rise_K if rise is None else rise, ()))
+        self.numbers = found
+
+    @property
+    def robot(self) -> Robot:
+        """The robot as described."""
+        return self.errors.robot
+
+    @cached_property
+    def thermal_growth(self) -> ThermalGrowth:
+        """How the robot grows; the same for simulated machines."""
+        numbers, robot = self.numbers.thermal, self.robot
+        shares = numbers.members
+        if shares is None:
+            shares = {loop.frame_a: _LINKS_SHARE for loop in robot.closures}
+        closing = {parameter.place for parameter in self._closing(translation_errors(robot, shares, "thermal"))}
+        kept = {place: share for place, share in shares.items() if place in closing}
+        bearings = np.array(self.errors.fixed_bearings)
+        return ThermalGrowth(bearings, numbers.profile, kept, numbers.expansion_per_K)
+
+    @cached_property
+    def vibration(self) -> Vibration | None:
+        """How the robot vibrates; None without springs, which alone have modes."""
+        if not self.robot.springs:
+            return None
+        payload, tool = self.numbers.load.payload_kg, self.robot.tool_frame
+        return Vibration(
+            spectra=self.numbers.vibration, payloads={tool: payload} if payload and tool is not None else None
+        )
+
+    def at(self, poses: Poses) -> tuple[SourceErrors, ...]:
+        """Return what each source does at some poses.
+
+        Sources that a robot cannot have are left out: those of springs without springs, of screws without sliding
+        drives.
+
+        Args:
+            poses: poses of the robot as described, of shape (n,).
+
+        Raises:
+            InvalidValueError: the loops cannot close with a geometric error.
+            SingularConfigurationError: at a pose the tool can move while all drives stand still, or with all springs at
+                rest.
+            ConvergenceError: no equilibrium was found where deflections are large.
+        """
+        return _SourcesAtPoses(self, poses).all()
+
+    @cached_property
+    def others(self) -> GeometricErrors:
+        """Displacements that sources beside the geometry bring about: beside guideways, by growth, within a play."""
+        robot, numbers = self.robot, self.numbers
+        parameters = list(translation_errors(robot, self.thermal_growth.members, "thermal"))
+        if numbers.clearance.play_m:
+            parameters += translation_errors(robot, numbers.clearance.at, "clearance")
+        if numbers.waviness.straightness_m and numbers.waviness.lengths_m and self.slides.any():
+            beside = beside_guideways(robot)
+            slides = np.repeat(self.slides, 2)
+            parameters += [parameter for parameter, sliding in zip(beside, slides, strict=True) if sliding]
+        named = [replace(parameter, name=f"{parameter.group} {parameter.name}") for parameter in parameters]
+        return GeometricErrors(robot, self._closing(named))
+
+    @cached_property
+    def slides(self) -> Array:
+        """Which drives slide, shape=(number of drives,)."""
+        return np.array([self.robot.single_joint(name).translates for name in self.robot.actuated_joints])
+
+    def _closing(self, parameters: Sequence[GeometricParameter]) -> tuple[GeometricParameter, ...]:
+        if not parameters or not self.robot.closures:
+            return tuple(parameters)
+        poses = reachable_poses(self.robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+        return closable(GeometricErrors(self.robot, parameters), poses).parameters
+
+
+class _SourcesAtPoses:
+    """The sources of one robot at some poses; what several of them need is computed once."""
+
+    def __init__(self, sources: ErrorSources, poses: Poses) -> None:
+        self._sources, self._poses = sources, poses
+        self._robot, self._numbers = sources.robot, sources.numbers
+        self._scales = np.array([command.scale for command in self._robot.commands])
+        self._moved = sensitivities(sources.others, poses)
+        self._by_drives = self._moved.commands * self._scales  # by the drives' joints
+
+    def all(self) -> tuple[SourceErrors, ...]:
+        found = [*self._geometry(), self._waviness(), *self._thermal(), *self._stiffness(), *self._drives()]
+        found += self._vibration()
+        return tuple(source for source in found if source is not None)
+
+    def _source(
+        self,
+        name: str,
+        error_class: ErrorClass,
+        long_name: str,
+        *,
+        effects: Array | None = None,
+        greatest: ArrayLike = 1.0,
+        shift: Array | None = None,
+        repeats: bool = True,
+    ) -> SourceErrors:
+        count = len(self._poses)
+        columns = np.zeros((count, 6, 0)) if effects is None else effects
+        sizes = np.broadcast_to(np.asarray(greatest, dtype=float), columns.shape[2])
+        return SourceErrors(
+            name,
+            error_class,
+            long_name,
+            repeats,
+            np.zeros((count, 6)) if shift is None else shift,
+            columns,
+            sizes,
+        )
+
+    def _geometry(self) -> list[SourceErrors]:
+        errors, uniform = self._sources.errors, self._sources.distribution == "uniform"
+        if not len(errors):
+            return []
+        factor = np.sqrt(3.0) if uniform else 1.0
+        effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
+        return [
+            self._source(
+                f"geometry_{group}",
+                "kinematic parameters",
+                f"manufacturing and assembly: {group.replace('_', ' ')}",
+                effects=effects[:, :, errors.indices(group)],
+                greatest=factor,
+            )
+            for group in errors.groups
+        ]
+
+    def _waviness(self) -> SourceErrors | None:
+        numbers, slides = self._numbers.waviness, self._sources.slides
+        waves = len(numbers.lengths_m)
+        if not slides.any() or not waves or not (numbers.pitch_m or numbers.straightness_m):
+            return None
+        # n waves of random phase and of amplitude s scatter by s sqrt(n / 2), and reach n s together
+        scatter = np.sqrt(0.5 * waves)
+        along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
+        beside = self._others("waviness") * (numbers.straightness_m * scatter)
+        return self._source(
+            "waviness",
+            "kinematic parameters",
+            "guides and screws, waving along their travel",
+            effects=np.concatenate([along, beside], axis=2),
+            greatest=np.sqrt(2.0 * waves),
+        )
+
+    def _thermal(self) -> list[SourceErrors]:
+        growth, sources = self._sources.thermal_growth, self._sources
+        offsets = np.array([command.offset for command in self._robot.commands])
+        travels = (self._poses.commands - offsets) / self._scales
+        per_kelvin = np.where(sources.slides, growth.travel_errors(travels, np.ones_like(travels)), 0.0)
+        by_screw = self._by_drives * per_kelvin[:, None, :]
+        together = by_screw.sum(axis=2)
+        members = growth.growth_per_kelvin(self._robot)
+        if members:
+            amounts = [members[self._plain_name(name)] for name in self._names("thermal")]
+            together = together + self._others("thermal") @ amounts
+        found = []
+        if together.any() and sources.rise:
+            found.append(
+                self._source(
+                    "thermal_growth",
+                    "thermal",
+                    "growth of screws and members with the mean temperature",
+                    effects=together[:, :, None] * (sources.rise / np.sqrt(3.0)),
+                    greatest=np.sqrt(3.0),
+                )
+            )
+        between = self._numbers.thermal.between_drives_K
+        if between and by_screw.any() and by_screw.shape[2] > 1:
+            # independent rises less their mean, which is the source above
+            count = by_screw.shape[2]
+            differences = by_screw @ (np.eye(count) - 1.0 / count)
+            found.append(
+                self._source(
+                    "thermal_gradient",
+                    "thermal",
+                    "screws warmer or colder than their mean",
+                    effects=differences * (between / np.sqrt(3.0)),
+                    greatest=np.sqrt(3.0),
+                )
+            )
+        return found
+
+    def _stiffness(self) -> list[SourceErrors]:
+        if not self._robot.springs:
+            return []
+        load, sources, found = self._numbers.load, self._sources, []
+        weight = ElasticDeflection(load.own_weight, load.payload_kg, sources.large)
+        under_weight = np.zeros((len(self._poses), 6))
+        if load.own_weight or load.payload_kg:
+            under_weight = weight.displacements(self._poses)
+            found.append(
+                self._source("weight", "stiffness", "deflection under weight, and the payload's", shift=under_weight)
+            )
+        if sources.wrench.any():
+            wrenches = np.tile(sources.wrench, (len(self._poses), 1))
+            if sources.large:
+                deflection = weight.displacements(self._poses, wrenches) - under_weight
+            else:
+                deflection = ElasticDeflection(own_weight=False).displacements(self._poses, wrenches)
+            size = "large" if sources.large else "small"
+            found.append(
+                self._source("wrench", "stiffness", f"deflection under the wrench at work ({size})", shift=deflection)
+            )
+        return found
+
+    def _drives(self) -> list[SourceErrors | None]:
+        numbers, slides = self._numbers.drives, self._sources.slides
+        backlash = np.where(slides, numbers.backlash_m, numbers.backlash_rad)
+        step = np.where(slides, numbers.encoder_step_m, numbers.encoder_step_rad)
+        found: list[SourceErrors | None] = []
+        if backlash.any():
+            found.append(
+                self._source(
+                    "backlash",
+                    "drives",
+                    "backlash of the drives",
+                    effects=self._by_drives * (0.5 * backlash),
+                    repeats=False,
+                )
+            )
+        if step.any():
+            found.append(
+                self._source(
+                    "encoder",
+                    "drives",
+                    "steps of the encoders",
+                    effects=self._by_drives * (step / np.sqrt(12.0)),
+                    greatest=np.sqrt(3.0),
+                    repeats=False,
+                )
+            )
+        found.append(self._servo())
+        if self._names("clearance"):
+            found.append(
+                self._source(
+                    "clearance",
+                    "drives",
+                    "clearance of passive joints",
+                    effects=self._others("clearance") * (self._numbers.clearance.play_m / np.sqrt(3.0)),
+                    greatest=np.sqrt(3.0),
+                    repeats=False,
+                )
+            )
+        return found
+
+    def _servo(self) -> SourceErrors | None:
+        """Drives that follow with an error as large as their load over the servo's stiffness."""
+        numbers, slides = self._numbers.drives, self._sources.slides
+        stiffness = np.array(
+            [
+                (numbers.servo_stiffness_N_per_m if sliding else numbers.servo_stiffness_Nm_per_rad) or np.inf
+                for sliding in slides
+            ]
+        )
+        if np.isinf(stiffness).all():
+            return None
+        load = self._numbers.load
+        wrench = self._sources.wrench.copy()
+        wrench[:3] += load.payload_kg * self._robot.model.gravity.linear
+        pushed = np.einsum("nij,i->nj", self._by_drives, wrench)
+        if load.own_weight:
+            for row in range(len(self._poses)):
+                pushed[row] -= holding_forces(self._poses.configuration(row)).actuator_forces
+        shift = np.einsum("nij,nj->ni", self._by_drives, pushed / stiffness)
+        return self._source("servo", "drives", "servos giving way under weight and wrench", shift=shift)
+
+    def _vibration(self) -> list[SourceErrors]:
+        vibration = self._sources.vibration
+        if vibration is None:
+            return []
+        words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, by the floor"}
+        return [
+            self._source(
+                f"vibration_{cause}",
+                "vibration",
+                words[cause],
+                effects=covariance_root(covariance),
+                greatest=GREATEST_VIBRATION,
+                repeats=False,
+            )
+            for cause, covariance in vibration.covariances_by_cause(self._poses).items()
+        ]
+
+    def _names(self, group: str) -> list[str]:
+        return [parameter.name for parameter in self._sources.others.parameters if parameter.group == group]
+
+    def _plain_name(self, name: str) -> str:
+        return name.split(" ", 1)[1]
+
+    def _others(self, group: str) -> Array:
+        chosen = [k for k, parameter in enumerate(self._sources.others.parameters) if parameter.group == group]
+        return self._moved.errors[:, :, chosen]
+
+
+def numbers_of(robot: Robot) -> SourceNumbers:
+    """Return the numbers of a robot's sources, out of its error file; the defaults where there is none.
+
+    Args:
+        robot: the robot.
+
+    Raises:
+        DescriptionError: the file is unreadable or not of its form.
+    """
+    if robot.files is None or not robot.files.errors.is_file():
+        return SourceNumbers()
+    return read_error_file(robot.files.errors).sources

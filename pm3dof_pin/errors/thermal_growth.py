@@ -1,0 +1,122 @@
+"""Growth with temperature: of screws from their fixed bearings, and of members between joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.error_file import AXES
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Vector
+
+STEEL_EXPANSION = 11.5e-6
+"""Thermal expansion of steel [1/K]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalGrowth:
+    """Growth of the screws from their fixed bearings, and of members between joints.
+
+    The travel of a drive is too long by the growth of its screw between the fixed bearing and the nut,
+    du = a * integral of the temperature rise from the bearing to u.
+
+    Attributes:
+        bearings: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated
+            joints,) [m].
+        profile: temperature along each screw as multiples of the rise that is measured, at growing distances from the
+            bearing [m]: linear between these, constant beyond the ends. The same everywhere by default.
+        members: joints or frames whose distance from the joint before grows, by their temperature's share of the rise
+            measured: 1 for links as warm as the screws, 0.2 for cooler ones.
+        expansion: a [1/K].
+    """
+
+    bearings: Vector
+    profile: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
+    members: Mapping[str, float] = field(default_factory=dict)
+    expansion: float = STEEL_EXPANSION
+
+    def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
+        """Return how much too far each drive goes, shape=(n, number of actuated joints) [m].
+
+        Args:
+            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
+            temperature_rises: of each screw, shape=(n, number of actuated joints) [K].
+        """
+        distance = travels - finite_array("bearings", self.bearings, (travels.shape[1],))
+        return self.expansion * temperature_rises * self._integral(distance)
+
+    def grown(self, robot: Robot, temperature_rise: float) -> Robot:
+        """Return a robot with grown members.
+
+        Args:
+            robot: the robot.
+            temperature_rise: mean rise [K].
+        """
+        if not self.members or temperature_rise == 0.0:
+            return robot
+        parameters = translation_errors(robot, self.members, "thermal")
+        growth = {name: temperature_rise * amount for name, amount in self.growth_per_kelvin(robot).items()}
+        return GeometricErrors(robot, parameters).apply(growth)
+
+    def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
+        """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K].
+
+        Args:
+            robot: the robot.
+        """
+        growth: dict[str, float] = {}
+        for place, share in self.members.items():
+            placement = _placement_on_body(robot, place)
+            longer = self.expansion * share * (placement.rotation.T @ placement.translation)
+            growth |= {f"{place}.t{axis}": float(amount) for axis, amount in zip(AXES, longer, strict=True)}
+        return growth
+
+    def _integral(self, distance: Array) -> Array:
+        """Integrate the profile from the bearing to a distance."""
+        places, shares = np.array(self.profile, dtype=float).T
+        if np.any(np.diff(places) <= 0.0):
+            raise InvalidValueError("profile", self.profile, "growing distances from the bearing")
+        # from the first place of the profile on, then back to the bearing
+        knots = np.concatenate([[0.0], np.cumsum(0.5 * (shares[1:] + shares[:-1]) * np.diff(places))])
+
+        def from_first(x: Array) -> Array:
+            inner = np.clip(x, places[0], places[-1])
+            k = np.clip(np.searchsorted(places, inner, side="right") - 1, 0, max(len(places) - 2, 0))
+            share = np.interp(inner, places, shares)
+            within = knots[k] + 0.5 * (shares[k] + share) * (inner - places[k])
+            return np.asarray(within + (x - inner) * np.where(x < places[0], shares[0], shares[-1]))
+
+        return from_first(distance) - from_first(np.zeros(1))
+
+
+def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple[GeometricParameter, ...]:
+    """Return the translations of joints or frames along their own axes as error parameters, with unit tolerances.
+
+    Args:
+        robot: the robot.
+        places: the joints or frames.
+        group: class of the parameters.
+
+    Raises:
+        FrameNotFoundError: the robot has no such joint or frame.
+    """
+    parameters = []
+    for place in places:
+        _placement_on_body(robot, place)
+        for k, axis in enumerate(AXES):
+            x, y, z = np.eye(3)[k].tolist()
+            parameters.append(GeometricParameter(f"{place}.t{axis}", place, "translation", (x, y, z), group, 1.0))
+    return tuple(parameters)
+
+
+def _placement_on_body(robot: Robot, place: str) -> pin.SE3:
+    model = robot.model
+    if model.existJointName(place):
+        return model.jointPlacements[model.getJointId(place)]
+    return model.frames[robot.frame_id(place)].placement

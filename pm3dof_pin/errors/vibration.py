@@ -1,0 +1,198 @@
+r"""Vibration at a standing pose: how far the tool shakes under random forces and under a shaking base.
+
+The natural modes, of unit modal mass, move as q_r'' + 2 zeta omega_r q_r' + omega_r^2 q_r = phi_r . f(t): one after the
+other, with H_r = 1 / (omega_r^2 - omega^2 + 2 i zeta omega_r omega). Independent inputs with a power spectral density
+G(f), which force the modes by the columns of F, let the tool shake with the covariance
+
+    sum_rs t_r t_s^T (F F^T)_rs  integral of G Re(H_r H_s*) df,
+
+t_r being the tool's twist in mode r. Where G is constant between two frequencies the integral has a closed form, by
+partial fractions: each pole p adds its residue times log((b - p) / (a - p)). Forces act on the tool, or on each drive
+along its travel. A base that is accelerated by a acts on the modes as gravity -a does, and what counts is how the tool
+moves against the base, with the workpiece on it. A white density G over all frequencies gives one mode alone
+G / (8 zeta omega^3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.description.source_numbers import Spectrum, VibrationNumbers
+from pm3dof_pin.dynamics.modes import Modes, natural_modes
+from pm3dof_pin.elastic.batch import elastic_model
+from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.typing import Array, Matrix, Vector
+
+CAUSES = ("tool", "motors", "axes")
+"""What shakes: a force on the tool, the forces of the drives, the base that carries the machine's axes."""
+
+_FREE = 1e-9  # [m, rad] of the tool for a unit of a motion that no spring holds
+
+
+@dataclass(frozen=True, eq=False)
+class Vibration:
+    """What a pose scatters by while it is measured or worked at: of the tool, and of the drives with their motors.
+
+    Attributes:
+        tool_covariance: covariance of the tool's displacement, the same at all poses, [translation; rotation vector],
+            world axes, shape=(6, 6) [m^2, m rad, rad^2].
+        drive_sigma: standard deviation of each drive's coordinate [m, rad].
+        spectra: what shakes the natural modes besides, at each pose; None for nothing.
+        payloads: bodies fixed to frames that vibrate with the machine.
+    """
+
+    tool_covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
+    drive_sigma: float = 0.0
+    spectra: VibrationNumbers | None = None
+    payloads: Payloads | None = None
+
+    @classmethod
+    def from_spectrum(
+        cls, frequencies: ArrayLike, amplitudes: ArrayLike, *, averaging_time: float = 0.0, drive_sigma: float = 0.0
+    ) -> Vibration:
+        """Make a vibration out of lines of a spectrum with random phases.
+
+        Averaging over a time T leaves sin(pi f T) / (pi f T) of a line at f.
+
+        Args:
+            frequencies: of the lines, shape=(k,) [Hz].
+            amplitudes: of the tool's displacement at each line, all six in phase, shape=(k, 6) [m, rad].
+            averaging_time: time over which a measurement averages [s].
+            drive_sigma: standard deviation of each drive's coordinate [m, rad].
+
+        Raises:
+            InvalidValueError: lines of different number or that are not finite.
+        """
+        lines = finite_array("amplitudes", amplitudes, (np.size(frequencies), 6))
+        left = np.sinc(finite_array("frequencies", frequencies, (len(lines),)) * averaging_time)
+        reduced = lines * left[:, None]
+        return cls(0.5 * reduced.T @ reduced, drive_sigma)
+
+    def tool_displacements(self, poses: Poses, generator: np.random.Generator) -> Matrix:
+        """Draw displacements of the tool, those of the drives left out, shape=(n, 6) [m, rad].
+
+        Args:
+            poses: where the machine stands, of shape (n,).
+            generator: source of the random numbers.
+        """
+        drawn = correlated_normal(self.tool_covariance, len(poses), generator)
+        if self.spectra is not None:
+            by_cause = self.covariances_by_cause(poses)
+            for row in range(len(poses)):
+                covariance = sum((parts[row] for parts in by_cause.values()), np.zeros((6, 6)))
+                drawn[row] += correlated_normal(covariance, 1, generator)[0]
+        return drawn
+
+    def travel_errors(self, count: int, drives: int, generator: np.random.Generator) -> Matrix:
+        """Draw displacements of the drives, shape=(count, drives) [m, rad]."""
+        return self.drive_sigma * generator.standard_normal((count, drives))
+
+    def covariances_by_cause(self, poses: Poses) -> dict[str, Array]:
+        """Return the covariance of the tool's displacement by each cause that has a spectrum, shape=(n, 6, 6).
+
+        Args:
+            poses: poses of a robot with springs, of shape (n,).
+
+        Raises:
+            DescriptionError: the robot has no springs, or no tool frame.
+            FreeDirectionError: the tool can move with all springs at rest, so that nothing bounds its vibration.
+            InvalidValueError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
+        """
+        numbers = self.spectra or VibrationNumbers(tool=None, motors=None, axes=None)
+        spectra = {cause: spectrum for cause in CAUSES if (spectrum := getattr(numbers, cause)) is not None}
+        covariances = {cause: np.empty((len(poses), 6, 6)) for cause in spectra}
+        for row, modes in enumerate(self._modes(poses) if spectra else ()):
+            for cause, spectrum in spectra.items():
+                inputs = _FORCING[cause](modes, self.payloads)
+                joint = response_products(2.0 * np.pi * modes.frequencies, numbers.damping, spectrum)
+                covariances[cause][row] = modes.twists @ (joint * (inputs @ inputs.T)) @ modes.twists.T
+        return covariances
+
+    def _modes(self, poses: Poses) -> Iterator[Modes]:
+        model = elastic_model(poses.robot)
+        for q in poses.q:
+            modes = natural_modes(model, q, payloads=self.payloads)
+            if np.abs(modes.free_twists).max(initial=0.0) > _FREE:
+                raise FreeDirectionError(f"{poses.robot.name}: the tool can move with all springs at rest")
+            yield modes
+
+
+def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Matrix:
+    """Return the integrals of G Re(H_r H_s*) over all frequencies, shape=(k, k) [unit^2 s^4].
+
+    Args:
+        omegas: angular frequencies of the modes, shape=(k,) [rad/s].
+        damping: zeta of all modes, more than 0 and less than 1.
+        spectrum: G [unit^2/Hz].
+    """
+    turn = np.sqrt(1.0 - damping**2)
+    own = np.stack([omegas * (1j * damping + turn), omegas * (1j * damping - turn)])  # poles of H, shape=(2, k)
+    count = len(omegas)
+    poles = np.empty((4, count, count), dtype=complex)
+    poles[:2], poles[2:] = own[:, :, None], own.conj()[:, None, :]
+    edges = 2.0 * np.pi * np.asarray(spectrum.edges_Hz)
+    products = np.zeros((count, count))
+    for k, pole in enumerate(poles):
+        residue = 1.0 / np.prod([pole - other for j, other in enumerate(poles) if j != k], axis=0)
+        logarithms = np.log(edges[:, None, None] - pole)
+        # the logarithms of a pole differ by what the band holds of it: its imaginary part keeps them off the cut
+        bands = np.tensordot(np.asarray(spectrum.levels), np.diff(logarithms, axis=0), axes=1)
+        products += (residue * bands).real
+    return products / (2.0 * np.pi)
+
+
+def correlated_normal(covariance: ArrayLike, count: int, generator: np.random.Generator) -> Matrix:
+    """Draw normal vectors of a covariance that may be singular, shape=(count, k).
+
+    Raises:
+        InvalidValueError: the covariance is not symmetric and positive semidefinite.
+    """
+    root = covariance_root(np.asarray(covariance, dtype=float))
+    draws: Matrix = generator.standard_normal((count, len(root))) @ root.T
+    return draws
+
+
+def covariance_root(covariance: Array) -> Array:
+    """Return A with A A^T a covariance, which may be singular, shape=(..., k, k).
+
+    Raises:
+        InvalidValueError: the covariance is not symmetric and positive semidefinite.
+    """
+    scale = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
+    unit = np.where(scale > 0.0, scale, 1.0)
+    values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
+    if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:
+        raise InvalidValueError("covariance", covariance.tolist(), "a symmetric positive semidefinite matrix")
+    return np.asarray(unit[..., :, None] * axes * np.sqrt(values.clip(min=0.0))[..., None, :])
+
+
+def _on_tool(modes: Modes, payloads: Payloads | None) -> Matrix:
+    """Return how unit forces on the tool, along the axes of the base, force the modes, shape=(k, 3)."""
+    return np.asarray(modes.twists[:3].T)
+
+
+def _on_drives(modes: Modes, payloads: Payloads | None) -> Matrix:
+    """Return how unit forces of the drives force the modes, shape=(k, drives)."""
+    return np.asarray(modes.shapes[modes.configuration.mechanism.actuated_indices].T)
+
+
+def _on_base(modes: Modes, payloads: Payloads | None) -> Matrix:
+    """Return how unit accelerations of the base, along its axes, force the modes, shape=(k, 3)."""
+    q = np.array(modes.configuration.q)
+    model = model_with_payloads(modes.configuration.mechanism, payloads).copy()
+    inertial = np.empty((model.nv, 3))
+    for axis, direction in enumerate(np.eye(3)):
+        model.gravity = pin.Motion(direction, np.zeros(3))
+        inertial[:, axis] = pin.computeGeneralizedGravity(model, model.createData(), q)
+    return np.asarray(modes.shapes.T @ inertial)
+
+
+_FORCING = {"tool": _on_tool, "motors": _on_drives, "axes": _on_base}

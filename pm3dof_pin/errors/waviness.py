@@ -1,0 +1,126 @@
+"""Errors of drives that wave along their travel: of a screw's pitch, and of a guideway's straightness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.errors.error_parameters import GeometricParameter, across_directions
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One harmonic of a guideway's or screw's error along its travel.
+
+    Attributes:
+        amplitude: half of its height [m].
+        length: its wavelength [m].
+        phase: its phase where the drive's joint has coordinate 0 [rad].
+    """
+
+    amplitude: float
+    length: float
+    phase: float
+
+    def at(self, travel: Array) -> Array:
+        """Return the error at a travel [m]."""
+        return np.asarray(self.amplitude * np.sin(2.0 * np.pi * travel / self.length + self.phase))
+
+
+@dataclass(frozen=True, eq=False)
+class GuideWaviness:
+    """Errors of each drive that change along its travel: of the screw's pitch, and of the guideway's straightness.
+
+    No constant parameter of a robot describes them.
+
+    Attributes:
+        pitch: waves along the drive, for each actuated joint.
+        straightness: waves across it, in the two directions across the joint's axis, for each actuated joint; empty for
+            straight guideways.
+    """
+
+    pitch: tuple[tuple[Wave, ...], ...]
+    straightness: tuple[tuple[tuple[Wave, ...], tuple[Wave, ...]], ...] = ()
+
+    def travel_errors(self, travels: Array) -> Array:
+        """Return how much farther each drive stands than its command says, shape=(n, number of actuated joints) [m].
+
+        Args:
+            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
+        """
+        _check_count("pitch", self.pitch, travels.shape[1])
+        errors = np.zeros_like(travels)
+        for drive, waves in enumerate(self.pitch):
+            errors[:, drive] = sum((wave.at(travels[:, drive]) for wave in waves), np.zeros(len(travels)))
+        return errors
+
+    def offsets(self, travels: Array) -> Array:
+        """Return how far each carriage stands beside its line, shape=(n, number of actuated joints, 2) [m].
+
+        Args:
+            travels: see :meth:`travel_errors`.
+        """
+        offsets = np.zeros((*travels.shape, 2))
+        if self.straightness:
+            _check_count("straightness", self.straightness, travels.shape[1])
+        for drive, directions in enumerate(self.straightness):
+            for across, waves in enumerate(directions):
+                offsets[:, drive, across] = sum((wave.at(travels[:, drive]) for wave in waves), np.zeros(len(travels)))
+        return offsets
+
+    @classmethod
+    def random(
+        cls,
+        drives: int,
+        generator: np.random.Generator,
+        *,
+        pitch_amplitude: float = 3e-6,
+        straightness_amplitude: float = 3e-6,
+        lengths: Sequence[float] = (0.12, 0.05, 0.02),
+    ) -> GuideWaviness:
+        """Draw waves of given lengths with random phases and amplitudes.
+
+        Args:
+            drives: number of actuated joints.
+            generator: source of the random numbers.
+            pitch_amplitude: standard deviation of the waves along the drive [m].
+            straightness_amplitude: standard deviation of the waves across it [m].
+            lengths: wavelengths [m].
+        """
+
+        def waves(amplitude: float) -> tuple[Wave, ...]:
+            return tuple(
+                Wave(amplitude * generator.standard_normal(), length, generator.uniform(0.0, 2.0 * np.pi))
+                for length in lengths
+            )
+
+        return cls(
+            tuple(waves(pitch_amplitude) for _ in range(drives)),
+            tuple((waves(straightness_amplitude), waves(straightness_amplitude)) for _ in range(drives)),
+        )
+
+
+def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:
+    """Return how far the carriage of each drive stands beside its guideway, in the two directions across it.
+
+    Args:
+        robot: the robot.
+
+    Returns:
+        Two error parameters for each actuated joint, with unit tolerances.
+    """
+    return tuple(
+        GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
+        for joint in robot.actuated_joints
+        for k, direction in enumerate(across_directions(robot, joint))
+    )
+
+
+def _check_count(name: str, entries: Sequence[object], drives: int) -> None:
+    if len(entries) != drives:
+        raise InvalidValueError(name, f"{len(entries)} entries", f"one for each of {drives} actuated joints")

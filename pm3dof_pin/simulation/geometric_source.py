@@ -1,0 +1,29 @@
+"""Geometry that is wrong for good, one of the sources of a simulated machine's errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.typing import Vector
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricSource:
+    """Joints and frames that sit wrong, for good: manufacturing and assembly.
+
+    Attributes:
+        errors: the parameters.
+        values: p, shape=(number of parameters,) [m, rad].
+    """
+
+    errors: GeometricErrors
+    values: Vector
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            InvalidValueError: they are not finite numbers of the right shape.
+        """
+        self.errors.values(self.values)
