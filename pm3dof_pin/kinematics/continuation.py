@@ -32,7 +32,7 @@ from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
-from pm3dof_pin.programs.ir import HISTORY
+from pm3dof_pin.programs.drivers import HISTORY
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
-from pm3dof_pin.typing import Array, Engine, OnFailure, Vector
+from pm3dof_pin.typing import Array, Engine, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.closing_programs import ProgramSource
@@ -363,14 +363,7 @@ class Robot(Mechanism):
         if on_failure == "raise":
             finite_array(f"{what} ({names})", targets, targets.shape)
         shape = targets.shape[:-1]
-        nq = self.model.nq
-        starts = None
-        if guess is not None:
-            starts = _numbers("guess", guess.q if isinstance(guess, Configuration) else guess)
-            if starts.shape not in ((nq,), (*shape, nq)):
-                expected = f"shape ({nq},) or {(*shape, nq)}"
-                raise InvalidValueError("guess", f"an array of shape {starts.shape}", expected)
-            starts = np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
+        starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
         continuation = self._continuation(coordinates) if engine == "program" else None
         found: tuple[Any, ...]
@@ -382,17 +375,31 @@ class Robot(Mechanism):
             found = continuation.walk(rows, starts)
         failed = np.flatnonzero(np.isnan(found[0][:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
-            first = failed[:1]
-            residual = float(close_all(self, self.home.q, coordinates, rows[first], None)[1][0])
-            pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, rows[first[0]], strict=True))
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
-            raise UnreachablePoseError(
-                f"{self.name}: no assembled configuration found at {pose}{index}: residual {residual:.3e} m or rad; "
-                "the pose may be out of reach",
-                residual,
-            )
+            raise self._unreachable(coordinates, rows[failed[0]], index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
+
+    def _starts(self, guess: Configuration | ArrayLike, shape: tuple[int, ...]) -> Matrix:
+        """Return a guess for each of a batch of poses, one after the other."""
+        nq = self.model.nq
+        starts = _numbers("guess", guess.q if isinstance(guess, Configuration) else guess)
+        if starts.shape not in ((nq,), (*shape, nq)):
+            raise InvalidValueError("guess", f"an array of shape {starts.shape}", f"shape ({nq},) or {(*shape, nq)}")
+        return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
+
+    def _unreachable(self, coordinates: tuple[Coordinate, ...], target: Vector, which: str) -> UnreachablePoseError:
+        """Return the error of a pose that was not found: how far open damped steps from home leave its loops."""
+        numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, target, strict=True)]
+        joints = {c.joint: n for c, n in zip(coordinates, numbers, strict=True) if c.joint is not None}
+        tool = {c.tool: float(n) for c, n in zip(coordinates, numbers, strict=True) if c.tool is not None}
+        residual = assemble(self, self.home, joints=joints, tool=tool).residual
+        pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
+        return UnreachablePoseError(
+            f"{self.name}: no assembled configuration found at {pose}{which}: residual {residual:.3e} m or rad; "
+            "the pose may be out of reach",
+            residual,
+        )
 
     def why_careful(self) -> str | None:
         """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""

@@ -14,7 +14,7 @@ from llvmlite import binding
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
-from pm3dof_pin.programs import ir
+from pm3dof_pin.programs import drivers
 from pm3dof_pin.programs.program import Program
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
@@ -80,7 +80,7 @@ def object_code(program: Program, lanes: int) -> bytes:
     """
     machine = _machine()
     try:
-        text = ir.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
+        text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
         module = binding.parse_assembly(text, binding.create_context())
         module.triple = machine.triple
         module.data_layout = str(machine.target_data)
@@ -133,8 +133,8 @@ class Compiled:
             number = ctypes.c_double
             steps = (*common, number, size)
             march = (*steps, size, size, size, size, pointer, number, number, number)
-            self._iterate = self._function("iterate", *steps) if ir.can_iterate(program) else None
-            self._march = self._function("march", *march) if ir.can_march(program) else None
+            self._iterate = self._function("iterate", *steps) if drivers.can_iterate(program) else None
+            self._march = self._function("march", *march) if drivers.can_march(program) else None
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -198,7 +198,7 @@ class Compiled:
             raise InvalidValueError("outputs", self.program.outputs, "a new value of the first inputs, then a residual")
         if max_steps < 1:
             raise InvalidValueError("max_steps", max_steps, "at least 1")
-        n = ir.state_size(self.program)
+        n = drivers.state_size(self.program)
         rows = _rows("inputs", inputs, len(self.program.inputs))
         results = np.empty((len(rows), n + 2))
         self._run(self._iterate, rows, parameters, results, threads, tolerance, max_steps)
@@ -231,7 +231,7 @@ class Compiled:
             given: the inputs after the state, shape=(n, m, number of them), rows contiguous.
             parameters: shape=(number of parameters,).
             shares: for each of the poses that are not known, with the pose before the last first; zeros for poses that
-                are not there, shape=(number of poses not known, :data:`~pm3dof_pin.programs.ir.HISTORY`).
+                are not there, shape=(number of poses not known, :data:`~pm3dof_pin.programs.drivers.HISTORY`).
             tolerance: see :meth:`iterate`.
             max_steps: see :meth:`iterate`.
             margins: between which the margin must be.
@@ -247,8 +247,8 @@ class Compiled:
         n, m, nq = lines.shape
         shares = np.ascontiguousarray(shares, dtype=np.float64)
         known = m - len(shares)
-        expected = (n, m, len(program.inputs) - nq - 2), (m - known, ir.HISTORY)
-        if nq != ir.state_size(program) - 2 or (given.shape, shares.shape) != expected or known < 1:
+        expected = (n, m, len(program.inputs) - nq - 2), (m - known, drivers.HISTORY)
+        if nq != drivers.state_size(program) - 2 or (given.shape, shares.shape) != expected or known < 1:
             raise InvalidValueError(
                 "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
             )

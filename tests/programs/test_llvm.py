@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
-from pm3dof_pin.programs import ir, llvm
+from pm3dof_pin.programs import drivers, llvm
+from pm3dof_pin.programs.drivers import HISTORY
 from pm3dof_pin.programs.graph import Graph, absolute, atan2, cos, sin, sqrt
+from pm3dof_pin.programs.vector_ir import ANGLE_RANGE
 
 LANES = (2, 4, 8)
 
@@ -31,7 +33,7 @@ def angles():
     rng = np.random.default_rng(1)
     quarters = np.arange(-4000, 4000) * (math.pi / 4)
     near = [np.nextafter(quarters, np.inf), quarters, quarters * (1 + 1e-9)]
-    return np.concatenate([rng.uniform(-a, a, 100_000) for a in (1e-6, 1.0, 4.0, 100.0, ir.ANGLE_RANGE)] + near)
+    return np.concatenate([rng.uniform(-a, a, 100_000) for a in (1e-6, 1.0, 4.0, 100.0, ANGLE_RANGE)] + near)
 
 
 def test_sine_and_cosine_are_exact_to_two_last_places(angles):
@@ -46,7 +48,7 @@ def test_sine_and_cosine_are_exact_to_two_last_places(angles):
 
 
 def test_sine_and_cosine_beyond_their_range_are_nan():
-    angles = np.array([[ir.ANGLE_RANGE], [np.nextafter(ir.ANGLE_RANGE, np.inf)], [-1e300], [np.inf], [np.nan]])
+    angles = np.array([[ANGLE_RANGE], [np.nextafter(ANGLE_RANGE, np.inf)], [-1e300], [np.inf], [np.nan]])
     values = compiled(lambda x: [sin(x), cos(x)], 1)(angles)
     assert np.isfinite(values[0]).all()
     assert np.isnan(values[1:]).all()
@@ -174,7 +176,7 @@ def test_march_predicts_along_lines_and_ends_them_where_a_pose_is_not_accepted(l
     n, m = 19, 12
     squares = np.linspace(1.0, 9.0, n)[:, None] + 1e-5 * np.arange(m)
     squares[4, 7] += 1.0  # a jump that no step makes good
-    shares = np.zeros((m - 1, ir.HISTORY))
+    shares = np.zeros((m - 1, HISTORY))
     shares[3:, :2] = 1.5, -0.25
     shares[5:, 2] = -0.1
     settings = {"tolerance": 1e-8, "max_steps": 2, "margins": (-0.1, 2.0), "longest": 0.1}
@@ -215,11 +217,11 @@ def test_errors():
         find.iterate(np.zeros((3, 2)), tolerance=1.0, max_steps=0)
     with pytest.raises(InvalidValueError, match="margin, jump"):
         find.march(
-            *np.zeros((2, 3, 4, 1)), (), np.zeros((3, ir.HISTORY)), tolerance=1, max_steps=1, margins=(0, 1), longest=1
+            *np.zeros((2, 3, 4, 1)), (), np.zeros((3, HISTORY)), tolerance=1, max_steps=1, margins=(0, 1), longest=1
         )
     with pytest.raises(InvalidValueError, match=r"lines = .* \(3, 4, 1\)"):
         line_of_roots().march(
-            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), np.zeros((3, ir.HISTORY))),
+            *(np.zeros((3, 4, 1)), np.zeros((3, 5, 1)), (), np.zeros((3, HISTORY))),
             **{"tolerance": 1.0, "max_steps": 1, "margins": (0.0, 1.0), "longest": 1.0},
         )
     with pytest.raises(InvalidValueError, match="a residual"):
@@ -228,7 +230,7 @@ def test_errors():
 
 def test_what_llvm_does_not_compile_is_said(monkeypatch):
     program = root_finder().program
-    monkeypatch.setattr(ir, "module", lambda *_: "this is no module")
+    monkeypatch.setattr(drivers, "module", lambda *_: "this is no module")
     with pytest.raises(ProgramError, match="program 'root': LLVM does not compile it: "):
         llvm.compile(program)
 

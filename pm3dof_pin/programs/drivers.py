@@ -1,0 +1,269 @@
+"""The loops that drive a program, as LLVM's text: over blocks of poses, over steps, and along lines of a grid."""
+
+from __future__ import annotations
+
+from pm3dof_pin.programs.ir import StraightLine
+from pm3dof_pin.programs.program import Program
+
+HISTORY = 3
+"""Poses before the last one from which a march predicts the next."""
+
+# arguments of the functions
+_ROWS = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
+_LINES = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %given, i64 %given_stride, i64 %n"
+_STEPS = "double %tolerance, i64 %most"
+_MARCH = (
+    "i64 %inputs_step, i64 %given_step, i64 %known, i64 %count, ptr %shares, double %lower, double %upper, "
+    "double %longest"
+)
+
+
+def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str = "") -> str:
+    """Return the text of a module with the function `evaluate` and, where the program allows, `iterate` and `march`.
+
+    The first two take ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts
+    and strides as 64-bit integers. `iterate` takes a tolerance and the greatest number of steps besides; its rows of
+    outputs are the last state, the residual that the last step began with, and the number of steps. For `march` see
+    :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
+
+    Args:
+        program: the program.
+        lanes: poses computed at once, a power of two.
+        opaque_pointers: whether pointers are spelt without their type, as LLVM 17 and later want it.
+        attributes: attributes of all functions.
+    """
+    text = _Drivers(program, lanes, opaque_pointers)
+    text.prepare()
+    text.straight_line()
+    text.evaluate()
+    if can_iterate(program):
+        text.iterate()
+    if can_march(program):
+        text.march()
+    return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
+
+
+def state_size(program: Program) -> int:
+    """Return the number of outputs before the last one, the residual."""
+    return len(program.results) - 1
+
+
+def can_iterate(program: Program) -> bool:
+    """Whether the outputs can be the next values of the first inputs, and a residual."""
+    return 1 <= state_size(program) <= len(program.inputs)
+
+
+def can_march(program: Program) -> bool:
+    """Whether the program closes loops, its state being q, `margin` and `jump`."""
+    return can_iterate(program) and tuple(program.outputs) == ("q", "margin", "jump", "residual")
+
+
+class _Drivers(StraightLine):
+    """The text under construction."""
+
+    rows: list[str]
+    """Numbers of the rows that are in the lanes."""
+
+    def evaluate(self) -> None:
+        """Emit the loop over blocks of poses."""
+        self.begin_function("evaluate", _ROWS)
+        self.begin_blocks("loop")
+        self.gather(self.rows_of("inputs"), len(self.program.inputs))
+        self.call_line()
+        self.scatter(self.rows_of("outputs"), len(self.program.results), "%block_outputs")
+        self.end_blocks()
+
+    def iterate(self) -> None:
+        """Emit the loop over blocks of poses, and in it the loop over steps."""
+        n = state_size(self.program)
+        self.begin_function("iterate", _ROWS, _STEPS)
+        tolerance = self.spread("%tolerance")
+        self.begin_blocks("done")
+        self.gather(self.rows_of("inputs"), len(self.program.inputs))
+        self.do("br label %step")
+        self.steps("loop", tolerance)
+        self.store_vector("%residual_next", "%block_inputs", n * self.lanes)
+        self.store_vector("%steps_next", "%block_inputs", (n + 1) * self.lanes)
+        self.scatter(self.rows_of("outputs"), n + 2, "%block_inputs")
+        self.end_blocks()
+
+    def steps(self, before: str, tolerance: str) -> None:
+        """Emit the loop over steps of a block, entered from the label `before`, and the label `done` after it."""
+        n = state_size(self.program)
+        self.label("step")
+        zeros = "zeroinitializer"
+        everywhere = f"<{', '.join(['i1 true'] * self.lanes)}>"
+        self.do(f"%taken = phi i64 [ 0, %{before} ], [ %taken_next, %step ]")
+        self.do(f"%active = phi {self.truths} [ {everywhere}, %{before} ], [ %active_next, %step ]")
+        self.do(f"%residual = phi {self.vector} [ {zeros}, %{before} ], [ %residual_next, %step ]")
+        self.do(f"%steps = phi {self.vector} [ {zeros}, %{before} ], [ %steps_next, %step ]")
+        self.call_line()
+        for k in range(n):
+            old = self.load_vector("%block_inputs", k * self.lanes)
+            new = self.load_vector("%block_outputs", k * self.lanes)
+            self.store_vector(self.select("%active", new, old), "%block_inputs", k * self.lanes)
+        fresh = self.load_vector("%block_outputs", n * self.lanes)
+        self.do(f"%residual_next = select {self.truths} %active, {self.vector} {fresh}, {self.vector} %residual")
+        one_more = self.add("%steps", self.splat(1.0))
+        self.do(f"%steps_next = select {self.truths} %active, {self.vector} {one_more}, {self.vector} %steps")
+        self.do("%taken_next = add i64 %taken, 1")
+        above = self.compare("ogt", fresh, tolerance)
+        self.do(f"%active_next = and {self.truths} %active, {above}")
+        mask = self.emit(f"bitcast {self.truths} %active_next to i{self.lanes}")
+        some = self.emit(f"icmp ne i{self.lanes} {mask}, 0")
+        again = self.emit(f"and i1 {some}, {self.emit('icmp slt i64 %taken_next, %most')}")
+        self.do(f"br i1 {again}, label %step, label %done")
+        self.label("done")
+
+    def march(self) -> None:
+        """Emit the loop over blocks of lines, the loop along them, and in it the loop over steps."""
+        n = state_size(self.program)
+        size, lanes = n - 2, self.lanes
+        names = ("current", *(f"previous_{back}" for back in range(1, HISTORY + 1)))
+        self.begin_function("march", _LINES, _STEPS, _MARCH, **dict.fromkeys(names, size))
+        tolerance, lower, upper, most = (self.spread(f"%{x}") for x in ("tolerance", "lower", "upper", "longest"))
+        self.begin_blocks("closed")
+        self.gather(self.rows_of("inputs"), size, "%current")
+        for back in range(1, HISTORY + 1):
+            is_known = self.emit(f"icmp slt i64 {back}, %known")
+            place = self.emit(f"mul i64 {self.emit(f'select i1 {is_known}, i64 {-back}, i64 0')}, %inputs_step")
+            self.gather(self.rows_of("inputs", place), size, f"%previous_{back}")
+            for k in range(size):
+                now, before = (self.load_vector(x, k * lanes) for x in ("%current", f"%previous_{back}"))
+                usable = self.select(self.compare("ord", before, before), before, now)
+                self.store_vector(usable, f"%previous_{back}", k * lanes)
+        self.do("br label %along")
+        self.label("along")
+        self.do("%index = phi i64 [ 1, %loop ], [ %index_next, %done ]")
+        first_share = self.emit(f"mul i64 {self.emit('sub i64 %index, 1')}, {HISTORY}")
+        shares_here = self.address("%shares", first_share)
+        shares = [self.spread(self.load(shares_here, back)) for back in range(HISTORY)]
+        for k in range(size):
+            points = [
+                self.load_vector(x, k * lanes) for x in ("%current", *(f"%previous_{j + 1}" for j in range(HISTORY)))
+            ]
+            ahead = points[0]
+            for share, point in zip(shares, points[1:], strict=True):
+                ahead = self.add(ahead, self.multiply(self.subtract(points[0], point), share))
+            self.store_vector(ahead, "%block_inputs", k * lanes)
+            for back, point in enumerate(points[:-1], start=1):
+                self.store_vector(point, f"%previous_{back}", k * lanes)
+        self.store_vector(self.splat(1.0), "%block_inputs", size * lanes)
+        self.store_vector(self.splat(0.0), "%block_inputs", (size + 1) * lanes)
+        self.do("%given_place = mul i64 %index, %given_step")
+        given = self.rows_of("given", "%given_place")
+        self.gather(given, len(self.program.inputs) - n, self.address("%block_inputs", n * lanes))
+        self.do("br label %step")
+        self.steps("along", tolerance)
+        margin, jump = (self.load_vector("%block_inputs", (size + k) * lanes) for k in range(2))
+        accepted = self.compare("ole", "%residual_next", tolerance)
+        for condition in (
+            self.compare("ogt", margin, lower),
+            self.compare("olt", margin, upper),
+            self.compare("ole", jump, most),
+        ):
+            accepted = self.emit(f"and {self.truths} {accepted}, {condition}")
+        for k in range(size):
+            found = self.load_vector("%block_inputs", k * lanes)
+            self.store_vector(self.select(accepted, found, self.splat(float("nan"))), "%current", k * lanes)
+        self.do("%place = mul i64 %index, %inputs_step")
+        self.scatter(self.rows_of("inputs", "%place"), size, "%current")
+        self.do("%index_next = add i64 %index, 1")
+        self.do("%further = icmp sle i64 %index_next, %count")
+        self.do("br i1 %further, label %along, label %closed")
+        self.label("closed")
+        self.end_blocks()
+
+    # loops over blocks of poses; past the end the last pose stands in the lanes, and is written once more
+
+    def begin_function(self, name: str, *arguments: str, **buffers: int) -> None:
+        """Begin a function on blocks of rows, with the table of what all poses share, and buffers of vectors."""
+        program, p = self.program, self.pointer
+        self.begin(name, ", ".join(arguments).replace("ptr", f"{p} noalias"), internal=False)
+        sizes = {
+            "shared": max(1, len(self.shared)),
+            "block_inputs": self.lanes * (len(program.inputs) + 2),
+            "block_outputs": self.lanes * max(1, len(program.results)),
+            **{buffer: self.lanes * max(1, size) for buffer, size in buffers.items()},
+        }
+        for buffer, size in sizes.items():
+            array = self.emit(f"alloca [{size} x double], align 64")
+            typed = "ptr" if p == "ptr" else f"[{size} x double]*"
+            self.do(f"%{buffer} = bitcast {typed} {array} to {p}")
+        self.do(f"call void @prepare({p} %parameters, {p} %shared)")
+        self.do("%last = sub i64 %n, 1")
+
+    def begin_blocks(self, latch: str) -> None:
+        """Begin the loop over blocks, whose last label is `latch`."""
+        self.do("%some = icmp sgt i64 %n, 0")
+        self.do("br i1 %some, label %loop, label %end")
+        self.label("loop")
+        self.do(f"%first = phi i64 [ 0, %entry ], [ %next, %{latch} ]")
+        self.rows = []
+        for lane in range(self.lanes):
+            row = self.emit(f"add i64 %first, {lane}")
+            inside = self.emit(f"icmp slt i64 {row}, %last")
+            self.rows.append(self.emit(f"select i1 {inside}, i64 {row}, i64 %last"))
+
+    def end_blocks(self) -> None:
+        self.do(f"%next = add i64 %first, {self.lanes}")
+        self.do("%more = icmp slt i64 %next, %n")
+        self.do("br i1 %more, label %loop, label %end")
+        self.label("end")
+        self.end()
+
+    def rows_of(self, array: str, offset: str = "0") -> list[str]:
+        """Emit pointers to the rows of an array that belong to the lanes, some numbers further on."""
+        places = [self.emit(f"mul i64 {row}, %{array}_stride") for row in self.rows]
+        return [self.address(f"%{array}", self.emit(f"add i64 {place}, {offset}")) for place in places]
+
+    def call_line(self) -> None:
+        p = self.pointer
+        self.do(f"call void @line({p} %block_inputs, {p} %shared, {p} %block_outputs)")
+
+    def chunks(self, n: int) -> list[int]:
+        """Return the first columns of square pieces that cover n columns; the last two may overlap."""
+        return [*range(0, n - self.lanes + 1, self.lanes), *([n - self.lanes] if n % self.lanes else [])]
+
+    def transpose(self, rows: list[str]) -> list[str]:
+        step = 1
+        while step < self.lanes:
+            for i in range(self.lanes):
+                if not i & step:
+                    a, b = rows[i], rows[i + step]
+                    low = [j if not j & step else self.lanes + j - step for j in range(self.lanes)]
+                    high = [j + step if not j & step else self.lanes + j for j in range(self.lanes)]
+                    rows[i], rows[i + step] = self.shuffle(a, b, low), self.shuffle(a, b, high)
+            step *= 2
+        return rows
+
+    def shuffle(self, a: str, b: str, picked: list[int]) -> str:
+        mask = ", ".join(f"i32 {index}" for index in picked)
+        return self.emit(f"shufflevector {self.vector} {a}, {self.vector} {b}, <{self.lanes} x i32> <{mask}>")
+
+    def gather(self, pointers: list[str], n: int, block: str = "%block_inputs") -> None:
+        """Emit reading n columns of the rows into a block, a vector for each column."""
+        if n >= self.lanes:
+            for first in self.chunks(n):
+                columns = self.transpose([self.load_vector(pointer, first) for pointer in pointers])
+                for k, column in enumerate(columns):
+                    self.store_vector(column, block, (first + k) * self.lanes)
+            return
+        for k in range(n):
+            vector = "poison"
+            for lane, pointer in enumerate(pointers):
+                vector = self.emit(f"insertelement {self.vector} {vector}, double {self.load(pointer, k)}, i32 {lane}")
+            self.store_vector(vector, block, k * self.lanes)
+
+    def scatter(self, pointers: list[str], n: int, block: str) -> None:
+        """Emit writing a block of n vectors to n columns of the rows."""
+        if n >= self.lanes:
+            for first in self.chunks(n):
+                columns = [self.load_vector(block, (first + k) * self.lanes) for k in range(self.lanes)]
+                for pointer, row in zip(pointers, self.transpose(columns), strict=True):
+                    self.store_vector(row, pointer, first)
+            return
+        for k in range(n):
+            vector = self.load_vector(block, k * self.lanes)
+            for lane, pointer in enumerate(pointers):
+                self.store(self.emit(f"extractelement {self.vector} {vector}, i32 {lane}"), pointer, k)
