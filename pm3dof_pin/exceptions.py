@@ -184,6 +184,18 @@ def lines_in_words(rows: Sequence[int], most: int = 10) -> str:
     return f"line{'s' if len(rows) > 1 else ''} {listed}{more}: "
 
 
+class CalibrationRefusedError(PM3DofError):
+    """A calibration whose result would not be true of the machine, or would make it worse.
+
+    Attributes:
+        reasons: why, a sentence each, the likeliest cause last.
+    """
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        super().__init__(f"no calibration: {'; '.join(reasons)}")
+        self.reasons = tuple(reasons)
+
+
 class MissingPackageError(PM3DofError):
     """An optional package is needed that is not installed."""
 

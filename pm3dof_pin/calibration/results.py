@@ -13,7 +13,7 @@ The same measurements, method and seed give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,9 @@ from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, learned
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.files import replace_directory, write_text_atomically
 from pm3dof_pin.measuring.measurement_file import write_measurements
-from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 SUMMARY = "calibration.yaml"
@@ -49,6 +48,9 @@ def write_calibration(
     directory: Path | str,
     held_out: HeldOut | None = None,
     report: str | None = None,
+    *,
+    validation: HeldOut | None = None,
+    objections: Sequence[str] = (),
 ) -> Path:
     """Write a calibration, whole or not at all; an older one in its place is replaced.
 
@@ -58,6 +60,8 @@ def write_calibration(
         directory: folder to write.
         held_out: how good it is on measurements it has not seen.
         report: HTML page to go with it.
+        validation: how good it is on another file of measurements.
+        objections: what speaks against it, should it be written all the same.
 
     Returns:
         The folder.
@@ -75,8 +79,8 @@ def write_calibration(
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated")
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / COMPENSATION, _compensation_as_json(compensation, files.path.name))
-        summary = yaml.safe_dump(summary_of(calibration, files.name, held_out), sort_keys=False, width=120)
-        write_text_atomically(folder / SUMMARY, summary)
+        summary = summary_of(calibration, files.name, held_out, validation=validation, objections=objections)
+        write_text_atomically(folder / SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120))
         if report is not None:
             write_text_atomically(folder / REPORT, report)
     return Path(directory)
@@ -116,39 +120,54 @@ def read_compensation(directory: Path | str) -> Compensation:
         raise DescriptionError(path, "contents", f"expected those of format {_FORMAT} ({error!r})") from error
 
 
-def summary_of(calibration: Calibration, robot: str, held_out: HeldOut | None = None) -> dict[str, Any]:
+def summary_of(
+    calibration: Calibration,
+    robot: str,
+    held_out: HeldOut | None = None,
+    *,
+    validation: HeldOut | None = None,
+    objections: Sequence[str] = (),
+) -> dict[str, Any]:
     """Return what was done and found as plain data; keys end in their unit.
 
     Args:
         calibration: the calibration.
         robot: name of the robot.
         held_out: how good it is on measurements it has not seen.
+        validation: how good it is on another file of measurements.
+        objections: what speaks against it.
     """
     options, found = calibration.options, calibration.identification
     summary: dict[str, Any] = {
         "format": _FORMAT,
         "robot": robot,
+        **({"forced_against": list(objections)} if objections else {}),
         "method": options.method,
         "seed": options.seed,
         "eta_m_per_rad": options.eta,
-        "measurements": _measurements_summary(calibration.measurements),
+        "measurements": _measurements_summary(calibration),
         "outlier_lines": list(found.outlier_lines),
         "noise_factor": found.noise_factor,
         "unexplained_tip_error_m": calibration.compensation.unexplained,
     }
-    if held_out is not None:
-        units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
-        kinds = {
-            "tip_error_before_m": held_out.before,
-            "tip_error_after_m": held_out.after,
-            "tip_error_floor_m": held_out.floor,
-            "tip_noise_m": held_out.noise,
-            "_".join(["excess_joint_error", *units]): held_out.excess,
-        }
-        summary["held_out"] = {"poses": len(held_out.after)} | {name: statistics(kinds[name]) for name in kinds}
+    units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
+    for name, judged in (("validation", validation), ("held_out", held_out)):
+        if judged is not None:
+            summary[name] = _judged_summary(judged, "_".join(["excess_joint_error", *units]))
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary
+
+
+def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
+    kinds = {
+        "tip_error_before_m": judged.before,
+        "tip_error_after_m": judged.after,
+        "tip_error_floor_m": judged.floor,
+        "tip_noise_m": judged.noise,
+        excess: judged.excess,
+    }
+    return {"poses": len(judged.after)} | {name: statistics(values) for name, values in kinds.items()}
 
 
 def statistics(values: Array) -> dict[str, float]:
@@ -213,9 +232,11 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     )
 
 
-def _measurements_summary(measurements: Measurements) -> dict[str, Any]:
+def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
+    measurements, found = calibration.measurements, calibration.identification
     summary: dict[str, Any] = {
         "count": len(measurements),
+        "poses": int(measurements.pose_numbers.max()) + 1,
         "measured": measurements.measured,
         "conditions": list(measurements.conditions),
         "median_sigma_m_rad": [float(sigma) for sigma in np.median(measurements.sigmas, axis=0)],
@@ -223,12 +244,46 @@ def _measurements_summary(measurements: Measurements) -> dict[str, Any]:
     }
     if measurements.registration is not None:
         base = measurements.registration.base
+        position, angle = base_sigmas(found)
         summary["base_in_instrument_frame"] = {
             "position_m": base[:3, 3].tolist(),
             "quaternion_wxyz": quaternion(base[:3, :3]).tolist(),
+            "position_sigma_m": position.tolist(),
+            "angle_sigma_rad": angle.tolist(),
             "residual_m": measurements.registration.residual,
         }
+    named = [name for name in found.nuisances.names if not name.startswith("frame.")]
+    if named:
+        places = [found.nuisances.names.index(name) for name in named]
+        summary["besides_the_machine"] = {
+            found.nuisances.names[k]: {
+                "value": float(found.nuisance_values[k]),
+                "sigma": float(found.nuisance_sigmas[k]),
+                "unit": found.nuisances.units[k],
+            }
+            for k in places
+        }
     return summary
+
+
+def base_sigmas(found: Identification) -> tuple[Array, Array]:
+    """Return the standard deviations of the base's position and orientation along the instrument's axes [m], [rad].
+
+    Args:
+        found: an identification from measurements in a frame of the instrument's own.
+
+    Raises:
+        InvalidValueError: they were measured in the base's axes.
+    """
+    registration = found.measurements.registration
+    if registration is None:
+        raise InvalidValueError("measurements", "in the base's own axes", "those of an instrument with its own frame")
+    first = len(found.joint_covariance) - len(found.nuisances)
+    block = first + found.nuisances.columns("frame")
+    covariance = found.joint_covariance[np.ix_(block, block)]
+    turn = registration.rotation.T
+    position, angle = (np.sqrt(np.diag(turn @ part @ turn.T)) for part in (covariance[:3, :3], covariance[3:, 3:]))
+    return np.asarray(position), np.asarray(angle)
 
 
 def _identification_summary(found: Identification) -> dict[str, Any]:

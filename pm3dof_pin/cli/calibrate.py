@@ -16,6 +16,7 @@ from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
+    from pm3dof_pin.calibration.calibrate import Calibration
     from pm3dof_pin.measuring.measurements import Measurements
 
 
@@ -30,6 +31,13 @@ class MethodName(StrEnum):
     GP = "gp"
     LM_NN = "lm+nn"
     LM_GP = "lm+gp"
+
+
+class TargetOffsets(StrEnum):
+    """Whether targets are where the file has them."""
+
+    FIXED = "fixed"
+    ESTIMATE = "estimate"
 
 
 class LossName(StrEnum):
@@ -51,6 +59,23 @@ def calibrate(
     own_frame: Annotated[
         bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
     ] = False,
+    target_offsets: Annotated[
+        TargetOffsets,
+        typer.Option(help="Points off the tool point: estimate where they sit, or fixed, where the file has them."),
+    ] = TargetOffsets.ESTIMATE,
+    target_sigma: Annotated[
+        float, typer.Option(min=1e-9, help="How well the file knows where targets sit, each coordinate [m].")
+    ] = 1e-3,
+    tool_point_sigma: Annotated[
+        float, typer.Option(min=0.0, help="Estimate where the tool point itself sits; known to so much [m].")
+    ] = 0.0,
+    validation: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Other measurements, which nothing is fitted to: how good it is on them."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write the result even if something speaks against it, marked as such.")
+    ] = False,
     eta: Annotated[float, typer.Option(help="Weight of the orientation in the tip error [m/rad].")] = 0.1,
     prior: Annotated[
         float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
@@ -64,28 +89,47 @@ def calibrate(
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.calibrate import calibrate as calibrated
-    from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors, workspace_errors
+    from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors, validated_errors, workspace_errors
+    from pm3dof_pin.calibration.objections import objections, refusal
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
     from pm3dof_pin.figures.calibration_report import report_as_html
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
+    def read(path: Path) -> Measurements:
+        sigma = target_sigma if target_offsets is TargetOffsets.ESTIMATE else 0.0
+        return read_measurements(
+            path, errors.robot, own_frame=own_frame, target_sigma=sigma, tool_point_sigma=tool_point_sigma
+        )
+
     with _warnings_as_messages():
         errors = closing_errors(load_errors(robot, tool_frame, package_path))
-        measurements = read_measurements(file, errors.robot, own_frame=own_frame)
+        measurements = read(file)
+        others = None if validation is None else read(validation)
+        options = Options(method.value, seed, eta, prior, loss.value)
         with progress_bar("calibrating") as progress:
-            calibration = calibrated(measurements, errors, Options(method.value, seed, eta, prior, loss.value))
-            progress(1, 4)
-            held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
+            try:
+                calibration = calibrated(measurements, errors, options)
+                progress(1, 4)
+                held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
+            except (ConvergenceError, UnreachablePoseError, InvalidValueError) as error:
+                raise refusal([str(error)], measurements, errors, eta) from error
             progress(2, 4)
+            reasons = objections(calibration, held_out)
+            if reasons and not force:
+                raise refusal(reasons, measurements, errors, eta)
+            judged = None if others is None else validated_errors(calibration, others)
             maps = workspace_errors(calibration)
             progress(3, 4)
             name = find_robot(robot).name
-            report = report_as_html(calibration, name, held_out, maps)
-            folder = write_calibration(calibration, robot, out, held_out, report)
+            report = report_as_html(calibration, name, held_out, maps, validation=judged, objections=reasons)
+            folder = write_calibration(calibration, robot, out, held_out, report, validation=judged, objections=reasons)
             progress(4, 4)
-    summary = summary_of(calibration, name, held_out)
-    print_result({"directory": str(folder)} | summary, _lines(summary, measurements), as_json=as_json)
+    summary = summary_of(calibration, name, held_out, validation=judged, objections=reasons)
+    for reason in reasons:
+        message(f"pm3dof: forced, although {reason}")
+    print_result({"directory": str(folder)} | summary, _lines(summary, calibration), as_json=as_json)
     message(f"wrote {folder}, report in {folder / REPORT}")
 
 
@@ -103,10 +147,24 @@ class _warnings_as_messages:  # noqa: N801 - used like a function
             logging.getLogger(room).removeHandler(self._handler)
 
 
-def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:
-    lines = [f"{len(measurements)} measurements, method {summary['method']}"]
-    held_out = summary.get("held_out")
-    if held_out is None:
+def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
+    found = calibration.identification
+    known, named = found.identifiability, []
+    if len(found.nuisances):
+        named = [f"beside them {', '.join(dict.fromkeys(part.kind for part in found.nuisances.parts))}"]
+    measured = summary["measurements"]
+    poses = "" if measured["count"] == measured["poses"] else f" of {measured['poses']} poses"
+    lines = [
+        f"{measured['count']} measurements{poses}, method {summary['method']}",
+        "; ".join(
+            [
+                f"{known.rank} of {len(known.names)} parameters identified",
+                *named,
+                f"noise factor {found.noise_factor:.2f}",
+            ]
+        ),
+    ]
+    if summary.get("validation") is None and summary.get("held_out") is None:
         return [*lines, "too few poses for a cross-validation"]
     names = {
         "tip_error_before_m": "as described",
@@ -117,9 +175,12 @@ def _lines(summary: dict[str, Any], measurements: Measurements) -> list[str]:
         "excess_joint_error_rad": "corrected minus best commands [µrad]",
         "excess_joint_error_m_rad": "corrected minus best commands [µm, µrad]",
     }
-    rows = [
-        [text, *(f"{1e6 * number:.1f}" for number in held_out[key].values())]
-        for key, text in names.items()
-        if key in held_out
-    ]
-    return [*lines, *table_lines(["held-out poses, tip error [µm]", "mean", "95 %", "max"], rows)]
+    for kind, words in (("validation", "poses of the validation"), ("held_out", "held-out poses")):
+        if kind in summary:
+            rows = [
+                [text, *(f"{1e6 * number:.1f}" for number in summary[kind][key].values())]
+                for key, text in names.items()
+                if key in summary[kind]
+            ]
+            lines += table_lines([f"{words}, tip error [µm]", "mean", "95 %", "max"], rows)
+    return lines

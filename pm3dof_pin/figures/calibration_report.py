@@ -42,7 +42,13 @@ _METHODS = {
 
 
 def report_as_html(
-    calibration: Calibration, robot: str, held_out: HeldOut | None = None, maps: WorkspaceErrors | None = None
+    calibration: Calibration,
+    robot: str,
+    held_out: HeldOut | None = None,
+    maps: WorkspaceErrors | None = None,
+    *,
+    validation: HeldOut | None = None,
+    objections: Sequence[str] = (),
 ) -> str:
     """Return the report of a calibration; the same calibration gives the same bytes.
 
@@ -51,6 +57,8 @@ def report_as_html(
         robot: its name.
         held_out: errors on poses it was not shown.
         maps: errors over the workspace.
+        validation: errors on another file of measurements.
+        objections: what speaks against it.
     """
     options, found = calibration.options, calibration.identification
     parts = [

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,8 @@ NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in (*POSITION_COLUMNS, *QUATE
 POINT_COLUMNS = ("px_m", "py_m", "pz_m")
 SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 
+_TIME_COLUMN = "time_s"
+
 _CONDITIONS = ("temperature_", "load_")
 _UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
 _SAME = 1e-9
@@ -44,6 +48,11 @@ _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 def command_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the commands: u1_m, u2_m ... for drives that slide, u1_rad ... for those that turn."""
     return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
+
+
+def _approach_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the directions from which drives came: approach_u1, approach_u2 ..."""
+    return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
 
 
 def _measurements_as_text(measurements: Measurements, robot: Robot) -> str:
@@ -109,12 +118,16 @@ def read_measurements(
     instrument: Instrument | None = None,
     *,
     own_frame: bool = False,
+    target_sigma: float = 0.0,
+    tool_point_sigma: float = 0.0,
 ) -> Measurements:
     """Read and check a CSV file of measurements.
 
     Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a drive that turns), `x_m,y_m,z_m`, and for full poses
     `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in the tool's axes; `sigma_x_m ... sigma_rz_rad`;
-    `temperature_*_K`, `load_*`. Rows with missing numbers are left out with a warning that names them.
+    `temperature_*_K`, `load_*`; `time_s`, by which drift is told; `approach_u1` ..., the direction (1, -1, 0 for
+    unknown) from which each drive came: with times alone, that from the pose before. Rows with missing numbers are left
+    out with a warning that names them.
 
     Example:
         Measurements of a simulated machine, written and read:
@@ -135,13 +148,16 @@ def read_measurements(
         instrument: its noise is taken where the file has no sigmas.
         own_frame: whether the instrument measured in a frame of its own, from which the base has to be found first; see
             :mod:`pm3dof_pin.measuring.registration`.
+        target_sigma: how well the points seen are known, standard deviation of each coordinate [m]; 0 for exactly.
+        tool_point_sigma: likewise the tool point, where that is what was seen [m].
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing, a cell is no number, a quaternion is no rotation,
             numbers are most likely in another unit, or no row is left.
         InvalidValueError: the base cannot be found: positions alone, on one line.
     """
-    return _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)
+    read = _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)
+    return replace(read, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma)
 
 
 def read_commands(path: Path | str, robot: Robot) -> Array:
@@ -206,7 +222,28 @@ class _Reader:
             tuple(self._lines),
             tuple(self._warnings),
             registration,
+            times=self._table.get(_TIME_COLUMN),
+            approaches=self._approaches(commands),
         )
+
+    def _approaches(self, commands: Array) -> Array | None:
+        names = _approach_columns(self._robot)
+        if names[0] in self._table:
+            approaches = self._columns(names)
+            wrong = ~np.isin(approaches, (-1.0, 0.0, 1.0)).all(axis=1)
+            if wrong.any():
+                problem = f"{','.join(names)} are directions: expected 1, -1, or 0 for unknown"
+                raise MeasurementError(self._path, problem, self._lines_where(wrong))
+            return approaches
+        if _TIME_COLUMN not in self._table:
+            return None
+        order = np.argsort(self._table[_TIME_COLUMN], kind="stable")
+        approaches, last = np.zeros_like(commands), np.zeros(commands.shape[1])
+        for before, row in itertools.pairwise(order):
+            moved = commands[row] - commands[before]
+            last = np.where(np.abs(moved) > _SAME, np.sign(moved), last)
+            approaches[row] = last
+        return approaches
 
     def _numbers(self) -> tuple[list[int], dict[str, Array]]:
         """Return the lines of the rows and the columns by name; an empty cell is NaN."""
@@ -245,7 +282,8 @@ class _Reader:
         wanted = [*self._own]
         if not self._commands_only:
             wanted += POSITION_COLUMNS
-            for group in (QUATERNION_COLUMNS, POINT_COLUMNS, SIGMA_COLUMNS[:3], SIGMA_COLUMNS[3:]):
+            optional = (QUATERNION_COLUMNS, POINT_COLUMNS, SIGMA_COLUMNS[:3], SIGMA_COLUMNS[3:], (_TIME_COLUMN,))
+            for group in (*optional, _approach_columns(self._robot)):
                 if set(group) & set(header):
                     wanted += group
         missing = [name for name in wanted if name not in header]
@@ -336,7 +374,8 @@ class _Reader:
         if far.mean() > 0.5:
             self._warn(
                 f"positions are {np.median(distances):.3g} m (median) from where the machine is by its description: "
-                "other axes, another zero of the commands or another tool point?"
+                "other axes, another zero of the commands or another tool point? --own-frame finds the base of an "
+                "instrument with a frame of its own"
             )
         elif far.any():
             lines = self._lines_where(far)
@@ -368,7 +407,7 @@ class _Reader:
                 raise MeasurementError(self._path, f"{columns} {problem}")
         self._warn(
             f"orientations are {np.median(turned):.3g} rad (median) from where the machine is by its description: "
-            "other axes of the base or of the tool?"
+            "other axes of the base or of the tool? --own-frame finds the base of an instrument with a frame of its own"
         )
 
     def _rotations(self) -> Array | None:

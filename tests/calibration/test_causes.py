@@ -1,0 +1,95 @@
+"""The usual mistakes in files of measurements are found by trying, and a calibration from them is refused."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.causes import likely_cause
+from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements
+
+MIRROR = np.diag([1.0, -1.0, 1.0])
+TURN = pin.exp3(np.array([0.02, 0.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Measurements:
+    truth = tripod_errors.sample(np.random.default_rng(8))
+    reached = tripod_errors.apply(truth).forward(tripod_nominal[:30].commands, guess=tripod_nominal[:30].q)
+    return Measurements.of_poses(reached.commands, reached.transforms)
+
+
+MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
+    "two drives": (lambda m: replace(m, commands=m.commands[:, [1, 0, 2]]), "u1 holds u2, u2 holds u1"),
+    "all drives": (lambda m: replace(m, commands=m.commands[:, [1, 2, 0]]), "u1 holds u2, u2 holds u3, u3 holds u1"),
+    "a row": (lambda m: replace(m, commands=np.roll(m.commands, 1, axis=0)), "1 row above their commands"),
+    "left-handed": (
+        lambda m: replace(m, positions=m.positions @ MIRROR, rotations=MIRROR @ m.rotations @ MIRROR),
+        "the axes of the poses are mirrored: x, y, z of the base are their x, -y, z",
+    ),
+    "tool point": (
+        lambda m: replace(m, positions=m.positions + m.rotations @ np.array([0.03, 0.0, 0.0])),
+        r"the point seen is about \(30",
+    ),
+    "frame": (
+        lambda m: replace(m, positions=m.positions @ TURN.T + [0.002, 0.0, 0.0], rotations=TURN @ m.rotations),
+        "--own-frame",
+    ),
+    "inverse": (lambda m: replace(m, rotations=np.swapaxes(m.rotations, 1, 2)), "the orientations are inverse"),
+    "inches": (lambda m: replace(m, positions=m.positions / 25.4e-3), "in inches"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_found_by_trying(name: str, measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    spoil, words = MISTAKES[name]
+    cause = likely_cause(spoil(measured), tripod_errors.robot, least=1e-3)
+    assert cause is not None
+    assert re.search(words, str(cause)), cause
+    assert cause.after < 1e-3
+
+
+def test_where_nothing_is_wrong_there_is_no_cause_and_no_objection(
+    measured: Measurements, tripod_errors: GeometricErrors
+) -> None:
+    assert likely_cause(measured, tripod_errors.robot, least=1e-3) is None
+    assert objections(calibrate(measured, tripod_errors, Options("lm")), None) == []
+
+
+def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, tripod_errors: GeometricErrors) -> None:
+    """Parameters can stand for a turned frame, but only by being many tolerances off."""
+    spoil, _ = MISTAKES["frame"]
+    reasons = objections(calibrate(spoil(measured), tripod_errors, Options("lm")), None)
+    assert len(reasons) == 1
+    assert "tolerances (root mean square) from the description" in reasons[0]
+
+
+def test_the_command_says_no_and_writes_nothing(
+    run: Callable[..., Any], answer: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    answer("measure", "--poses", "12", "--world", "geometry", "--out", "m.csv", cwd=tmp_path)
+    header, *rows = (tmp_path / "m.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    swapped = [",".join([b, a, *rest]) for a, b, *rest in cells]
+    (tmp_path / "swapped.csv").write_text("\n".join([header, *swapped]) + "\n")
+    (tmp_path / "one.csv").write_text("\n".join([header, rows[0]]) + "\n")
+    for file, words in (("swapped.csv", "most likely the drives' columns are permuted"), ("one.csv", "one pose")):
+        refused = run("calibrate", file, "--method", "lm", "--out", "no", cwd=tmp_path)
+        assert (refused.returncode, refused.stdout) == (1, "")
+        assert words in refused.stderr
+        assert "no" not in os.listdir(tmp_path)
+    forced = answer("calibrate", "swapped.csv", "--method", "lm", "--out", "no", "--force", cwd=tmp_path)
+    assert "noise factor" in forced["forced_against"][0]
+    assert "forced_against" in (tmp_path / "no" / "calibration.yaml").read_text()
