@@ -12,9 +12,11 @@ from pm3dof_pin.exceptions import InvalidValueError
 def with_passive_leg_radius(tripod: Tripod, factor: float) -> Tripod:
     """Return the machine with a passive leg of another radius r: E I and G J go with r^4, its mass with r^2.
 
+    The same as another `section.passive_leg_radius` (and bore) in the parameter file.
+
     Args:
         tripod: the machine.
-        factor: new radius over the old one.
+        factor: new radius over the old one, of the bore too if there is one.
 
     Raises:
         InvalidValueError: the factor is not a positive number.
@@ -22,11 +24,13 @@ def with_passive_leg_radius(tripod: Tripod, factor: float) -> Tripod:
     if not (math.isfinite(factor) and factor > 0.0):
         raise InvalidValueError("factor", factor, "a positive number")
     p = tripod.parameters
+    bar = p.passive_leg
     return Tripod(
         dataclasses.replace(
             p,
             bending_stiffness=factor**4 * p.bending_stiffness,
             torsional_stiffness=factor**4 * p.torsional_stiffness,
             passive_leg_mass=factor**2 * p.passive_leg_mass,
+            passive_leg=dataclasses.replace(bar, radius=factor * bar.radius, bore=factor * bar.bore),
         )
     )

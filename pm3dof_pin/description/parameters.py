@@ -13,15 +13,18 @@ import numpy as np
 
 from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.physical_bounds import ANGLE, ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, STIFFNESS
-from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
 from pm3dof_pin.description.schema import Name, Schema, checked
-from pm3dof_pin.description.yaml_file import read_mapping
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.description.yaml_file import merged, read_mapping
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Vector
 
 Unit: TypeAlias = Literal[
     "1", "m", "kg", "kg m^2", "rad", "m/s", "rad/s", "N", "N/m", "N m^2", "Pa", "kg/m^3", "mm", "deg"
 ]
+
+ON_PLATFORM = "platform"
+"""Where the chapter's machine has the universal joint of its passive leg."""
 
 _TO_SI: dict[str, Callable[[float], float]] = {
     # in decimal digits, so that 240.272 mm is the double nearest to 0.240272 m and not its neighbour
@@ -69,6 +72,52 @@ class Parameter:
         return tuple(map(convert, self.value)) if isinstance(self.value, tuple) else convert(self.value)
 
 
+@dataclass(frozen=True)
+class RoundSection:
+    """A round bar or tube, beside the solid bar whose stiffness and mass are known.
+
+    Attributes:
+        radius: outer radius [m].
+        bore: radius of the bore, 0 for a solid bar [m].
+        reference_radius: radius of the solid bar whose numbers are known [m].
+
+    Raises:
+        InvalidValueError: the radius is not greater than the bore, or a radius is not positive.
+    """
+
+    radius: float
+    bore: float
+    reference_radius: float
+
+    def __post_init__(self) -> None:
+        """Check the radii."""
+        if not (0.0 <= self.bore < self.radius < math.inf and 0.0 < self.reference_radius < math.inf):
+            raise InvalidValueError("radius", self.radius, f"a finite one, greater than the bore of {self.bore:g} m")
+
+    @property
+    def area(self) -> float:
+        """Area of the section [m^2]."""
+        return math.pi * (self.radius**2 - self.bore**2)
+
+    @property
+    def second_moment(self) -> float:
+        """Second moment of area about a diameter, half of the polar one [m^4]."""
+        return 0.25 * math.pi * (self.radius**4 - self.bore**4)
+
+    @property
+    def area_ratio(self) -> float:
+        """Area over that of the reference: what the mass goes with."""
+        return self._ratio(2)
+
+    @property
+    def moment_ratio(self) -> float:
+        """Second moment over that of the reference: what E I and G J go with."""
+        return self._ratio(4)
+
+    def _ratio(self, power: int) -> float:
+        return float((self.radius / self.reference_radius) ** power - (self.bore / self.reference_radius) ** power)
+
+
 @dataclass(frozen=True, eq=False)
 class TripodParameters:
     """A tripod of n actuated prismatic-universal-spherical legs and a passive prismatic-universal leg, in SI units.
@@ -94,8 +143,9 @@ class TripodParameters:
         passive_slider_margin: stops of the passive prismatic joint beyond z_min, z_max, as a ratio of z_max - z_min.
         actuator_stiffness: k_a along the guideway [N/m].
         link_stiffness: k_t along the link [N/m].
-        bending_stiffness: E I of the passive leg [N m^2].
-        torsional_stiffness: G J of the passive leg [N m^2].
+        bending_stiffness: E I of the passive leg, of its section [N m^2].
+        torsional_stiffness: G J of the passive leg, of its section [N m^2].
+        passive_leg: section of the passive leg.
         platform_mass, link_mass, slider_mass, passive_leg_mass, cross_mass: masses [kg].
         platform_moments, link_moments: principal moments of inertia, shape=(3,) [kg m^2].
         tilt_range: printed working range of theta_x and theta_y, shape=(2,) [rad].
@@ -127,12 +177,23 @@ class TripodParameters:
     link_mass: float
     slider_mass: float
     passive_leg_mass: float
+    passive_leg: RoundSection
     cross_mass: float
     platform_moments: Vector
     link_moments: Vector
     tilt_range: Vector
     height_range: Vector
     quantities: Mapping[str, Parameter]
+
+    @property
+    def youngs_modulus(self) -> float:
+        """E that the bending stiffness and the section of the passive leg imply [Pa]."""
+        return self.bending_stiffness / self.passive_leg.second_moment
+
+    @property
+    def axial_stiffness(self) -> float:
+        """E A of the passive leg, which nothing strains: it slides along its axis [N]."""
+        return self.youngs_modulus * self.passive_leg.area
 
     @property
     def leg_count(self) -> int:
@@ -150,11 +211,15 @@ class TripodParameters:
             DescriptionError: a number is missing, is no finite number, has an unknown unit or a wrong sign or length.
         """
         path = Path(path) if path is not None else default_parameters_path()
-        sections = read_mapping(path)
+        sections = read_parameters(path)
+        if sections.get("universal_joint", ON_PLATFORM) != ON_PLATFORM:
+            expected = f"expected {ON_PLATFORM}: the closed form is that of the chapter's machine"
+            raise DescriptionError(path, "universal_joint", expected)
         reader = _Reader(path, _quantities(path, sections))
         alpha = reader.vector("geometry.base_joint_angles")
         platform_mass, link_mass = (reader.positive(f"inertia.{body}_mass") for body in ("platform", "link"))
         tilt_range, height_range = (reader.interval(f"printed_working_range.{key}") for key in ("tilt", "height"))
+        bar = _section(reader)
         return cls(
             name=_name(path, sections),
             base_joint_angles=alpha,
@@ -174,12 +239,13 @@ class TripodParameters:
             passive_slider_margin=reader.positive("joints.passive_slider_margin"),
             actuator_stiffness=reader.positive("stiffness.actuator"),
             link_stiffness=reader.positive("stiffness.link"),
-            bending_stiffness=reader.positive("stiffness.passive_leg_bending"),
-            torsional_stiffness=reader.positive("stiffness.passive_leg_torsion"),
+            bending_stiffness=reader.positive("stiffness.passive_leg_bending") * bar.moment_ratio,
+            torsional_stiffness=reader.positive("stiffness.passive_leg_torsion") * bar.moment_ratio,
             platform_mass=platform_mass,
             link_mass=link_mass,
             slider_mass=reader.positive("inertia.slider_mass"),
-            passive_leg_mass=reader.positive("inertia.passive_leg_mass"),
+            passive_leg_mass=reader.positive("inertia.passive_leg_mass") * bar.area_ratio,
+            passive_leg=bar,
             cross_mass=reader.positive("inertia.cross_mass"),
             platform_moments=reader.moments("inertia.platform_moments", platform_mass),
             link_moments=reader.moments("inertia.link_moments", link_mass),
@@ -194,6 +260,39 @@ def default_parameters_path() -> Path:
     return robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml"
 
 
+def read_parameters(path: Path | str) -> dict[str, Any]:
+    """Read a parameter file; one that `extends` another holds what is different.
+
+    `extends` is the name of a robot that comes with the package, or a path, from the folder of the file. Entries
+    replace those of the other file key by key: `section: {passive_leg_radius: {value: 10.0}}` is another radius.
+
+    Raises:
+        DescriptionError: a file is missing, is no YAML or no mapping, or extends itself.
+    """
+    return _extended(Path(path), ())
+
+
+def _extended(path: Path, before: tuple[Path, ...]) -> dict[str, Any]:
+    sections = read_mapping(path)
+    other = sections.pop("extends", None)
+    if other is None:
+        return sections
+    if not isinstance(other, str):
+        raise DescriptionError(path, "extends", f"expected the name of a robot or a path, not {other}")
+    base = path.parent / other
+    if other in robot_names():
+        base = robots_directory() / f"{other}{DESCRIPTION_SUFFIX}" / "config" / f"{other}.yaml"
+    if base.resolve() in (*before, path.resolve()):
+        raise DescriptionError(path, "extends", f"expected another file, not {other}, which leads back here")
+    return merged(_extended(base, (*before, path.resolve())), sections)
+
+
+def find_parameters(robot: str, name: Path | str) -> Path:
+    """Return a parameter file: a path, or the name of one that comes with a robot, such as universal_joint_at_base."""
+    own = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}" / "config" / f"{name}.yaml"
+    return own if not Path(name).exists() and own.is_file() else Path(name)
+
+
 def read_quantities(path: Path | str) -> dict[str, Parameter]:
     """Read every quantity of any robot's parameter file, keyed "section.name".
 
@@ -201,7 +300,7 @@ def read_quantities(path: Path | str) -> dict[str, Parameter]:
         DescriptionError: an entry lacks a key, has an unknown unit or status, or is not made of finite numbers.
     """
     path = Path(path)
-    return _quantities(path, read_mapping(path))
+    return _quantities(path, read_parameters(path))
 
 
 class _Entry(Schema):
@@ -234,6 +333,18 @@ def _quantity(path: Path, key: str, entry: _Entry) -> Parameter:
         if problem := bounds.problem(float(number)):
             raise DescriptionError(path, f"{key}.value", problem)
     return quantity
+
+
+def _section(reader: _Reader) -> RoundSection:
+    """Return the section of the passive leg; a file without one has the leg as its stiffness and mass are printed."""
+    keys = [f"section.passive_leg_{name}" for name in ("radius", "bore", "reference_radius")]
+    if keys[0] not in reader.quantities:
+        drawn = reader.positive("drawing.passive_leg_radius")
+        return RoundSection(drawn, 0.0, drawn)
+    try:
+        return RoundSection(*map(reader.number, keys))
+    except InvalidValueError as error:
+        raise DescriptionError(reader.path, "section", f"expected {error.expected}") from error
 
 
 class _Reader:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,3 +69,12 @@ def _size(data: Any, known: dict[int, float]) -> float:
             _size(entry, known) for entry in (data.values() if isinstance(data, dict) else data)
         )
     return known[id(data)]
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with the values of another one in the place of its own, level by level."""
+    result = dict(base)
+    for key, value in changes.items():
+        own = result.get(key)
+        result[key] = merged(own, value) if isinstance(own, dict) and isinstance(value, dict) else value
+    return result

@@ -11,10 +11,11 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import yaml
+
 from pm3dof_pin.description.expand import expand_xacro
-from pm3dof_pin.description.parameters import read_quantities
+from pm3dof_pin.description.parameters import find_parameters, read_parameters, read_quantities
 from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
-from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 from pm3dof_pin.export.closures_file import closures_text
 from pm3dof_pin.export.formats import exported_files
@@ -65,7 +66,7 @@ def temporary_description(robot: str, config: Path | str) -> Path:
 
     Args:
         robot: a robot that comes with the package, the xacro files of which are read.
-        config: parameter file, laid out as that of the robot.
+        config: parameter file, laid out as that of the robot, or the name of one beside that.
 
     Returns:
         The URDF.
@@ -74,12 +75,14 @@ def temporary_description(robot: str, config: Path | str) -> Path:
         UnknownRobotError: no such robot comes with the package.
         DescriptionError: see :func:`description_files`.
     """
+    config = find_parameters(robot, config)
     name, described = _described(robot, config)
     folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for path, text in described.items():
         write_text_atomically(folder / path, text)
-    write_text_atomically(folder / "config" / f"{name}.yaml", Path(config).read_text(encoding="utf-8"))
+    whole = yaml.safe_dump(read_parameters(config), sort_keys=False)
+    write_text_atomically(folder / "config" / f"{name}.yaml", whole)
     return folder / "urdf" / f"{name}.urdf"
 
 
@@ -90,19 +93,22 @@ def _described(robot: str, config: Path | str | None) -> tuple[str, dict[str, st
     folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}"
     config = Path(config).absolute() if config is not None else folder / "config" / f"{robot}.yaml"
     read_quantities(config)
-    name = read_mapping(config).get("name")
+    parameters = read_parameters(config)
+    name = parameters.get("name")
     if not isinstance(name, str):
         raise DescriptionError(config, "name", f"expected the name of the robot, not {name}")
-    try:
-        urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(config)})
-        closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", config)
-    except DescriptionError as error:
-        problem = error.expected.removeprefix(f"{config}: ")
-        if problem == error.expected:
-            raise
-        element, _, expected = problem.partition(": ")
-        raise DescriptionError(config, element, expected) from error
-    srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", config, urdf, closures)
+    with tempfile.TemporaryDirectory() as temporary:
+        whole = write_text_atomically(Path(temporary) / config.name, yaml.safe_dump(parameters, sort_keys=False))
+        try:
+            urdf = expand_xacro(folder / "xacro" / f"{robot}.urdf.xacro", {"config": str(whole)})
+            closures = closures_text(folder / "xacro" / f"{robot}.closures.xacro", whole)
+        except DescriptionError as error:
+            problem = error.expected.removeprefix(f"{whole}: ")
+            if problem == error.expected:
+                raise
+            element, _, expected = problem.partition(": ")
+            raise DescriptionError(config, element, expected) from error
+        srdf = srdf_text(folder / "xacro" / f"{robot}.srdf.xacro", whole, urdf, closures)
     return name, {f"urdf/{name}.urdf": urdf, f"urdf/{name}.closures.yaml": closures, f"srdf/{name}.srdf": srdf}
 
 

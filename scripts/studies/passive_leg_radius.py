@@ -25,6 +25,13 @@ def main() -> None:
     tilts = np.radians(np.arange(-45.0, 46.0))
     poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = poses[limit_flags(tripod, poses) == 0]
+    print(f"\n{'radius [mm]':>12}{'E I [N m^2]':>14}{'G J [N m^2]':>14}{'E A [N]':>12}{'mass [kg]':>12}")
+    for factor in (1.0, *FACTORS):
+        p = with_passive_leg_radius(tripod, factor).parameters
+        print(
+            f"{1e3 * p.passive_leg.radius:12.2f}{p.bending_stiffness:14.2f}{p.torsional_stiffness:14.2f}"
+            f"{p.axial_stiffness:12.3e}{p.passive_leg_mass:12.3f}"
+        )
     print(
         f"\nstiffness over that of today's leg, least to greatest over {len(poses)} poses of the section of Table 8.3"
     )

@@ -37,6 +37,7 @@ COMPUTED_PICTURES = {
     "figure_8_5_pseudo_error.png",
     "figure_8_6_compensation_flow.png",
     "critical_springs.png",
+    "universal_joint.png",
     "passive_leg_radius.png",
     *PICTURES,
 }
