@@ -30,22 +30,35 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.elastic.indices import OtherMotions
+    from pm3dof_pin.elastic.indices import Motion, OtherMotions
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Matrix
     from pm3dof_pin.viewer import Viewer
+    from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
 
 _FRAMES_PER_SECOND = 20
+_KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 _FOR_EVER = 10_000  # repetitions of a path
 
 
-class _EllipsoidMatrix(StrEnum):
+class _Shown(StrEnum):
     """What the ellipsoids show."""
 
     STIFFNESS = "stiffness"
     COMPLIANCE = "compliance"
+    VELOCITY = "velocity"
+    FORCE = "force"
+    ERROR = "error"
+
+
+_ELASTIC: dict[_Shown, EllipsoidMatrix] = {_Shown.STIFFNESS: "stiffness", _Shown.COMPLIANCE: "compliance"}
+_OF_MOTION: dict[_Shown, MotionQuantity] = {
+    _Shown.VELOCITY: "velocity",
+    _Shown.FORCE: "force",
+    _Shown.ERROR: "error",
+}
 
 
 class Others(StrEnum):
@@ -73,7 +86,7 @@ def view(
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
     config: Config = None,
-    of: Annotated[_EllipsoidMatrix, typer.Option(help="What the ellipsoids show.")] = _EllipsoidMatrix.STIFFNESS,
+    of: Annotated[_Shown, typer.Option(help="What the ellipsoids show.")] = _Shown.STIFFNESS,
     others: Annotated[
         Others | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
@@ -104,6 +117,10 @@ def view(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG), and exit; needs Chromium or Chrome.")
     ] = None,
+    turntable: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a moving picture (GIF), once around the robot, and exit."),
+    ] = None,
     size: Annotated[tuple[int, int], typer.Option(min=64, metavar="W H", help="Size of the picture [pixels].")] = (
         1200,
         900,
@@ -119,17 +136,13 @@ def view(
     """The robot in a browser, with its stiffness ellipsoids at the tool: angles in degrees, lengths in metres.
 
     Sliders move it, over its coordinates and over its commands. Serves the page until Ctrl-C, to this machine only. A
-    pose that breaks a joint limit is still shown, with a message (and exit status 1 for --html and --picture).
+    pose that breaks a joint limit is still shown, with a message (and exit status 1 where a file is written).
     """
-    import numpy as np
-
     from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.viewer import Viewer
 
     if path is not None and (pose or configuration is not None):
         raise typer.BadParameter("--path: the file has the poses; expected no POSE or --configuration beside it")
-    if path is not None and shares is not None:
-        raise typer.BadParameter("--shares: legs are not coloured along a --path")
     chosen = PoseChoice.of(pose, configuration)
     machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
@@ -142,25 +155,32 @@ def view(
         if along is not None:
             compliance = None if model is None else _compliance_on_path(model, along)
             viewer.play(
-                list(along), compliance=compliance, of=of.value, others=other, duration=duration, repetitions=_FOR_EVER
+                list(along),
+                compliance=compliance,
+                of=_ELASTIC.get(of, "stiffness"),
+                others=other,
+                duration=duration,
+                repetitions=_FOR_EVER,
             )
-        elif model is not None:
+        else:
             _draw_ellipsoids(viewer, model, of, other)
         if forces and along is None:
             _draw_forces(viewer, shown)
-        if shares is not None and along is None and model is not None:
-            viewer.colour_legs(model, np.eye(6)[list(Load).index(shares)])
+        if model is not None:
+            _colour_legs(viewer, model, shares)
         if frames:
             viewer.frames()
         if workspace is not None:
             _draw_workspace(viewer, workspace)
-        if html is None and picture is None:
+        if html is None and picture is None and turntable is None:
             _serve(viewer, broken, browser)
             return
         if html is not None:
             message(f"wrote {viewer.save_html(html)}")
         if picture is not None:
             message(f"wrote {viewer.save_picture(picture, width=size[0], height=size[1])}")
+        if turntable is not None:
+            message(f"wrote {viewer.save_turntable(turntable, width=size[0], height=size[1])}")
     stop_on_broken_limits(broken)
 
 
@@ -197,21 +217,40 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
 
     if not machine.springs or machine.tool_frame is None:
         lacks = "tool frame" if machine.springs else "springs"
-        message(f"pm3dof: {machine.name} has no {lacks} in its description: no ellipsoids are drawn")
+        message(f"pm3dof: {machine.name} has no {lacks} in its description: no ellipsoids of stiffness are drawn")
         return None
     return ElasticModel(machine)
 
 
-def _draw_ellipsoids(viewer: Viewer, model: ElasticModel, of: _EllipsoidMatrix, others: OtherMotions | None) -> None:
+def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, others: OtherMotions | None) -> None:
     from pm3dof_pin.elastic.report import cartesian_compliance
-    from pm3dof_pin.exceptions import SingularConfigurationError
+    from pm3dof_pin.exceptions import DescriptionError, SingularConfigurationError
 
+    if viewer.mechanism.tool_frame is None:
+        return
     try:
-        compliance = cartesian_compliance(model, viewer.configuration).compliance
-        viewer.stiffness_ellipsoid(compliance=compliance, kind="translation", of=of.value, others=others)
-        viewer.stiffness_ellipsoid(compliance=compliance, kind="rotation", of=of.value, others=others)
-    except SingularConfigurationError as error:
+        for kind in _KINDS:
+            if model is not None and of in _ELASTIC:
+                compliance = cartesian_compliance(model, viewer.configuration).compliance
+                viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=_ELASTIC[of], others=others)
+            else:
+                viewer.motion_ellipsoid(_OF_MOTION.get(of, "velocity"), kind=kind)
+    except (SingularConfigurationError, DescriptionError) as error:
         message(f"pm3dof: no ellipsoids are drawn: {error}")
+
+
+def _colour_legs(viewer: Viewer, model: ElasticModel, shares: Load | None) -> None:
+    """Colour the legs under a unit load, or have the page ready to do it when asked."""
+    import numpy as np
+
+    from pm3dof_pin.exceptions import PM3DofError
+
+    load = np.eye(6)[list(Load).index(shares or Load.Z)]
+    try:
+        viewer.colour_legs(model, load, visible=shares is not None)
+    except PM3DofError:
+        if shares is not None:
+            raise
 
 
 def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | None:

@@ -91,6 +91,30 @@ def picture_of(html: str, width: int, height: int) -> bytes:
         return browser.picture()
 
 
+def turntable_of(html: str, width: int, height: int, count: int) -> list[bytes]:
+    """Return pictures (PNG) of a page of this package, its camera turning once around the machine.
+
+    Args:
+        html: the page.
+        width: width [pixels].
+        height: height [pixels].
+        count: number of pictures.
+
+    Raises:
+        BrowserError: there is no browser, or it cannot draw.
+    """
+    with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
+        file = Path(folder) / "page.html"
+        file.write_text(html, encoding="utf-8")
+        browser.open(file.as_uri())
+        browser.evaluate("document.body.classList.add('bare'), dispatchEvent(new Event('resize'))")
+        pictures = []
+        for _ in range(count):
+            pictures.append(browser.picture())
+            browser.evaluate(f"pm3dof.turn({360.0 / count})")
+        return pictures
+
+
 class Browser:
     """A browser without a window, showing one page; ends with its `with` block.
 

@@ -1,8 +1,10 @@
-"""Stiffness and compliance ellipsoids: which block they show, how long their axes are drawn.
+"""Ellipsoids at the tool: which block they show, how long their axes are drawn.
 
 The ellipsoid of a symmetric 3 x 3 block has its principal directions as axes and its principal values, times a scale,
 as semi-axes. For a compliance block that is where unit forces in all directions take the tool; for a stiffness block,
-the forces that unit displacements need.
+the forces that unit displacements need. Velocity and force ellipsoids (T. Yoshikawa, Manipulability of robotic
+mechanisms, 1985) are what commands whose rates, or forces, have unit norm together do at the tool; the error ellipsoid
+has the standard deviations of the tool's pose for the tolerances of its parts.
 """
 
 from __future__ import annotations
@@ -24,17 +26,36 @@ from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Scene
 
 EllipsoidMatrix = Literal["stiffness", "compliance"]
+MotionQuantity = Literal["velocity", "force", "error"]
 
-UNITS: dict[tuple[EllipsoidMatrix, Motion], str] = {
+UNITS: dict[tuple[EllipsoidMatrix | MotionQuantity, Motion], str] = {
     ("stiffness", "translation"): "N/m",
     ("stiffness", "rotation"): "N m/rad",
     ("compliance", "translation"): "m/N",
     ("compliance", "rotation"): "rad/(N m)",
+    ("velocity", "translation"): "m/s",
+    ("velocity", "rotation"): "rad/s",
+    ("force", "translation"): "N",
+    ("force", "rotation"): "N m",
+    ("error", "translation"): "m",
+    ("error", "rotation"): "rad",
 }
+"""Units of principal values."""
+
+EXPLANATIONS: dict[MotionQuantity, str] = {
+    "velocity": "commands of unit speed together",
+    "force": "actuator forces of unit size together",
+    "error": "standard deviation for the tolerances",
+}
+"""What velocity, force and error ellipsoids show."""
+
 COLOURS: dict[Motion, tuple[float, float, float]] = {"translation": (0.33, 0.20, 0.72), "rotation": (0.86, 0.24, 0.44)}
 
 
 _LEAST = 1e-6  # of the longest semi-axis
+_OPACITY: dict[Motion, float] = {"translation": 0.24, "rotation": 0.14}
+_RING_POINTS = 72
+_RIGID = 1e-7  # of the greatest velocity: roots of rounding are smaller
 
 
 @dataclass(frozen=True)
@@ -112,6 +133,33 @@ def block(
     return result
 
 
+def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
+    """Return the 3 x 3 block of an ellipsoid of velocities, forces or errors: the root of M M^T, or its inverse.
+
+    Args:
+        motions: M, twists [v; omega] at the tool for one unit of each command, or for one standard deviation of each
+            error, shape=(6, n).
+        kind: the translations or the rotations.
+        of: what is shown; a force is the inverse of a velocity.
+
+    Returns:
+        The block, shape=(3, 3) [see :data:`UNITS`].
+
+    Raises:
+        SingularConfigurationError: a force ellipsoid where commands do not move the tool in some direction.
+    """
+    rows = slice(0, 3) if kind == "translation" else slice(3, 6)
+    columns = np.asarray(motions, dtype=float)[rows]
+    left, values, _ = np.linalg.svd(columns @ columns.T)
+    values = np.sqrt(values)
+    if of == "force":
+        if values[-1] <= _RIGID * values[0]:
+            raise SingularConfigurationError(f"no force ellipsoid of {kind}: the tool does not move in some direction")
+        values = 1.0 / values
+    root: Array = (left * values) @ left.T
+    return root
+
+
 def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
     """Return the ellipsoid of a block, shape=(3, 3), at a point, shape=(3,) [m].
 
@@ -125,12 +173,19 @@ def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str
 
 
 def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
-    """Put a unit sphere with its three axes at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid."""
+    """Put a unit sphere with axes and rings at a path; :attr:`DrawnEllipsoid.transform` makes it an ellipsoid.
+
+    The surface is faint, so that it never hides the machine; the rings in its principal planes show its shape.
+    """
     colour = COLOURS[kind]
-    surface = objects.mesh(objects.sphere(1.0), colour, opacity=0.42)
+    surface = objects.mesh(objects.sphere(1.0), colour, opacity=_OPACITY[kind])
     scene.set_object(f"{path}/surface", surface, casts_shadow=False)
     ends = np.stack([-np.eye(3), np.eye(3)], axis=1).reshape(-1, 3)
-    scene.set_object(f"{path}/axes", objects.line_segments(ends, colour), casts_shadow=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS + 1)
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    segments = np.stack([circle[:-1], circle[1:]], axis=1).reshape(-1, 3)
+    rings = [np.roll(segments, shift, axis=1) for shift in range(3)]
+    scene.set_object(f"{path}/axes", objects.line_segments(np.concatenate([ends, *rings]), colour), casts_shadow=False)
 
 
 def round_scale(greatest: float, length: float) -> float:

@@ -9,7 +9,7 @@ from pm3dof_pin.elastic.springs import ClosureSpring, JointSpring, Spring
 from pm3dof_pin.kinematics.robot import Robot
 
 
-def _spring_joint(mechanism: Robot, spring: Spring) -> int:
+def spring_joint(mechanism: Robot, spring: Spring) -> int:
     """Return the joint that moves the body a spring stands for.
 
     A joint spring stands for the body behind its joint, a spring before a frame or joint for the body that carries it,
@@ -38,7 +38,7 @@ def legs(model: ElasticModel) -> dict[int, tuple[str, ...]]:
         Names of springs by Pinocchio's index of the joint that moves the body.
     """
     mechanism = model.rigid
-    at = {spring.name: _spring_joint(mechanism, spring) for spring in model.springs}
+    at = {spring.name: spring_joint(mechanism, spring) for spring in model.springs}
     chains = {name: _chain(mechanism, joint) for name, joint in at.items()}
     branches: dict[int, list[str]] = {}
     for name, chain in chains.items():

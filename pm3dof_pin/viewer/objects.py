@@ -82,6 +82,14 @@ def line_segments(points: ArrayLike, colour: Colour, *, opacity: float = 1.0) ->
     return _lowered("LineSegments", geometry, material)
 
 
+def points(positions: ArrayLike, colours: ArrayLike, size: float) -> Json:
+    """Return round points of a size [m], shape=(n, 3), each in its colour, shape=(n, 3)."""
+    attributes = {"position": _attribute(positions), "color": _attribute(colours)}
+    geometry = {"type": "BufferGeometry", "data": {"attributes": attributes}}
+    material = {"type": "PointsMaterial", "color": 0xFFFFFF, "vertexColors": True, "size": size}
+    return _lowered("Points", geometry, material)
+
+
 def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> NDArray[np.float64]:
     """Return the homogeneous matrix of a linear map, shape=(3, 3), and a translation, shape=(3,), shape=(4, 4)."""
     matrix = np.eye(4)
@@ -127,6 +135,11 @@ def _lowered(kind: str, geometry: Json, material: Json) -> Json:
 def _attribute(values: ArrayLike) -> Json:
     array = np.asarray(values, dtype=np.float32)
     return {"itemSize": 3, "type": "Float32Array", "normalized": False, "array": _typed(array.ravel(), "Float32Array")}
+
+
+def bytes_of(places: ArrayLike) -> Json:
+    """Return numbers between 0 and 1 in 255 steps, as the page reads them."""
+    return _typed(np.round(255.0 * np.asarray(places)).astype(np.uint8), "Uint8Array")
 
 
 def _typed(array: NDArray[Any], kind: str) -> Json:

@@ -11,6 +11,8 @@ from string import Template
 
 from pm3dof_pin.viewer.scene import Json
 
+_PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings")
+
 
 def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
     """Return the page, with nothing to be fetched from anywhere.
@@ -33,6 +35,7 @@ def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> s
         programs=programs or "const programs = null;",
         robot=_asset("robot.js"),
         page=_asset("page.js"),
+        parts="\n".join(_asset(f"{name}.js") for name in _PARTS),
         scene=data,
     )
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
-from pm3dof_pin.exceptions import ConvergenceError, ProgramError
+from pm3dof_pin.elastic.springs import Spring
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.errors.sensitivity_program import at_zero_errors
+from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, ProgramError, UnknownRobotError
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import geometry
@@ -29,6 +35,8 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects, Vector
 
 _logger = logging.getLogger(__name__)
+
+_MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would make most of the page
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,6 +65,8 @@ class PagePrograms:
     - `close_coordinates`, `close_commands`: Newton's steps, see :func:`~pm3dof_pin.programs.closing.closing_program`.
     - `compliance(q)`: C at the tool, and 1 if nothing is in doubt, else 0.
     - `holding(q)`: actuator forces that hold the weight, and the least pivot, small near singular poses.
+    - `motion(q)`: twists of the tool [v; omega] for one unit of each error, shape=(6, errors), then of each command,
+      shape=(6, commands), and 1 if nothing is in doubt, else 0.
 
     Args:
         robot: the robot, its home configuration closed.
@@ -67,6 +77,8 @@ class PagePrograms:
         place: see above.
         compliance: see above; None for a robot without springs or without a tool frame, or if there is no program.
         holding: see above; None if there is no program, or the actuators do not hold the robot by themselves.
+        motion: see above; None without a tool frame, or if there is no program.
+        sigmas: standard deviation of each error of `motion`; none without an error file, shape=(errors,) [m, rad].
 
     Raises:
         ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
@@ -76,8 +88,14 @@ class PagePrograms:
     def __init__(self, robot: Robot, model: ElasticModel | None = None) -> None:
         self.robot = robot
         self._model = ElasticModel(robot) if model is None and robot.springs else model
+        self.sigmas: Vector = np.empty(0)
         self._samples = program_source(robot).samples
         self.place = self._place()
+
+    @property
+    def springs(self) -> tuple[Spring, ...]:
+        """The robot's springs."""
+        return () if self._model is None else self._model.springs
 
     @cached_property
     def spring_lengths(self) -> list[dict[str, Any]]:
@@ -120,6 +138,29 @@ class PagePrograms:
         ]
         return _with_parameters(graph.program("holding", {"forces": forces, "pivot": doubt.pivot}), robot)
 
+    @cached_property
+    def motion(self) -> _PageProgram | None:
+        """Twists of the tool for one unit of each error, then of each drive, then 1 if nothing is in doubt, else 0."""
+        robot = self.robot
+        if robot.tool_frame is None:
+            return None
+        for errors in self._error_parameters():
+            try:
+                program, parameters = at_zero_errors(errors)
+            except ProgramError as error:
+                _logger.info("no motions of the tool by %d errors in the page: %s", len(errors), error)
+                continue
+            if not len(errors) or len(program) <= _MOST_OPERATIONS:
+                self.sigmas = errors.tolerances
+                return _PageProgram(dataclasses.replace(program, name="motion"), parameters)
+        return None
+
+    def _error_parameters(self) -> Iterator[GeometricErrors]:
+        """Return the errors that the robot's file declares, if there is one; then none."""
+        with contextlib.suppress(DescriptionError):
+            yield declared_errors(self.robot)
+        yield GeometricErrors(self.robot, [])
+
     def closing(self, name: str, coordinates: Sequence[Coordinate]) -> _PageProgram:
         """Return Newton's step for given coordinates; those that are joints come before components of the tool."""
         joints = tuple(coordinate.joint for coordinate in coordinates if coordinate.joint is not None)
@@ -136,6 +177,8 @@ class PagePrograms:
             printed["close_commands"] = self.closing("close_commands", robot.command_coordinates)
         if self.holding is not None:
             printed["holding"] = self.holding
+        if self.motion is not None:
+            printed["motion"] = self.motion
         functions = [javascript(entry.program, entry.parameters) for entry in printed.values()]
         members = [f"{name}, {name}_size: {len(entry.program.results)}" for name, entry in printed.items()]
         if self.compliance is not None:
@@ -166,6 +209,21 @@ class PagePrograms:
         swings = [swing(tree, k) for k, loop in enumerate(robot.closures) if loop.swing_limit is not None]
         outputs: dict[str, Any] = {"placements": rows, "residual": residual, "swings": swings}
         return _with_parameters(graph.program("place", outputs), robot)
+
+
+def declared_errors(robot: Robot) -> GeometricErrors:
+    """Return the errors that the file beside a robot's description declares and with which its loops can close.
+
+    Raises:
+        DescriptionError: there is no such file, or it is not of its form.
+    """
+    try:
+        file = find_robot(robot.source).errors
+    except UnknownRobotError as error:
+        raise DescriptionError(robot.source, "error file", "the robot was not read from a file") from error
+    if not file.is_file():
+        raise DescriptionError(file, "file", "is missing, expected the tolerances of the robot's parts")
+    return closable(GeometricErrors.of(robot, file), robot.at([robot.home.q]))
 
 
 @lru_cache(maxsize=8)

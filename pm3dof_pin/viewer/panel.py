@@ -28,6 +28,10 @@ class Entry:
         visible: whether it is shown until the reader decides otherwise.
         of_pose: whether it was computed for the displayed configuration, and is wrong at any other.
         live: how the page computes it for a slider's pose, or None.
+        principal: numbers at the ends of an ellipsoid's axes, the least first, or None.
+        unit: their unit.
+        cut: what a plane cuts: the `nodes`, least and greatest `corners` of a box around them [m]; and the `layers` of
+            numbers that may colour the nodes in `colours`, one after the other, along the scale `stops`.
     """
 
     key: str
@@ -41,6 +45,9 @@ class Entry:
     visible: bool = True
     of_pose: bool = True
     live: Json | None = None
+    principal: list[float] | None = None
+    unit: str = ""
+    cut: Json | None = None
 
     def lowered(self) -> Json:
         """Return the entry as the page reads it."""

@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
-from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
+from pm3dof_pin.viewer.layers import Layer, other_quantities, scalar_quantity
 from pm3dof_pin.viewer.scene import Scene
 
-_WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
 _LEAST_SECTIONS = 3
 _RINGS = 12  # lines drawn along sections
@@ -32,39 +31,23 @@ _END = 1e-4  # how far inside the range of heights the first and the last sectio
 
 @dataclass(frozen=True)
 class Shell:
-    """A closed surface of triangles with one value at each corner.
+    """A closed surface of triangles, and points inside, with quantities at all of them.
 
     Attributes:
         vertices: shape=(n, 3) [m].
         faces: indices of the corners, shape=(m, 3).
         lines: pairs of ends of lines along some of the sections, shape=(k, 3) [m].
-        values: the quantity at each vertex, shape=(n,).
-        title: what the quantity is.
-        unit: its unit.
+        points: inside, shape=(p, 3) [m].
+        layers: the quantities, at the vertices and then at the points.
         part: which part of the reachable set it is, in words; nothing for all of it.
     """
 
     vertices: Array
     faces: NDArray[np.int64]
     lines: Array
-    values: Array
-    title: str
-    unit: str
+    points: Array
+    layers: tuple[Layer, ...]
     part: str = ""
-
-    @property
-    def logarithmic(self) -> bool:
-        """Whether the values are better told apart on a logarithmic scale: positive, and far from each other."""
-        low, high = float(self.values.min()), float(self.values.max())
-        return 0.0 < low * _WIDE < high
-
-    @property
-    def places(self) -> Array:
-        """Place of each value on the scale of colours from the least, 0, to the greatest, 1, shape=(n,)."""
-        values = np.log(self.values) if self.logarithmic else self.values
-        low, high = float(values.min()), float(values.max())
-        places: Array = (values - low) / (high - low) if high > low else np.zeros_like(values)
-        return places
 
 
 def tool_tips(poses: Poses, length: float) -> Array:
@@ -78,19 +61,21 @@ def tool_tips(poses: Poses, length: float) -> Array:
 
 
 def workspace_shell(
-    robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120
+    robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120, inside: int = 17
 ) -> Shell:
-    """Return the boundary of what a tool's tip reaches, with a quantity at each of its points.
+    """Return the boundary of what a tool's tip reaches and points inside, with quantities at each of them.
 
     Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home.
 
     Args:
         robot: the robot.
         quantity: a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries:
-            "condition_number", "translational_stiffness:least" or "felt_stiffness:z".
+            "condition_number", "translational_stiffness:least" or "felt_stiffness:z". It is the first layer; others of
+            the robot's follow, see :func:`~pm3dof_pin.viewer.layers.other_quantities`.
         tool_length: see :func:`tool_tips` [m].
         heights: number of sections.
         directions: number of points in each.
+        inside: number of points along each coordinate of the grid of points inside; none for 0.
 
     Raises:
         InvalidValueError: no such quantity or entry, or it is not finite on the boundary; fewer than three coordinates;
@@ -102,7 +87,7 @@ def workspace_shell(
     from pm3dof_pin.maps.workspace_section import workspace_sections
 
     mapped = MappedRobot(robot)
-    entry = scalar_quantity(mapped, quantity)
+    chosen = scalar_quantity(mapped, quantity)
     limits = robot_space(robot)
     if not limits.stacked:
         raise InvalidValueError("workspace", robot, "a robot with three coordinates at least")
@@ -112,11 +97,15 @@ def workspace_shell(
     places = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, heights))
     levels = low + inset + (high - low - 2.0 * inset) * places
     sections = _closed_sections(workspace_sections(limits, levels, directions, ranges=False))
-    poses = _boundary_poses(robot, sections)
-    values = entry.values(mapped, poses)
-    if not np.isfinite(values).all():
+    boundary = _boundary_poses(robot, sections)
+    within = _inner_poses(robot, boundary, sections[0].space.names, inside)
+    poses = Poses(robot, np.concatenate([boundary.q, within.q]))
+    layer = chosen.layer(mapped, poses)
+    if not np.isfinite(layer.values).all():
         raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
-    tips = tool_tips(poses, tool_length)
+    others = [other.layer(mapped, poses) for other in other_quantities(mapped, quantity)]
+    layers = (layer, *(other for other in others if np.isfinite(other.values).all()))
+    tips = tool_tips(boundary, tool_length)
     count, part = len(sections), ""
     if count < heights:
         ends, scale, unit = [sections[0].level, sections[-1].level], 1.0, "m"
@@ -124,62 +113,17 @@ def workspace_shell(
             scale, unit = 180.0 / np.pi, "°"
         part = f"{limits.names[2]} {scale * ends[0]:.4g} .. {scale * ends[1]:.4g} {unit} only"
     lines, faces = _rings(tips, count, directions), _faces(count, directions)
-    return Shell(tips, faces, lines, values, entry.title, entry.unit, part)
+    return Shell(tips, faces, lines, tool_tips(within, tool_length), layers, part)
 
 
-@dataclass(frozen=True)
-class ScalarQuantity:
-    """One number at each pose.
-
-    Attributes:
-        name: name of the quantity.
-        index: which of its entries, or None if it has one.
-        title: what it is.
-        unit: its unit.
-    """
-
-    name: str
-    index: int | None
-    title: str
-    unit: str
-
-    def values(self, mapped: MappedRobot, poses: Poses) -> Array:
-        """Return the number at poses, shape=(...)."""
-        values = QUANTITIES[self.name].compute(Evaluation(mapped, poses))
-        return values if self.index is None else values[..., self.index]
-
-
-def scalar_quantity(mapped: MappedRobot, text: str) -> ScalarQuantity:
-    """Find one number among the quantities of the maps: "name" or "name:entry".
-
-    Raises:
-        InvalidValueError: no such quantity or entry, or the quantity is no list of numbers.
-    """
-    name, _, label = text.partition(":")
-    (quantity,) = select_quantities([name], mapped)
-    if not quantity.dims:
-        if label:
-            raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
-        return ScalarQuantity(name, None, quantity.long_name, quantity.unit_for(mapped))
-    entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
-    if label not in entries:
-        expected = f"'{name}:' and one of {', '.join(entries)}" if entries else "a quantity that is a number or a list"
-        raise InvalidValueError("quantity", text, expected)
-    unit = unit_of_entry(quantity.unit_for(mapped), label)
-    return ScalarQuantity(name, entries.index(label), f"{quantity.long_name}: {label}", unit)
-
-
-def scalar_quantities(mapped: MappedRobot) -> list[str]:
-    """Return every text that :func:`scalar_quantity` takes."""
-    names = []
-    for quantity in QUANTITIES.values():
-        if not quantity.exists(mapped):
-            continue
-        if not quantity.dims:
-            names.append(quantity.name)
-        elif len(quantity.dims) == 1:
-            names += [f"{quantity.name}:{label}" for label in quantity.dims[0].labels(mapped)]
-    return names
+def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: int) -> Poses:
+    """Return the poses of a grid over some coordinates that are within the limits."""
+    ranges = {}
+    for name in names:
+        values = boundary.coordinates[:, robot.coordinates.index(robot.coordinate(name))]
+        ranges[name] = (float(values.min()), float(values.max()), max(count, 1))
+    poses = robot.solve(robot.grid(**ranges), on_failure="nan").reshape(-1)
+    return poses[np.flatnonzero(poses.within_limits)[: None if count else 0]]
 
 
 def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
@@ -215,11 +159,15 @@ def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses
     return robot.solve(coordinates)
 
 
-def draw_shell(scene: Scene, path: str, shell: Shell) -> None:
-    """Put a shell at a path."""
-    tints = colours.blend(colours.INDEX_STOPS, shell.places)
-    surface = objects.coloured_mesh(objects.triangles(shell.vertices, shell.faces, tints), opacity=0.5)
+def draw_shell(scene: Scene, path: str, shell: Shell, size: float) -> None:
+    """Put a shell at a path, its points of a size [m]."""
+    tints = colours.blend(colours.INDEX_STOPS, shell.layers[0].places)
+    count = len(shell.vertices)
+    surface = objects.coloured_mesh(objects.triangles(shell.vertices, shell.faces, tints[:count]), opacity=0.5)
     scene.set_object(f"{path}/surface", surface, casts_shadow=False)
+    if len(shell.points):
+        cloud = objects.points(shell.points, tints[count:], size)
+        scene.set_object(f"{path}/points", cloud, casts_shadow=False)
     lines = objects.line_segments(shell.lines, (0.1, 0.1, 0.15), opacity=0.35)
     scene.set_object(f"{path}/lines", lines, casts_shadow=False)
 

@@ -130,6 +130,42 @@ class ShownScene:
             temporary.write_bytes(png)
         return target
 
+    def save_turntable(
+        self, path: Path | str, *, width: int = 640, height: int = 480, count: int = 48, duration: float = 6.0
+    ) -> Path:
+        """Write a moving picture (GIF) of the scene, the camera going once around it, without the panel.
+
+        Args:
+            path: file to write; its folder has to exist.
+            width: width [pixels].
+            height: height [pixels].
+            count: number of pictures.
+            duration: time of one turn [s].
+
+        Returns:
+            The path written.
+
+        Raises:
+            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
+            BrowserError: there is no Chromium or Chrome, or it cannot draw.
+        """
+        import io
+
+        from PIL import Image
+
+        from pm3dof_pin.viewer.browser import turntable_of
+
+        target = _in_existing_folder(path)
+        pictures = [
+            Image.open(io.BytesIO(png)).convert("RGB") for png in turntable_of(self.html(), width, height, count)
+        ]
+        palette = pictures[0].quantize(256)
+        frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+        with write_atomically(target) as temporary:
+            pace = round(1000.0 * duration / count)
+            frames[0].save(temporary, format="GIF", save_all=True, append_images=frames[1:], duration=pace, loop=0)
+        return target
+
     def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
         """Return the scene for a notebook, to be the last line of its cell.
 

@@ -21,8 +21,9 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.tool_motion import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
+from pm3dof_pin.viewer.about_body import about_body
 from pm3dof_pin.viewer.bodies import Body
-from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
+from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.scene import Json, column_major
 
@@ -64,8 +65,21 @@ class Sliders:
             "placements": model.njoints + (robot.tool_frame is not None),
             "tool": model.njoints if robot.tool_frame is not None else None,
             "bodies": [
-                {"path": body.path, "joint": body.joint, "placement": column_major(body.placement)} for body in bodies
+                {
+                    "path": body.path,
+                    "joint": body.joint,
+                    "placement": column_major(body.placement),
+                    **about_body(robot, body, self._programs.springs),
+                }
+                for body in bodies
             ],
+            "tool_joint": None if robot.tool_frame is None else robot.model.frames[robot.tool_frame_id].parentJoint,
+            "commands": _numbers(robot, robot.command_coordinates, robot.home.commands)["numbers"],
+            "sigmas": self._programs.sigmas.tolist(),
+            "ellipsoids": [
+                {"of": of, "motion": motion, "unit": unit} for (of, motion), unit in ellipsoids.UNITS.items()
+            ],
+            "explanations": ellipsoids.EXPLANATIONS,
             "actuators": actuators,
             "limits": {"joints": _joint_limits(robot), "swings": _swing_limits(robot)},
             "sound_pivot": PIVOT,
@@ -107,6 +121,31 @@ class Sliders:
         unit = ellipsoids.UNITS[of, kind]
         scaled = {"scale": scale, "length": length, "unit": unit}
         return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, **scaled}
+
+    def live_motion_ellipsoid(
+        self,
+        block: Array,
+        configuration: Configuration,
+        *,
+        kind: Motion,
+        of: MotionQuantity,
+        scale: float,
+        length: float,
+    ) -> Json | None:
+        """Return how the page goes on with an ellipsoid of velocities, forces or errors; see :meth:`live_ellipsoid`."""
+        if self._programs.motion is None or (of == "error" and not len(self._programs.sigmas)):
+            return None
+        groups = self._programs.motion.program.split(self._programs.motion(configuration.q))
+        scales = [command.scale for command in self._robot.commands]
+        motions = groups["errors"] * self._programs.sigmas if of == "error" else groups["drives"] / scales
+        try:
+            own = ellipsoids.motion_block(motions, kind, of)
+        except SingularConfigurationError:
+            return None
+        if groups["sound"] != 1.0 or not np.abs(block - own).max() <= _SAME * np.abs(own).max():
+            return None
+        scaled = {"scale": scale, "length": length, "unit": ellipsoids.UNITS[of, kind]}
+        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": "free", **scaled}
 
     def live_forces(
         self, forces: Array, configuration: Configuration, *, scale: float, length: float, width: float, unit: str

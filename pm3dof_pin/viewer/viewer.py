@@ -17,11 +17,11 @@ from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
-from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
+from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
-from pm3dof_pin.viewer.ellipsoids import UNITS, DrawnEllipsoid, EllipsoidMatrix
+from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.frames import draw_frame
-from pm3dof_pin.viewer.page_programs import programs_of
+from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
@@ -30,6 +30,7 @@ from pm3dof_pin.viewer.surroundings import draw_surroundings
 
 if TYPE_CHECKING:
     from pm3dof_pin.elastic.elastic_model import ElasticModel
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
 
 
 _CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
@@ -183,30 +184,65 @@ class Viewer(ShownScene):
             greatest = float(max(sizes.max(), _BULK * sizes.min()))
             scale = self._scales.setdefault((kind, of, others), ellipsoids.round_scale(greatest, self._unit_length))
         drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
-        key = kind if at is None else f"{kind}_at_{at if isinstance(at, str) else 'point'}"
-        path = f"/ellipsoids/{key}"
-        if f"{path}/surface" not in self.scene.paths():
-            ellipsoids.draw_ellipsoid(self.scene, path, kind)
-        self.scene.set_transform(path, drawn.transform)
-        other = "rotations" if kind == "translation" else "translations"
         live = None
         if self._goes_on and at is None and self._sliders is not None:
             live = self._sliders.live_ellipsoid(
                 block, self._configuration, kind=kind, of=of, others=others, scale=scale, length=self._unit_length
             )
-        where = "" if at is None else f" at {at if isinstance(at, str) else 'a point'}"
-        self._show(
-            Entry(
-                key=key,
-                title=f"{kind.capitalize()} {of}{where}",
-                lines=[scale_text(scale, self._unit_length, unit, "semi-axis"), f"{other} {others}"],
-                values=numbers_with_unit(drawn.values, unit),
-                colour=colours.css(ellipsoids.COLOURS[kind]),
-                nodes=[path],
-                live=live,
+        key = kind if at is None else f"{kind}_at_{at if isinstance(at, str) else 'point'}"
+        place = "" if at is None else f" at {at if isinstance(at, str) else 'a point'}"
+        other = "rotations" if kind == "translation" else "translations"
+        return self._show_ellipsoid(key, kind, f"{kind.capitalize()} {of}{place}", drawn, f"{other} {others}", live)
+
+    def motion_ellipsoid(
+        self,
+        of: MotionQuantity = "velocity",
+        *,
+        kind: Motion = "translation",
+        errors: GeometricErrors | None = None,
+        scale: float | None = None,
+    ) -> DrawnEllipsoid:
+        """Draw an ellipsoid of the tool's velocities, forces or errors in the displayed configuration.
+
+        Args:
+            of: "velocity" of the tool for command rates of unit norm together, "force" for actuator forces of unit norm
+                together, or "error", the standard deviation of the tool's pose.
+            kind: the translations or the rotations.
+            errors: the parameters whose tolerances make the error; by default those of the error file beside the robot.
+            scale: see :meth:`stiffness_ellipsoid`.
+
+        Returns:
+            What was drawn.
+
+        Raises:
+            InvalidValueError: no such quantity, the scale is not positive, or the loops cannot close with an error.
+            SingularConfigurationError: the tool can move while all actuators stand still, or it does not move in some
+                direction and a force is asked for.
+            DescriptionError: there is no tool frame; or no error file, and no errors are given.
+        """
+        from pm3dof_pin.errors.error_parameters import GeometricErrors
+        from pm3dof_pin.errors.sensitivity import sensitivities
+
+        robot = self.mechanism
+        if of not in EXPLANATIONS:
+            raise InvalidValueError("of", of, f"one of {', '.join(EXPLANATIONS)}")
+        parameters = GeometricErrors(robot, [])
+        if of == "error":
+            parameters = errors if errors is not None else declared_errors(robot)
+        motions = sensitivities(parameters, robot.at([self._configuration.q]))
+        matrix = motions.errors[0] * parameters.tolerances if of == "error" else motions.commands[0]
+        block = ellipsoids.motion_block(matrix, kind, of)
+        unit = UNITS[of, kind]
+        if scale is None:
+            greatest = float(np.linalg.eigvalsh(block)[-1])
+            scale = self._scales.setdefault((kind, of), ellipsoids.round_scale(greatest, self._unit_length))
+        live = None
+        if self._goes_on and self._sliders is not None and errors is None:
+            live = self._sliders.live_motion_ellipsoid(
+                block, self._configuration, kind=kind, of=of, scale=scale, length=self._unit_length
             )
-        )
-        return drawn
+        drawn = ellipsoids.ellipsoid(block, self._point(None), scale=scale, unit=unit)
+        return self._show_ellipsoid(kind, kind, f"{kind.capitalize()} {of}", drawn, EXPLANATIONS[of], live)
 
     def actuator_forces(
         self, forces: ArrayLike, *, what: str = "Actuator forces", scale: float | None = None
@@ -258,12 +294,19 @@ class Viewer(ShownScene):
         )
         return drawn
 
-    def colour_legs(self, model: ElasticModel, wrench: ArrayLike = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)) -> dict[str, float]:
+    def colour_legs(
+        self,
+        model: ElasticModel,
+        wrench: ArrayLike = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+        *,
+        visible: bool = True,
+    ) -> dict[str, float]:
         """Colour the legs by their share in the deflection of the tool under a load.
 
         Args:
             model: the mechanism with its springs.
             wrench: the load [f; m] at the tool, world axes, shape=(6,) [N, N m]; a vertical force by default.
+            visible: whether the legs are coloured until the reader asks for it.
 
         Returns:
             Share of each spring, by name.
@@ -309,6 +352,7 @@ class Viewer(ShownScene):
                 key="legs",
                 title="Share in the compliance",
                 lines=[f"under {_load_text(load)}"],
+                visible=visible,
                 values="\n".join(
                     f"{name}: {100.0 * share:.1f} %" for name, share in zip(names, of_legs.values(), strict=True)
                 ),
@@ -370,23 +414,39 @@ class Viewer(ShownScene):
         surface = shell.workspace_shell(
             self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
         )
-        shell.draw_shell(self.scene, "/workspace", surface)
+        shell.draw_shell(self.scene, "/workspace", surface, 0.022 * self._radius)
         self._shown_beside = surface.vertices
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
-        bounds = [numbers_with_unit([value], surface.unit) for value in (surface.values.min(), surface.values.max())]
+        layers: list[Json] = [
+            {
+                "name": layer.name,
+                "title": layer.title + (" (logarithmic)" if layer.logarithmic else ""),
+                "ends": [numbers_with_unit([end], layer.unit) for end in (layer.values.min(), layer.values.max())],
+                "places": objects.bytes_of(layer.places),
+            }
+            for layer in surface.layers
+        ]
+        corners = [ends.tolist() for ends in (surface.vertices.min(axis=0), surface.vertices.max(axis=0))]
         self._show(
             Entry(
                 key="workspace",
                 title="Workspace",
                 lines=[
                     f"of the tip of a tool {1000.0 * length:g} mm long" if length else "of the tool",
-                    surface.title + (" (logarithmic)" if surface.logarithmic else ""),
+                    layers[0]["title"],
                     *([surface.part] if surface.part else []),
                 ],
-                bar={"colours": list(colours.INDEX_STOPS), "ends": bounds},
+                bar={"colours": list(colours.INDEX_STOPS), "ends": layers[0]["ends"]},
                 nodes=["/workspace", f"{body_path}/tool"],
                 of_pose=False,
+                cut={
+                    "corners": corners,
+                    "layers": layers,
+                    "stops": colours.stops(colours.INDEX_STOPS).tolist(),
+                    "colours": ["/workspace/surface", "/workspace/points"],
+                    "nodes": ["/workspace/surface", "/workspace/lines", "/workspace/points"],
+                },
             )
         )
         if not self.is_served:
@@ -471,6 +531,28 @@ class Viewer(ShownScene):
         self._panel |= {"title": title, "subtitle": subtitle}
         self._update()
 
+    def _show_ellipsoid(
+        self, key: str, kind: Motion, title: str, drawn: DrawnEllipsoid, explanation: str, live: Json | None
+    ) -> DrawnEllipsoid:
+        path = f"/ellipsoids/{key}"
+        if f"{path}/surface" not in self.scene.paths():
+            ellipsoids.draw_ellipsoid(self.scene, path, kind)
+        self.scene.set_transform(path, drawn.transform)
+        self._show(
+            Entry(
+                key=key,
+                title=title,
+                lines=[scale_text(drawn.scale, self._unit_length, drawn.unit, "semi-axis"), explanation],
+                values=numbers_with_unit(drawn.values, drawn.unit),
+                colour=colours.css(ellipsoids.COLOURS[kind]),
+                nodes=[path],
+                live=live,
+                principal=drawn.values.tolist(),
+                unit=drawn.unit,
+            )
+        )
+        return drawn
+
     def _program_source(self) -> str:
         return self._programs.source if self._programs is not None else ""
 
@@ -545,9 +627,9 @@ class Viewer(ShownScene):
     def _show(self, entry: Entry) -> None:
         self._entries[entry.key] = entry
         for path in entry.nodes:
-            self.scene.set_visible(path, True)
+            self.scene.set_visible(path, entry.visible)
         for item in entry.paint or []:
-            self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]])
+            self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]] if entry.visible else item["own"])
         self._update()
 
     def _take_away(self, entry: Entry) -> None:

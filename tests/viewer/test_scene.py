@@ -89,7 +89,10 @@ def test_a_page_needs_nothing_else() -> None:
     assert "<title>&lt;a &amp; b></title>" in page
     assert page.count("</script>") == page.count("<script")
     without_licences = re.sub(r'<script type="text/plain" id="licences">.*?</script>', "", page, flags=re.DOTALL)
-    assert set(re.findall(r"https?://[\w./-]+", without_licences)) <= {"http://www.w3.org/1999/xhtml"}
+    assert set(re.findall(r"https?://[\w./-]+", without_licences)) <= {
+        "http://www.w3.org/1999/xhtml",
+        "http://www.w3.org/2000/svg",
+    }
     assert "Permission is hereby granted" in page
     assert 'src="' not in page
 

@@ -14,7 +14,8 @@ from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.viewer.shell import Shell, scalar_quantities, scalar_quantity, tool_tips, workspace_shell
+from pm3dof_pin.viewer.layers import Layer, scalar_quantities, scalar_quantity
+from pm3dof_pin.viewer.shell import Shell, tool_tips, workspace_shell
 
 LENGTH = 0.2
 
@@ -61,19 +62,32 @@ def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
 def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> None:
     stiffness = elastic_stiffness(tripod, poses_of(shell.vertices))
     felt = 1.0 / np.linalg.inv(stiffness)[:, 2, 2]
-    np.testing.assert_allclose(shell.values, felt, rtol=1e-6)
-    assert shell.unit == "N/m"
-    assert shell.places.min() == 0.0
-    assert shell.places.max() == 1.0
-    assert np.all(np.diff(shell.places[np.argsort(shell.values)]) >= 0.0)
+    layer = shell.layers[0]
+    np.testing.assert_allclose(layer.values[: len(felt)], felt, rtol=1e-6)
+    assert layer.unit == "N/m"
+    assert layer.places.min() == 0.0
+    assert layer.places.max() == 1.0
+    assert np.all(np.diff(layer.places[np.argsort(layer.values)]) >= 0.0)
+
+
+def test_points_inside_are_within_the_limits(shell: Shell, tripod: Tripod) -> None:
+    """And have the values of their own poses, in every layer that the page offers."""
+    assert len(shell.points) > 500
+    poses = poses_of(shell.points)
+    assert np.all(limit_flags(tripod, poses) == 0)
+    compliance = np.linalg.inv(elastic_stiffness(tripod, poses))
+    layers = {layer.name: layer.values[len(shell.vertices) :] for layer in shell.layers}
+    for axis, name in enumerate(("x", "y", "z", "rx", "ry", "rz")):
+        np.testing.assert_allclose(layers[f"felt stiffness, {name}"], 1.0 / compliance[:, axis, axis], rtol=1e-6)
+    least = 1.0 / np.linalg.eigvalsh(compliance[:, :3, :3])[:, -1]
+    np.testing.assert_allclose(layers["translational stiffness, least"], least, rtol=1e-6)
 
 
 def test_wide_ranges_are_logarithmic() -> None:
-    nothing = np.zeros((0, 3))
-    shell = Shell(nothing, nothing.astype(int), nothing, np.array([1.0, 10.0, 100.0]), "", "")
-    assert shell.logarithmic
-    np.testing.assert_allclose(shell.places, [0.0, 0.5, 1.0])
-    near = Shell(nothing, nothing.astype(int), nothing, np.array([1.0, 2.0, 3.0]), "", "")
+    wide = Layer(np.array([1.0, 10.0, 100.0]), "", "", "")
+    assert wide.logarithmic
+    np.testing.assert_allclose(wide.places, [0.0, 0.5, 1.0])
+    near = Layer(np.array([1.0, 2.0, 3.0]), "", "", "")
     assert not near.logarithmic
     np.testing.assert_allclose(near.places, [0.0, 0.5, 1.0])
 

@@ -3,23 +3,28 @@
 
 const pm3dof = (() => {
   const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
+  const NEAR_SINGULAR = 5; // times as far, or less far, as at home
   const FIELD_OF_VIEW = 30; // degrees: little perspective, as in a technical drawing
   const shown = new Map(); // what the reader ticked, by entry
-  let panel = {};
+  let panel = { legend: [] };
   let robot = null; // what sliders move
   let pose = null; // of it, as it is shown
   let activeSet = 0; // of sliders
   let slidersShown = ""; // which there are
   let tidied = false;
   let cameraSerial = null;
-  let pathTime = null;
+  const listeners = { panel: [], pose: [], entries: [], choice: [], picture: [] };
+
+  // What the other parts of the page do after a new panel, pose, set of shown entries, choice or picture.
+  const on = (event, action) => listeners[event].push(action);
+  const tell = (event, ...details) => listeners[event].forEach((action) => action(...details));
 
   // ----------------------------------------------------------------------------------------------- pane
 
   // Width and height of the picture, and how much of its left is behind the panel [pixels]; on a phone nothing is.
   function pane() {
     const { clientWidth: width, clientHeight: height } = document.getElementById("meshcat-pane");
-    return { width, height, behind: height < window.innerHeight ? 0 : Math.min(0.5 * width, 314) };
+    return { width, height, behind: height < window.innerHeight || document.body.classList.contains("bare") ? 0 : Math.min(0.5 * width, 314) };
   }
 
   const setSize = viewer.set_3d_pane_size.bind(viewer);
@@ -27,6 +32,12 @@ const pm3dof = (() => {
     const { width, height, behind } = pane();
     viewer.camera.setViewOffset(width, height, -0.5 * behind, 0, width, height); // the middle is that of what is free
     setSize(width, height);
+  };
+
+  const render = viewer.render.bind(viewer);
+  viewer.render = () => {
+    render();
+    tell("picture");
   };
 
   // ---------------------------------------------------------------------------------------------- scene
@@ -94,12 +105,32 @@ const pm3dof = (() => {
     viewer.set_dirty();
   }
 
+  // Turn the camera about the vertical through what it looks at [deg].
+  function turn(angle) {
+    const { position } = viewer.camera, { target } = viewer.controls, a = angle * Math.PI / 180;
+    const [x, z] = [position.x - target.x, position.z - target.z];
+    position.x = target.x + Math.cos(a) * x + Math.sin(a) * z;
+    position.z = target.z - Math.sin(a) * x + Math.cos(a) * z;
+    viewer.set_dirty();
+  }
+
   // ---------------------------------------------------------------------------------------------- panel
 
   const scientific = (number) => {
     const [mantissa, exponent] = number.toExponential(2).split("e");
     return Math.abs(exponent) < 3 ? String(Number(number.toPrecision(3))) : `${mantissa}e${Number(exponent)}`;
   };
+
+  const PREFIXES = { "-9": "n", "-6": "\u00b5", "-3": "m", 0: "", 3: "k", 6: "M", 9: "G" };
+
+  // As a person writes it: 27.8 MN/m, 41.2 µm.
+  function engineering(value, unit) {
+    const size = Math.abs(value);
+    if (!(size > 0) || !Number.isFinite(value)) return `${value} ${unit}`;
+    const power = Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3)));
+    const digits = Number((value / 10 ** power).toPrecision(3));
+    return `${digits}\u00a0${PREFIXES[power]}${unit.replaceAll("N m", "N\u00a0m")}`;
+  }
 
   // Zero has no sign.
   const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
@@ -131,6 +162,12 @@ const pm3dof = (() => {
     showNote(data.note || [], data.warnings || []);
     if (!tidied) tidyControls();
     tidied = true;
+    tell("panel");
+  }
+
+  // Show an entry, or hide it.
+  function flip(key) {
+    lineOf({ key }, "box").click();
   }
 
   function entryElement(entry) {
@@ -138,16 +175,18 @@ const pm3dof = (() => {
     made.className = "entry";
     made.dataset.key = entry.key;
     const label = element(made, "label");
-    const box = element(label, "input");
+    const box = element(label, "input", "box");
     box.type = "checkbox";
     box.checked = isShown(entry);
     box.addEventListener("change", () => {
       shown.set(entry.key, box.checked);
+      if (entry.live && pose) follow(entry, complianceOf(pose));
       applyEntry(entry);
       viewer.set_dirty();
+      tell("entries");
     });
     if (entry.colour) element(label, "span", "swatch").style.background = entry.colour;
-    element(label, "span", "", entry.title);
+    element(label, "span", "title", entry.title);
     element(made, "div", "values", entry.values || "");
     entry.lines.forEach((line) => element(made, "div", "line", line.replaceAll("N m", "N\u00a0m"))); // not torn apart
     if (entry.bar) {
@@ -267,15 +306,38 @@ const pm3dof = (() => {
     robot.data.bodies.forEach(({ path, joint, placement }) => {
       placeNode(path, Robot.product(pose.placement(joint), placement));
     });
-    const elastic = panel.legend.some(({ live }) => live && live.kind !== "forces") ? robot.compliance(pose) : null;
-    panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : leaveBehind(entry)));
-    viewer.set_dirty();
+    followAll();
     const lines = robot.data.sets.map((set) => {
       const values = pose.values(set);
       return set.numbers.map((number, index) => reading(number, values[index])).join(", ");
     });
     if (robot.data.has_closures) lines.push(`loops closed to ${pose.residual ? pose.residual.toExponential(0) : 0} m, in this page`);
-    showNote(lines, outsideLimits(pose.brokenLimits()));
+    showNote(lines, [...outsideLimits(pose.brokenLimits()), ...singular(pose)]);
+    tell("pose");
+  }
+
+  // Bring all that is drawn for the pose up to it.
+  function followAll() {
+    const elastic = complianceOf(pose);
+    panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : leaveBehind(entry)));
+    viewer.set_dirty();
+    tell("entries");
+  }
+
+  function complianceOf(found) {
+    return panel.legend.some(({ live }) => live && live.kind !== "forces") && robot.programs.compliance ? robot.compliance(found) : null;
+  }
+
+  // What is said near singular poses: how much more, or less, than at home the tool moves for the same commands.
+  function singular(found) {
+    const gains = robot.gains(found);
+    if (!gains) return robot.programs.motion ? ["At a singular pose, or next to one."] : [];
+    robot.homeGains ??= robot.gains(robot.home());
+    if (!robot.homeGains) return [];
+    const [slow, fast] = gains.map((gain, k) => gain / robot.homeGains[k]);
+    if (fast > NEAR_SINGULAR) return [`Near a singular pose: the tool moves ${scientific(fast)} times as far as at home for the same commands.`];
+    if (slow < 1 / NEAR_SINGULAR) return [`Near a singular pose: in one direction commands move the tool ${scientific(1 / slow)} times less than at home.`];
+    return [];
   }
 
   // As outside_limits does in pm3dof_pin/viewer/panel.py.
@@ -305,10 +367,10 @@ const pm3dof = (() => {
   }
 
   function followEllipsoid(entry, compliance) {
-    if (!compliance) throw "no stiffness in this pose";
-    const block = robot.block(compliance, entry.live);
-    if (!block.flat().every(Number.isFinite)) throw "not in this pose: some motion is rigid";
-    const { values, axes } = Robot.principal(block);
+    const found = robot.ellipsoid(pose, entry.live, compliance);
+    if (typeof found === "string") throw found;
+    const { values, axes } = found;
+    entry.principal = values;
     const greatest = Math.max(...values.map(Math.abs)), scale = fittingScale(entry, greatest, "semi-axis");
     const lengths = values.map((value) => scale * Math.max(Math.abs(value), 1e-6 * greatest));
     placeNode(entry.nodes[0], Robot.stretched(axes, lengths, pose.tool));
@@ -340,12 +402,16 @@ const pm3dof = (() => {
   }
 
   function followShares(entry, compliance) {
+    if (!isShown(entry)) return setValues(entry, "");
     if (!compliance) throw "no stiffness in this pose";
     const { names, springs, stops, wrench } = entry.live;
     const shares = robot.shares(pose, springs, wrench);
     if (!shares.every(Number.isFinite)) throw "no spring gives under this load";
     entry.paint.forEach((item) => { item.colour = blend(stops, shares[item.leg]); });
-    setValues(entry, shares.map((share, leg) => `${names[leg]}: ${fixed(100 * share, 1)} %`).join("\n"));
+    const parts = shares.map((share, leg) => `${names[leg]}: ${fixed(100 * share, 1)} %`);
+    const given = compliance.map((row) => row.reduce((sum, entry, k) => sum + entry * wrench[k], 0));
+    const [shift, tilt] = [given.slice(0, 3), given.slice(3)].map((part) => Math.hypot(...part));
+    setValues(entry, [...parts, `deflection ${engineering(shift, "m")}, ${engineering(tilt, "rad")}`].join("\n"));
   }
 
   // The colour at a place between 0 and 1 of a list of colours.
@@ -357,22 +423,6 @@ const pm3dof = (() => {
 
   // ---------------------------------------------------------------------------------------------- start
 
-  // While a path plays, sliders and numbers follow it.
-  function watchPath() {
-    requestAnimationFrame(watchPath);
-    if (!panel.path || viewer.animator.time === pathTime) return;
-    pathTime = viewer.animator.time;
-    const { frames, duration } = panel.path;
-    const place = Math.round(pathTime / duration * (frames.length - 1));
-    const at = frames[Math.min(frames.length - 1, Math.max(0, place))];
-    showNote(at.note, at.warnings);
-    panel.legend.forEach((entry) => { if (entry.key in at.values) setValues(entry, at.values[entry.key]); });
-    if (robot) {
-      pose = robot.pose(at.q);
-      setSliders();
-    }
-  }
-
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss:" : "ws:"}//${location.host}/socket`);
     socket.onmessage = (event) => receive(JSON.parse(event.data));
@@ -382,11 +432,16 @@ const pm3dof = (() => {
   const start = () => {
     viewer.set_3d_pane_size();
     receive(JSON.parse(document.getElementById("scene").textContent));
-    watchPath();
     if (document.body.dataset.socket === "yes") connect();
   };
 
-  return { viewer, node, slide, home, receive, start, pose: () => pose, robot: () => robot, panel: () => panel };
-})();
+  // A pose without its sliders having been moved: of a path that plays.
+  function setPose(q) {
+    pose = robot.pose(q);
+    setSliders();
+  }
 
-pm3dof.start();
+  const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
+  const drawing = { viewer, node, placeNode, pane, turn, element, engineering, scientific, fixed, isShown, setValues, showNote };
+  return { ...drawing, ...state, on, tell, flip, slide, home, show, setPose, followAll, lineOf, receive, start };
+})();

@@ -9,9 +9,12 @@
 const Robot = (() => {
   const LEG = 0.1; // longest way of the coordinates in one go [rad, characteristic lengths]
   const SHORTEST_LEG = LEG / 256;
+  const FAR = 100; // no way is longer [rad, characteristic lengths]
   const JUMP = 0.5; // longest way of a joint in one go [rad, characteristic lengths]
   const NEARLY_CLOSED = 1e-8; // from here one quadratic step ends in rounding [m, rad]
   const STEPS = 8;
+  const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
+  const PULL_DAMPING = 0.02; // characteristic lengths: what a point gives way near singular poses
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that is its share
 
   const dot = (a, b) => a.reduce((sum, entry, index) => sum + entry * b[index], 0);
@@ -66,6 +69,30 @@ const Robot = (() => {
     const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column]));
     if (dot(cross(x, y), z) < 0) axes.forEach((row) => { row[2] = -row[2]; });
     return { values: order.map((i) => a[i][i]), axes };
+  }
+
+  // Eigenvalues of a symmetric matrix of any size, by Jacobi's rotations.
+  function eigenvalues(matrix) {
+    const a = matrix.map((row) => row.slice()), n = a.length;
+    for (let sweep = 0; sweep < 60; sweep++) {
+      let rest = 0, size = 0;
+      for (let p = 0; p < n; p++) {
+        size += a[p][p] ** 2;
+        for (let q = p + 1; q < n; q++) rest += a[p][q] ** 2;
+      }
+      if (rest <= 1e-30 * size) break;
+      for (let p = 0; p < n; p++) {
+        for (let q = p + 1; q < n; q++) {
+          if (a[p][q] === 0) continue;
+          const ratio = (a[q][q] - a[p][p]) / (2 * a[p][q]);
+          const t = (ratio < 0 ? -1 : 1) / (Math.abs(ratio) + Math.sqrt(ratio * ratio + 1));
+          const c = 1 / Math.sqrt(t * t + 1), s = t * c;
+          for (let k = 0; k < n; k++) [a[k][p], a[k][q]] = [c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]];
+          for (let k = 0; k < n; k++) [a[p][k], a[q][k]] = [c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]];
+        }
+      }
+    }
+    return a.map((row, k) => row[k]);
   }
 
   function product(a, b) {
@@ -188,7 +215,7 @@ const Robot = (() => {
       const start = set.numbers.length ? pose.values(set) : [];
       const sizes = set.numbers.map(({ unit }) => (unit === "m" ? this.data.length : 1));
       const way = Math.max(0, ...values.map((value, k) => Math.abs((value - start[k]) / set.numbers[k].scale) / sizes[k]));
-      if (!Number.isFinite(way)) return null;
+      if (!(way < FAR)) return null;
       let q = pose.q, done = 0, step = way > LEG ? LEG / way : 1, sign = null;
       while (done < 1) {
         const next = done + step > 1 - 1e-9 ? 1 : done + step;
@@ -233,6 +260,77 @@ const Robot = (() => {
       return [0, 6, 12, 18, 24, 30].map((first) => [...numbers.subarray(first, first + 6)]);
     }
 
+    // Twists of the tool for one standard deviation of each error, and for one unit of each command, as rows; null where
+    // they are in doubt.
+    motions(pose) {
+      const { sigmas, commands } = this.data;
+      const numbers = new Float64Array(this.programs.motion_size);
+      this.programs.motion(pose.q, numbers);
+      if (numbers[numbers.length - 1] !== 1) return null;
+      const part = (first, factors) =>
+        [0, 1, 2, 3, 4, 5].map((row) => factors.map((factor, k) => factor * numbers[first + row * factors.length + k]));
+      return { errors: part(0, sigmas), commands: part(6 * sigmas.length, commands.map(({ scale }) => 1 / scale)) };
+    }
+
+    // Principal values and axes of what an ellipsoid shows; a text where there is none. With C at the tool, if there is one.
+    ellipsoid(pose, live, compliance) {
+      const { motion, of } = live;
+      if (of === "stiffness" || of === "compliance") {
+        if (!compliance) return "no stiffness in this pose";
+        const block = this.block(compliance, live);
+        return block.flat().every(Number.isFinite) ? principal(block) : "not in this pose: some motion is rigid";
+      }
+      const motions = this.motions(pose);
+      if (!motions) return "not in this pose: near a singular one";
+      const rows = motions[of === "error" ? "errors" : "commands"].slice(...(motion === "translation" ? [0, 3] : [3, 6]));
+      const { values, axes } = principal(rows.map((a) => rows.map((b) => dot(a, b))));
+      const roots = values.map((value) => Math.sqrt(Math.max(0, value)));
+      if (of !== "force") return { values: roots, axes };
+      if (!(roots[0] > 1e-7 * roots[2])) return "not in this pose: the tool does not move in some direction";
+      return { values: roots.map((value) => 1 / value).reverse(), axes: axes.map(([x, y, z]) => [z, y, -x]) };
+    }
+
+    // How fast the tool moves for commands of unit speed together, slowest and fastest, lengths in characteristic ones;
+    // null where that is in doubt. The fastest grows without bound towards a pose in which drives lose the platform, the
+    // slowest vanishes where they cannot move it.
+    gains(pose) {
+      const motions = this.programs.motion ? this.motions(pose) : null;
+      if (!motions) return null;
+      const units = this.data.commands.map(({ unit }) => (unit === "m" ? this.data.length : 1));
+      const scaled = motions.commands.map((row, i) =>
+        row.map((entry, k) => entry * units[k] / (i < 3 ? this.data.length : 1)));
+      const columns = units.map((_, k) => scaled.map((row) => row[k]));
+      const values = eigenvalues(columns.map((a) => columns.map((b) => dot(a, b)))).sort((a, b) => b - a);
+      return [Math.sqrt(Math.max(0, values[Math.min(6, values.length) - 1])), Math.sqrt(values[0])];
+    }
+
+    // The pose in which a point fixed to a joint's body is nearer to a target, by damped least squares over a set; null
+    // if there is none.
+    pulled(pose, set, joint, local, target) {
+      const place = (p) => p.rows(joint).map((row) => row[0] * local[0] + row[1] * local[1] + row[2] * local[2] + row[3]);
+      const values = pose.values(set), point = place(pose);
+      const missing = target.map((entry, i) => entry - point[i]);
+      const sizes = set.numbers.map(({ unit, scale }) => (unit === "m" ? this.data.length : 0.6) * Math.abs(scale));
+      const columns = set.numbers.map((_, k) => {
+        const beside = values.slice();
+        beside[k] += PULL_STEP * sizes[k];
+        const found = this.closed(pose.q, set, beside);
+        if (!found) return [0, 0, 0];
+        return place(new Pose(this, found.q)).map((entry, i) => (entry - point[i]) / PULL_STEP);
+      });
+      // y = J^T (J J^T + damping)^-1 missing
+      const damping = (PULL_DAMPING * this.data.length) ** 2;
+      const square = [0, 1, 2].map((i) => [0, 1, 2].map((j) =>
+        columns.reduce((sum, column) => sum + column[i] * column[j], i === j ? damping : 0)));
+      const weights = apply(inverse(square), missing);
+      const wanted = values.map((value, k) => {
+        const { least, greatest, factor } = set.numbers[k].slider;
+        const change = Math.max(-LEG, Math.min(LEG, dot(columns[k], weights)));
+        return Math.min(greatest / factor, Math.max(least / factor, value + change * sizes[k]));
+      });
+      return this.moved(pose, set, wanted);
+    }
+
     // The 3 x 3 block that an ellipsoid shows, as pm3dof_pin.viewer.ellipsoids.block does.
     block(compliance, { motion, of, others }) {
       const start = motion === "translation" ? 0 : 3;
@@ -273,5 +371,5 @@ const Robot = (() => {
     }
   }
 
-  return Object.assign(Robot, { principal, inverse, product, stretched, turnZTo });
+  return Object.assign(Robot, { principal, eigenvalues, inverse, product, stretched, turnZTo });
 })();

@@ -1,0 +1,155 @@
+// What the ellipsoids show, chosen in the page: the quantity, what the other motions do, the load; and numbers at their axes.
+"use strict";
+
+(() => {
+  const { viewer, node, element, engineering, isShown, on, tell, followAll, lineOf } = pm3dof;
+  const form = document.getElementById("choices");
+  const selects = { of: form.querySelector("[name=of]"), others: form.querySelector("[name=others]") };
+  const labels = document.getElementById("labels");
+  const CLOSE = 17; // pixels between labels, below which one is left out
+  const scales = new Map(); // of ellipsoids chosen here, kept so that they can be compared
+  let chosen = null; // by the reader: of and others
+  let wrench = null;
+
+  const live = (kind) => pm3dof.panel().legend.filter((entry) => entry.live && entry.live.kind === kind);
+  const usual = (of) => (of === "stiffness" ? "held" : "free");
+  const isElastic = (of) => of === "stiffness" || of === "compliance";
+
+  // Quantities that the page can compute of this robot.
+  function quantities() {
+    const { data, programs } = pm3dof.robot();
+    const known = [...new Set(data.ellipsoids.map(({ of }) => of))];
+    return known.filter((of) => (isElastic(of) ? programs.compliance : programs.motion && (of !== "error" || data.sigmas.length)));
+  }
+
+  // The greatest length 1, 2, 5 times a power of ten in which a value is drawn no longer than what suits the robot.
+  function roundScale(greatest, length) {
+    if (!(greatest > 0)) return length;
+    const power = 10 ** Math.floor(Math.log10(greatest));
+    return length / [1, 2, 5, 10].map((factor) => factor * power).find((step) => greatest <= step * (1 + 1e-9));
+  }
+
+  function show(entry, of, others) {
+    const robot = pm3dof.robot(), { motion, length } = entry.live;
+    const { unit } = robot.data.ellipsoids.find((each) => each.of === of && each.motion === motion);
+    const shown = { ...entry.live, of, others, unit };
+    const key = [motion, of, others].join();
+    if (!scales.has(key)) {
+      const compliance = robot.programs.compliance ? robot.compliance(pm3dof.pose()) : null;
+      const found = robot.ellipsoid(pm3dof.pose(), shown, compliance);
+      if (typeof found === "string") {
+        entry.live = { ...shown, scale: length };
+        return retitle(entry);
+      }
+      const sizes = found.values.map(Math.abs);
+      scales.set(key, roundScale(Math.max(...sizes, 3 * Math.min(...sizes)), length));
+    }
+    entry.live = { ...shown, scale: scales.get(key) };
+    retitle(entry);
+  }
+
+  function retitle(entry) {
+    const { of, others, motion } = entry.live, { explanations } = pm3dof.robot().data;
+    entry.title = `${motion[0].toUpperCase()}${motion.slice(1)} ${of}`;
+    const said = isElastic(of) ? `${motion === "translation" ? "rotations" : "translations"} ${others}` : explanations[of];
+    const made = lineOf(entry, "values").parentElement;
+    made.querySelector(".title").textContent = entry.title;
+    made.querySelectorAll(".line")[1].textContent = said;
+  }
+
+  // Show a quantity; what the others do is the usual one unless given.
+  function choose(of, others = usual(of)) {
+    chosen = { of, others };
+    live("ellipsoid").forEach((entry) => show(entry, of, others));
+    fill();
+    followAll();
+    tell("choice");
+  }
+
+  // The load of the shares and of the deflection [N, N m].
+  function load(values) {
+    wrench = values;
+    live("shares").forEach((entry) => {
+      entry.live.wrench = values;
+      lineOf(entry, "line").textContent = "under the load below";
+    });
+    followAll();
+    tell("choice");
+  }
+
+  function fill() {
+    const [entry] = live("ellipsoid");
+    form.hidden = !entry || !pm3dof.robot();
+    if (form.hidden) return;
+    const { of, others } = entry.live;
+    selects.of.textContent = "";
+    quantities().forEach((name) => {
+      const option = element(selects.of, "option", "", name);
+      option.value = name;
+      option.selected = name === of;
+    });
+    selects.others.value = others;
+    selects.others.disabled = !isElastic(of);
+  }
+
+  // Six fields for the load, in the entry of the shares.
+  function fields(entry) {
+    const row = document.createElement("div");
+    row.className = "load";
+    ["Fx", "Fy", "Fz", "Mx", "My", "Mz"].forEach((name, index) => {
+      const label = element(row, "label", "", name), input = element(label, "input");
+      Object.assign(input, { type: "number", step: "any", value: entry.live.wrench[index], title: index < 3 ? "N" : "N m" });
+      input.addEventListener("change", () => {
+        const values = [...row.querySelectorAll("input")].map((each) => each.valueAsNumber);
+        if (values.every(Number.isFinite) && values.some((value) => value !== 0)) load(values);
+      });
+    });
+    lineOf(entry, "line").after(row);
+  }
+
+  function panelChanged() {
+    if (pm3dof.robot()) {
+      if (wrench) live("shares").forEach((entry) => { entry.live.wrench = wrench; });
+      live("shares").forEach(fields);
+      const offered = chosen && live("ellipsoid").length && quantities().includes(chosen.of);
+      if (offered) choose(chosen.of, chosen.others);
+    }
+    fill();
+    write();
+  }
+
+  // ------------------------------------------------------------------------------- numbers in the picture
+
+  // Where a point of the machine is in the picture [pixels]; null behind the camera.
+  function project(point) {
+    const at = viewer.scene.localToWorld(new MeshCat.THREE.Vector3(...point)).project(viewer.camera);
+    const { clientWidth, clientHeight } = viewer.renderer.domElement;
+    return Math.abs(at.z) < 1 ? [(at.x + 1) / 2 * clientWidth, (1 - at.y) / 2 * clientHeight] : null;
+  }
+
+  // A number at the end of every semi-axis, but for those that would stand over another.
+  function write() {
+    const taken = [];
+    labels.textContent = "";
+    pm3dof.panel().legend.filter((entry) => entry.principal && isShown(entry) && !entry.stale).forEach((entry) => {
+      const { elements: m } = node(entry.nodes[0]).object.matrix;
+      [2, 1, 0].forEach((axis) => {
+        const tips = [1, -1].map((sign) => project([0, 1, 2].map((row) => m[12 + row] + sign * m[4 * axis + row])));
+        if (tips.some((tip) => !tip)) return;
+        const [x, y] = tips[0][1] < tips[1][1] ? tips[0] : tips[1];
+        const middle = project([m[12], m[13], m[14]]);
+        if (Math.hypot(x - middle[0], y - middle[1]) < CLOSE / 2 || taken.some(([a, b]) => Math.abs(y - b) < CLOSE && Math.abs(x - a) < 70)) return;
+        taken.push([x, y]);
+        const label = element(labels, "span", "", engineering(entry.principal[axis], entry.live ? entry.live.unit : entry.unit));
+        label.style.cssText = `left:${x.toFixed(1)}px;top:${y.toFixed(1)}px;color:${entry.colour}`;
+      });
+    });
+  }
+
+  selects.of.addEventListener("change", () => choose(selects.of.value));
+  selects.others.addEventListener("change", () => choose(selects.of.value, selects.others.value));
+  form.addEventListener("submit", (event) => event.preventDefault());
+  on("panel", panelChanged);
+  on("picture", write);
+  Object.assign(pm3dof, { choose, load, project, quantities, choice: () => chosen, wrench: () => wrench });
+})();

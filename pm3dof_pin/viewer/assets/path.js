@@ -1,0 +1,167 @@
+// A path: its scrubber, and a plot of a quantity along it that is clicked to go there.
+"use strict";
+
+(() => {
+  const { viewer, element, engineering, on } = pm3dof;
+  const bar = document.getElementById("path");
+  const scrubber = bar.querySelector("input"), button = bar.querySelector("button"), select = bar.querySelector("select");
+  const plot = bar.querySelector("svg");
+  const HEIGHT = 110; // of the plot [pixels]
+  let width = 600;
+  const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"];
+  let path = null, poses = [], time = null, series = null;
+
+  const svg = (parent, tag, attributes) => {
+    const made = parent.appendChild(document.createElementNS("http://www.w3.org/2000/svg", tag));
+    Object.entries(attributes).forEach(([name, value]) => made.setAttribute(name, value));
+    return made;
+  };
+
+  // What can be plotted: a title, the names of its lines, its unit, and the numbers of a pose.
+  function choices() {
+    const robot = pm3dof.robot(), made = [];
+    robot.data.sets.forEach((set) => {
+      [["m", "lengths", 1], ["rad", "angles", 180 / Math.PI]].forEach(([unit, what, factor]) => {
+        const kept = set.numbers.map((number, k) => [number, k]).filter(([number]) => number.unit === unit);
+        if (!kept.length) return;
+        const values = (pose) => { const all = pose.values(set); return kept.map(([, k]) => all[k] * factor); };
+        made.push({ title: `${set.title.toLowerCase()}: ${what}`, names: kept.map(([{ name }]) => name), unit: unit === "m" ? "m" : "\u00b0", values });
+      });
+    });
+    pm3dof.panel().legend.filter(({ live }) => live && live.kind === "ellipsoid").forEach((entry) => {
+      const values = (pose) => {
+        const found = robot.ellipsoid(pose, entry.live, robot.programs.compliance ? robot.compliance(pose) : null);
+        return typeof found === "string" ? [NaN, NaN] : [found.values[0], found.values[2]];
+      };
+      made.push({ title: entry.title.toLowerCase(), names: ["least", "greatest"], unit: entry.live.unit, values });
+    });
+    const shares = pm3dof.panel().legend.find(({ live }) => live && live.kind === "shares");
+    if (shares) {
+      const values = (pose) => {
+        const C = robot.compliance(pose);
+        return [C ? Math.hypot(...C.slice(0, 3).map((row) => row.reduce((sum, c, k) => sum + c * shares.live.wrench[k], 0))) : NaN];
+      };
+      made.push({ title: "deflection under the load", names: ["tool"], unit: "m", values });
+    }
+    if (robot.programs.holding) {
+      const names = robot.data.commands.map(({ name }) => name), none = names.map(() => NaN);
+      made.push({ title: "holding forces", names, unit: robot.data.actuators[0]?.unit || "N", values: (pose) => robot.holdingForces(pose) || none });
+    }
+    if (robot.programs.motion) {
+      made.push({ title: "motion per command, scaled", names: ["slowest", "fastest"], unit: "", values: (pose) => robot.gains(pose) || [NaN, NaN] });
+    }
+    return made;
+  }
+
+  function panelChanged() {
+    path = pm3dof.panel().path || null;
+    bar.hidden = !path;
+    document.body.classList.toggle("has-path", Boolean(path));
+    if (!path) return;
+    time = null;
+    Object.assign(scrubber, { min: 0, max: path.frames.length - 1, step: 1 });
+    const robot = pm3dof.robot();
+    select.hidden = plot.toggleAttribute("hidden", !robot);
+    if (!robot) return;
+    poses = path.frames.map(({ q }) => robot.pose(q));
+    fill();
+  }
+
+  function fill() {
+    const before = select.value;
+    select.textContent = "";
+    series = choices();
+    series.forEach(({ title }) => { element(select, "option", "", title).value = title; });
+    if (series.some(({ title }) => title === before)) select.value = before;
+    draw();
+  }
+
+  function draw() {
+    const chosen = series.find(({ title }) => title === select.value) || series[0];
+    plot.textContent = "";
+    if (!chosen) return;
+    width = plot.clientWidth || width;
+    plot.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
+    const rows = poses.map(chosen.values), finite = rows.flat().filter(Number.isFinite);
+    if (!finite.length) return;
+    let low = Math.min(...finite), high = Math.max(...finite);
+    const positive = low > 0 && high > 20 * low, place = positive ? Math.log : (value) => value;
+    if (high - low <= 1e-9 * Math.max(Math.abs(high), Math.abs(low))) [low, high] = [low - Math.abs(low || 1) * 0.5, high + Math.abs(high || 1) * 0.5];
+    const x = (k) => 6 + (width - 12) * k / Math.max(1, rows.length - 1);
+    const y = (value) => HEIGHT - 8 - (HEIGHT - 30) * (place(value) - place(low)) / (place(high) - place(low));
+    chosen.names.forEach((name, line) => {
+      let d = "", drawn = false;
+      rows.forEach((row, k) => {
+        if (Number.isFinite(row[line])) d += `${drawn ? "L" : "M"}${x(k).toFixed(1)} ${y(row[line]).toFixed(1)}`;
+        drawn = Number.isFinite(row[line]);
+      });
+      svg(plot, "path", { d, stroke: COLOURS[line % COLOURS.length], class: "line" });
+      svg(plot, "text", { x: width - 6 - 62 * (chosen.names.length - 1 - line), y: 12, fill: COLOURS[line % COLOURS.length], "text-anchor": "end" }).textContent = name;
+    });
+    const written = (value) => (chosen.unit === "" || chosen.unit === "\u00b0" || chosen.unit === "m" && high > 0.01 ? `${pm3dof.scientific(value)}${chosen.unit === "m" ? "\u00a0m" : chosen.unit}` : engineering(value, chosen.unit));
+    svg(plot, "text", { x: 6, y: 12 }).textContent = `${written(low)} to ${written(high)}${positive ? ", logarithmic" : ""}`;
+    svg(plot, "line", { y1: 16, y2: HEIGHT - 4, class: "cursor" });
+    point(frame());
+  }
+
+  const frame = () => Math.min(path.frames.length - 1, Math.max(0, Math.round(viewer.animator.time / path.duration * (path.frames.length - 1))));
+
+  function point(index) {
+    scrubber.value = index;
+    const cursor = plot.querySelector(".cursor"), place = 6 + (width - 12) * index / Math.max(1, path.frames.length - 1);
+    if (cursor) ["x1", "x2"].forEach((name) => cursor.setAttribute(name, place));
+  }
+
+  // Stop at a frame of the path.
+  function go(index) {
+    const { animator } = viewer, seconds = index / (path.frames.length - 1) * path.duration;
+    animator.pause();
+    animator.seek(seconds);
+    animator.display_progress(seconds);
+    time = seconds;
+    point(index);
+    if (pm3dof.robot()) pm3dof.show(poses[index]);
+    else tellOf(index);
+    label();
+  }
+
+  function tellOf(index) {
+    const at = path.frames[index];
+    pm3dof.showNote(at.note, at.warnings);
+    pm3dof.panel().legend.forEach((entry) => { if (entry.key in at.values) pm3dof.setValues(entry, at.values[entry.key]); });
+  }
+
+  const label = () => { button.textContent = viewer.animator.playing ? "\u2016" : "\u25b6"; };
+
+  function toggle() {
+    if (!path) return;
+    if (viewer.animator.playing) go(frame());
+    else viewer.animator.play();
+    label();
+  }
+
+  // While the path plays, numbers, sliders and the cursor follow it.
+  function watch() {
+    requestAnimationFrame(watch);
+    if (!path || !viewer.animator.playing || viewer.animator.time === time) return;
+    time = viewer.animator.time;
+    const index = frame();
+    point(index);
+    tellOf(index);
+    if (pm3dof.robot()) pm3dof.setPose(path.frames[index].q);
+    label();
+  }
+
+  button.addEventListener("click", toggle);
+  scrubber.addEventListener("input", () => go(scrubber.valueAsNumber));
+  select.addEventListener("change", draw);
+  plot.addEventListener("click", (event) => {
+    const box = plot.getBoundingClientRect(), part = ((event.clientX - box.left) / box.width * width - 6) / (width - 12);
+    go(Math.round(Math.min(1, Math.max(0, part)) * (path.frames.length - 1)));
+  });
+  on("panel", panelChanged);
+  on("choice", () => { if (path && pm3dof.robot()) fill(); });
+  window.addEventListener("resize", () => { if (path && pm3dof.robot()) draw(); });
+  requestAnimationFrame(watch);
+  Object.assign(pm3dof, { go, toggle });
+})();

@@ -1,0 +1,71 @@
+// The workspace: which quantity colours it, and a plane that cuts it open.
+"use strict";
+
+(() => {
+  const { viewer, node, element, lineOf, on } = pm3dof;
+  const { THREE } = MeshCat;
+  const AXES = ["x", "y", "z"];
+  const state = { layer: 0, axis: 2, part: 1 }; // kept when the panel changes
+
+  function build() {
+    const entry = pm3dof.panel().legend.find(({ cut }) => cut);
+    if (!entry) return;
+    const { cut } = entry, made = lineOf(entry, "values").parentElement, row = element(made, "div", "cut");
+    const layers = element(row, "select");
+    cut.layers.forEach(({ name }, index) => { element(layers, "option", "", name).value = index; });
+    layers.hidden = cut.layers.length < 2;
+    layers.title = "what the colours show";
+    const axis = element(row, "select"), place = element(row, "input");
+    AXES.forEach((name, index) => { element(axis, "option", "", `cut ${name}`).value = index; });
+    Object.assign(place, { type: "range", min: 0, max: 1, step: 0.005, title: "how much is left" });
+    const apply = () => {
+      Object.assign(state, { layer: Number(layers.value), axis: Number(axis.value), part: place.valueAsNumber });
+      colour(entry);
+      clip(cut);
+    };
+    [layers, axis].forEach((select) => select.addEventListener("change", apply));
+    place.addEventListener("input", apply);
+    layers.value = Math.min(state.layer, cut.layers.length - 1);
+    axis.value = state.axis;
+    place.value = state.part;
+    apply();
+  }
+
+  function colour(entry) {
+    const { layers, stops, colours } = entry.cut, { title, ends, places } = layers[state.layer];
+    const made = lineOf(entry, "values").parentElement, bytes = Uint8Array.from(atob(places.base64), (c) => c.charCodeAt(0));
+    made.querySelectorAll(".line")[1].textContent = title;
+    made.querySelectorAll(".ends span").forEach((end, index) => { end.textContent = ends[index]; });
+    let first = 0;
+    colours.forEach((path) => {
+      const { geometry } = node(`${path}/<object>`).object;
+      if (!geometry) return;
+      const { array } = geometry.attributes.color;
+      for (let k = 0; k < array.length / 3; k++) {
+        const at = bytes[first + k] / 255 * (stops.length - 1), below = Math.min(Math.floor(at), stops.length - 2);
+        for (let i = 0; i < 3; i++) array[3 * k + i] = stops[below][i] + (at - below) * (stops[below + 1][i] - stops[below][i]);
+      }
+      first += array.length / 3;
+      geometry.attributes.color.needsUpdate = true;
+    });
+    viewer.set_dirty();
+  }
+
+  // Leave what is below a plane across an axis of the machine.
+  function clip({ corners: [low, high], nodes }) {
+    const { axis, part } = state, normal = new THREE.Vector3(), point = new THREE.Vector3();
+    normal.setComponent(axis, -1);
+    point.setComponent(axis, low[axis] + part * (high[axis] - low[axis]) + (part < 1 ? 0 : 1e3));
+    viewer.scene.updateMatrixWorld();
+    const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(normal, point).applyMatrix4(viewer.scene.matrixWorld);
+    viewer.renderer.localClippingEnabled = true;
+    nodes.forEach((path) => {
+      const { material } = node(`${path}/<object>`).object;
+      if (material) Object.assign(material, { clippingPlanes: [plane] });
+    });
+    viewer.set_dirty();
+  }
+
+  on("panel", build);
+  Object.assign(pm3dof, { cut: () => ({ ...state }) });
+})();

@@ -1,0 +1,123 @@
+"""Numbers at points of a picture: quantities of the maps that are one number at a pose, and their places on a scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
+from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.typing import Array
+
+_WIDE = 20.0  # ratio of greatest to least value from which on a scale is logarithmic
+_OTHERS = (
+    "translational_stiffness:least",
+    "rotational_stiffness:least",
+    "felt_stiffness:x",
+    "felt_stiffness:y",
+    "felt_stiffness:z",
+    "felt_stiffness:rx",
+    "felt_stiffness:ry",
+    "felt_stiffness:rz",
+    "condition_number",
+)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One quantity at many points.
+
+    Attributes:
+        values: shape=(n,).
+        name: a short name, for a list to choose from.
+        title: what the quantity is.
+        unit: its unit.
+    """
+
+    values: Array
+    name: str
+    title: str
+    unit: str
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the values are better told apart on a logarithmic scale: positive, and far from each other."""
+        low, high = float(self.values.min()), float(self.values.max())
+        return 0.0 < low * _WIDE < high
+
+    @property
+    def places(self) -> Array:
+        """Place of each value on the scale of colours from the least, 0, to the greatest, 1, shape=(n,)."""
+        values = np.log(self.values) if self.logarithmic else self.values
+        low, high = float(values.min()), float(values.max())
+        places: Array = (values - low) / (high - low) if high > low else np.zeros_like(values)
+        return places
+
+
+@dataclass(frozen=True)
+class ScalarQuantity:
+    """One number at each pose.
+
+    Attributes:
+        name: name of the quantity.
+        index: which of its entries, or None if it has one.
+        title: what it is.
+        unit: its unit.
+    """
+
+    name: str
+    index: int | None
+    title: str
+    unit: str
+
+    def values(self, mapped: MappedRobot, poses: Poses) -> Array:
+        """Return the number at poses, shape=(...)."""
+        values = QUANTITIES[self.name].compute(Evaluation(mapped, poses))
+        return values if self.index is None else values[..., self.index]
+
+    def layer(self, mapped: MappedRobot, poses: Poses) -> Layer:
+        """Return the number at poses, shape=(n,), as a layer."""
+        entry = "" if self.index is None else f", {self.title.rpartition(': ')[2]}"
+        return Layer(self.values(mapped, poses), self.name.replace("_", " ") + entry, self.title, self.unit)
+
+
+def scalar_quantity(mapped: MappedRobot, text: str) -> ScalarQuantity:
+    """Find one number among the quantities of the maps: "name" or "name:entry".
+
+    Raises:
+        InvalidValueError: no such quantity or entry, or the quantity is no list of numbers.
+    """
+    name, _, label = text.partition(":")
+    (quantity,) = select_quantities([name], mapped)
+    if not quantity.dims:
+        if label:
+            raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
+        return ScalarQuantity(name, None, quantity.long_name, quantity.unit_for(mapped))
+    entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
+    if label not in entries:
+        expected = f"'{name}:' and one of {', '.join(entries)}" if entries else "a quantity that is a number or a list"
+        raise InvalidValueError("quantity", text, expected)
+    unit = unit_of_entry(quantity.unit_for(mapped), label)
+    return ScalarQuantity(name, entries.index(label), f"{quantity.long_name}: {label}", unit)
+
+
+def scalar_quantities(mapped: MappedRobot) -> list[str]:
+    """Return every text that :func:`scalar_quantity` takes."""
+    names = []
+    for quantity in QUANTITIES.values():
+        if not quantity.exists(mapped):
+            continue
+        if not quantity.dims:
+            names.append(quantity.name)
+        elif len(quantity.dims) == 1:
+            names += [f"{quantity.name}:{label}" for label in quantity.dims[0].labels(mapped)]
+    return names
+
+
+def other_quantities(mapped: MappedRobot, chosen: str) -> list[ScalarQuantity]:
+    """Return the quantities that a picture offers beside the chosen one: those of a robot that cost little."""
+    known = set(scalar_quantities(mapped))
+    return [scalar_quantity(mapped, name) for name in _OTHERS if name in known and name != chosen]

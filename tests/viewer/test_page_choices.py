@@ -1,0 +1,213 @@
+"""What a reader does in the page of any robot: choose ellipsoids and loads, drag bodies, follow paths and links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer import Viewer
+
+pytestmark = pytest.mark.browser
+
+STEP = 1e-6
+POSE = [0.004, -0.003, 0.137, 0.05, -0.04, 0.03]
+
+
+@pytest.fixture(scope="module")
+def hexapod() -> Robot:
+    return Robot.load("hexapod")
+
+
+@pytest.fixture(scope="module")
+def saved(hexapod: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    model = ElasticModel(hexapod)
+    viewer = Viewer(hexapod)
+    compliance = cartesian_compliance(model, hexapod.home).compliance
+    viewer.stiffness_ellipsoid(compliance=compliance, kind="translation")
+    viewer.stiffness_ellipsoid(compliance=compliance, kind="rotation")
+    viewer.colour_legs(model, visible=False)
+    path = hexapod.solve(np.linspace(hexapod.home_coordinates, POSE, 5))
+    frames = [cartesian_compliance(model, configuration).compliance for configuration in path]
+    viewer.play(list(path), compliance=frames, duration=2.0)
+    viewer.colour_legs(model, visible=False)
+    return viewer.save_html(tmp_path_factory.mktemp("page") / "hexapod.html")
+
+
+@pytest.fixture
+def shown(page: Any, saved: Path) -> Iterator[Any]:
+    page.open(saved.as_uri())
+    page.ask("pm3dof.viewer.animator.pause()")
+    for index, value in enumerate(POSE):
+        page.ask(f"pm3dof.slide({index}, {value})")
+    yield page
+    assert page.browser.errors == []
+    assert len(set(page.browser.requests)) == 1
+
+
+def point_of(page: Any, joint: int, local: list[float]) -> np.ndarray:
+    """Where a point of a joint's body is in the displayed pose [m]."""
+    rows = np.array(page.ask(f"pm3dof.pose().rows({joint})"))
+    return np.asarray(rows[:, :3] @ local + rows[:, 3])
+
+
+def principal(page: Any, motion: str) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of an ellipsoid, and the sum of the squares of its drawn semi-axes' directions, as a matrix."""
+    entry = page.call("key => pm3dof.panel().legend.find(entry => entry.key === key)", motion)
+    drawn = page.matrix(f"/ellipsoids/{motion}")[:3, :3] / entry["live"]["scale"]
+    return np.array(entry["principal"]), drawn @ drawn.T
+
+
+def by_finite_differences(robot: Robot) -> np.ndarray:
+    """Twists of the tool for one unit of each command, shape=(6, 6), from poses that forward kinematics gives."""
+    pose = robot.solve(POSE)
+    columns = []
+    for k in range(len(robot.commands)):
+        ends = [robot.forward(pose.commands + sign * STEP * np.eye(6)[k], guess=pose.q).transforms for sign in (1, -1)]
+        rate = (ends[0] - ends[1]) / (2.0 * STEP)
+        spin = rate[:3, :3] @ pose.transforms[:3, :3].T
+        columns.append([*rate[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]])
+    return np.transpose(columns)
+
+
+@pytest.mark.parametrize(("motion", "rows"), [("translation", slice(0, 3)), ("rotation", slice(3, 6))])
+def test_velocity_and_force_ellipsoids_are_those_of_the_jacobian(
+    shown: Any, hexapod: Robot, motion: str, rows: slice
+) -> None:
+    J = by_finite_differences(hexapod)[rows]
+    shown.ask("pm3dof.choose('velocity')")
+    values, square = principal(shown, motion)
+    np.testing.assert_allclose(values, np.linalg.svd(J, compute_uv=False)[::-1], rtol=1e-6)
+    np.testing.assert_allclose(square, J @ J.T, atol=1e-6 * np.abs(J @ J.T).max())
+    shown.ask("pm3dof.choose('force')")
+    values, square = principal(shown, motion)
+    np.testing.assert_allclose(values, 1.0 / np.linalg.svd(J, compute_uv=False), rtol=1e-6)
+    inverse = np.linalg.inv(J @ J.T)
+    np.testing.assert_allclose(square, inverse, atol=1e-6 * np.abs(inverse).max())
+
+
+def test_error_ellipsoid_is_that_of_displaced_machines(shown: Any, hexapod: Robot) -> None:
+    """Each part of the error file is displaced for itself, both ways, and the pose at the same commands compared."""
+    errors = GeometricErrors.load("hexapod")
+    pose = hexapod.solve(POSE)
+    covariance = np.zeros((3, 3))
+    for parameter in errors.parameters:
+        ends = [
+            errors.apply({parameter.name: sign * STEP}).forward(pose.commands, guess=pose.q).positions
+            for sign in (1, -1)
+        ]
+        moved = parameter.tolerance * (ends[0] - ends[1]) / (2.0 * STEP)
+        covariance += np.outer(moved, moved)
+    shown.ask("pm3dof.choose('error')")
+    values, square = principal(shown, "translation")
+    np.testing.assert_allclose(square, covariance, atol=1e-5 * np.abs(covariance).max())
+    np.testing.assert_allclose(values**2, np.linalg.eigvalsh(covariance), rtol=1e-5)
+
+
+def test_a_load_tells_its_deflection(shown: Any, hexapod: Robot) -> None:
+    model = ElasticModel(hexapod)
+    C = cartesian_compliance(model, hexapod.solve(POSE).configuration()).compliance
+    shown.tick("legs")
+    shown.ask("pm3dof.load([30, -20, 50, 1, 2, 3])")
+    moved = C @ [30.0, -20.0, 50.0, 1.0, 2.0, 3.0]
+    shift, tilt = np.linalg.norm(moved[:3]), np.linalg.norm(moved[3:])
+    line = shown.values("legs").splitlines()[-1].replace("\u00a0", " ")
+    said = [float(part.split()[0]) for part in line.removeprefix("deflection ").split(", ")]
+    units = [part.split()[1] for part in line.removeprefix("deflection ").split(", ")]
+    factors = {"nm": 1e-9, "\u00b5m": 1e-6, "mm": 1e-3, "nrad": 1e-9, "\u00b5rad": 1e-6, "mrad": 1e-3}
+    np.testing.assert_allclose(np.array(said) * [factors[unit] for unit in units], [shift, tilt], rtol=5e-3)
+
+
+def test_a_dragged_platform_goes_where_the_pointer_is(shown: Any, hexapod: Robot) -> None:
+    """All of it that six degrees of freedom can: the point that is held ends within a hundredth of a millimetre."""
+    joint = shown.ask("pm3dof.robot().data.tool_joint")
+    local = [0.02, 0.01, 0.0]
+    before = shown.call(
+        "(joint, p) => pm3dof.pose().rows(joint).map(r => r[0]*p[0]+r[1]*p[1]+r[2]*p[2]+r[3])", joint, local
+    )
+    target = [before[0] + 0.004, before[1] - 0.002, before[2] + 0.003]
+    shown.ask(f"[1,2,3,4].forEach(() => pm3dof.drag({joint}, {local}, {target}))")
+    after = shown.call(
+        "(joint, p) => pm3dof.pose().rows(joint).map(r => r[0]*p[0]+r[1]*p[1]+r[2]*p[2]+r[3])", joint, local
+    )
+    np.testing.assert_allclose(after, target, atol=1e-5)
+    assert shown.ask("pm3dof.pose().residual") < 1e-12
+
+
+def test_the_mouse_takes_the_platform_along(shown: Any) -> None:
+    x, y = shown.ask("pm3dof.project(pm3dof.pose().tool)")
+    names = {
+        shown.ask(f"pm3dof.bodyAt({x + dx}, {y + dy})"): (x + dx, y + dy) for dx in (-30, 0, 30) for dy in (10, 30, 50)
+    }
+    assert "platform" in names
+    start = names["platform"]
+    before = shown.ask("[...pm3dof.pose().q]")
+    shown.browser.drag(start, (start[0] + 25.0, start[1] - 10.0))
+    assert not np.allclose(shown.ask("[...pm3dof.pose().q]"), before, atol=1e-4)
+    assert shown.ask("pm3dof.viewer.controls.enabled")
+
+
+def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
+    shown.ask("pm3dof.go(2)")
+    middle = 0.5 * (hexapod.home_coordinates + POSE)
+    values = shown.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
+    np.testing.assert_allclose(values, middle, atol=1e-9)
+    titles = shown.ask("[...document.querySelectorAll('#path option')].map(option => option.textContent)")
+    assert {"commands: lengths", "translation stiffness", "deflection under the load"} <= set(titles)
+    for title in titles:
+        shown.call(
+            "title => { const select = document.querySelector('#path select'); select.value = title;"
+            " select.dispatchEvent(new Event('change')); }",
+            title,
+        )
+        assert shown.ask("document.querySelectorAll('#path .line').length") > 0, title
+
+
+def test_a_link_holds_what_is_shown(shown: Any, saved: Path) -> None:
+    shown.ask("(pm3dof.choose('compliance', 'held'), pm3dof.load([0, 0, 0, 0, 0, 2]))")
+    shown.ask("(pm3dof.turn(20), pm3dof.setTheme('dark'))")
+    shown.tick("rotation")
+    link = shown.ask("pm3dof.written()")
+    camera = shown.ask("pm3dof.viewer.camera.position.toArray()")
+    shown.browser.open("about:blank")
+    shown.browser.open(f"{saved.as_uri()}#{link}")
+    values = shown.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
+    np.testing.assert_allclose(values, POSE, atol=1e-8)
+    assert shown.ask("[document.documentElement.dataset.theme, pm3dof.choice().of]") == ["dark", "compliance"]
+    assert shown.ask("pm3dof.wrench()") == [0, 0, 0, 0, 0, 2]
+    assert not shown.is_visible("/ellipsoids/rotation")
+    np.testing.assert_allclose(shown.ask("pm3dof.viewer.camera.position.toArray()"), camera, rtol=1e-4)
+    shown.browser.requests[:] = [saved.as_uri()]
+
+
+def test_hostile_links_change_nothing(shown: Any, saved: Path) -> None:
+    before = shown.ask("[...pm3dof.pose().q]")
+    for text in (
+        "pose=1,2",
+        "pose=a,b,c,d,e,f",
+        "pose=1e9,0,0,0,0,0",
+        "ellipsoids=<b>,held",
+        "load=NaN,0,0,0,0,0",
+        "camera=x",
+        "%",
+    ):
+        shown.call("text => pm3dof.follow(text)", text)
+    np.testing.assert_array_equal(shown.ask("[...pm3dof.pose().q]"), before)
+
+
+def test_singular_poses_are_announced(page: Any, tmp_path: Path) -> None:
+    """The hexapod turned by almost 90 degrees about z, where its struts lose the platform (Fichter, 1986)."""
+    robot = Robot.load("hexapod")
+    page.open(Viewer(robot).save_html(tmp_path / "page.html").as_uri())
+    assert page.warnings() == []
+    for angle in np.radians([20.0, 40.0, 60.0, 80.0, 88.0]):
+        page.ask(f"pm3dof.slide(5, {angle})")
+    assert any("singular" in line for line in page.warnings())
+    assert page.browser.errors == []
