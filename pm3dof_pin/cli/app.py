@@ -87,8 +87,15 @@ def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    trust_xacro: Annotated[
+        bool,
+        typer.Option("--trust-xacro", help="Let xacro files run with all rights; by default they may do little."),
+    ] = False,
 ) -> None:
-    pass
+    if trust_xacro:
+        from pm3dof_pin.description import expand
+
+        expand.trust_xacro()
 
 
 def main() -> None:

@@ -2,13 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pm3dof_pin.description.own_files import MANIFEST, is_within, require_own
+from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 
 if TYPE_CHECKING:
     import trimesh
+
+
+_KINDS = {".stl", ".obj", ".dae", ".ply", ".off", ".gltf", ".glb", ".3mf", ".3ds", ".wrl", ".msh", ".x3d", ".iv"}
+_MOST_BYTES = 512 * 2**20
+
+
+def find_mesh(files: RobotFiles, name: str) -> Path:
+    """Find a mesh that a URDF names.
+
+    Only mesh files are found, and only those of the robot's own folder, of the package that the name says, and of
+    folders that were named as package paths; symbolic links are followed before that is judged.
+
+    Args:
+        files: the robot; relative names count from its folder, `package://x/` from a folder `x` that it is in, that is
+            one of its package paths, or that is in one of these and has a package.xml.
+        name: file name as written in the URDF.
+
+    Raises:
+        DescriptionError: the file is not there, is no mesh, or is one of elsewhere.
+    """
+    place, found = f"mesh '{name}'", [(path, own) for path, own in _candidates(files, name) if path.is_file()]
+    if not found:
+        raise DescriptionError(files.path, place, "expected a file that exists")
+    path, own = next(((path, own) for path, own in found if is_within(path, own)), found[0])
+    require_own(path, own, files.path, place)
+    if path.suffix.lower() not in _KINDS:
+        raise DescriptionError(files.path, place, f"expected one of the kinds {', '.join(sorted(_KINDS))}")
+    if path.stat().st_size > _MOST_BYTES:
+        raise DescriptionError(files.path, place, f"expected no more than {_MOST_BYTES >> 20} MiB")
+    return path.resolve()
+
+
+def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[Path]]]:
+    """Yield where a mesh may be, and the folders that it has to be in to be taken."""
+    folder = files.path.absolute().parent
+    if not name.startswith("package://"):
+        for start in (folder, *files.own_folders, *files.package_paths):
+            yield start / name.removeprefix("file://"), files.own_folders
+        return
+    package, _, relative = name.removeprefix("package://").partition("/")
+    is_name = package not in ("", ".", "..")
+    for above in (*files.package_paths, *folder.parents):
+        is_package = is_name and (above in files.own_folders or (above / package / MANIFEST).is_file())
+        yield above / package / relative, [*files.own_folders, *([above / package] if is_package else [])]
+    for above in (*files.package_paths, folder, *folder.parents):
+        if above.name == package:
+            yield above / relative, [above, *files.own_folders]
 
 
 def read_meshes(path: Path | str) -> list[trimesh.Trimesh]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from pm3dof_pin.description.mjcf_checks import check_mjcf
+from pm3dof_pin.description.own_files import package_of, require_own
 from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 
@@ -131,6 +132,7 @@ def _include(root: ElementTree.Element, path: Path, within: tuple[Path, ...] = (
                 included = (path.parent / child.get("file", "")).resolve()
                 if included in within or len(within) > _MOST_INCLUDES:
                     raise DescriptionError(path, f"<include file='{child.get('file')}'>", "includes itself")
+                require_own(included, [package_of(path)], path, f"<include file='{child.get('file')}'>")
                 content = read_xml(included)
                 _include(content, path, (*within, included))
                 parent[index : index + 1] = list(content)

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
+from pm3dof_pin.description.own_files import package_of
 from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
@@ -34,6 +35,7 @@ class RobotFiles:
         srdf: named configurations and collision pairs, if there is such a file.
         format: what the tree is written in; MJCF says where the loops close, and more, by itself.
         package_paths: folders to look for the ROS packages of meshes in, the first first.
+        own_folders: folders that files may be taken from: the description's own, and those that were named.
     """
 
     name: str
@@ -42,6 +44,7 @@ class RobotFiles:
     srdf: Path | None = None
     format: Format = "urdf"
     package_paths: tuple[Path, ...] = ()
+    own_folders: tuple[Path, ...] = ()
 
     @property
     def urdf(self) -> Path:
@@ -108,7 +111,7 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     packages = [Path(folder) for folder in (*package_paths, *environment) if folder]
     name = tree.name.removesuffix(".xacro").removesuffix(".urdf") if tree.suffix == ".xacro" else tree.stem
-    path = _expanded(tree.resolve(), name) if tree.suffix == ".xacro" else tree
+    path = _expand(tree.resolve(), name, packages) if tree.suffix == ".xacro" else tree
     form = _format_of(path)
     if closures is None:
         closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([CLOSURES_FALLBACK] if form == "urdf" else []))
@@ -119,6 +122,7 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
         srdf=_beside(tree, "srdf", f"{name}.srdf"),
         format=form,
         package_paths=(*packages, *tree.resolve().parents),
+        own_folders=(package_of(tree), *packages),
     )
 
 
@@ -196,8 +200,14 @@ def _is_mjcf(tree: Path) -> bool:
         return False
 
 
+def _expand(xacro: Path, name: str, packages: Sequence[Path]) -> Path:
+    from pm3dof_pin.description.expand import is_xacro_trusted
+
+    return _expanded(xacro, name, tuple(packages), is_xacro_trusted())
+
+
 @cache
-def _expanded(xacro: Path, name: str) -> Path:
+def _expanded(xacro: Path, name: str, packages: tuple[Path, ...], trusted: bool) -> Path:
     """Expand a xacro file to a URDF of its own, which lasts as long as the process."""
     import shutil
     import tempfile
@@ -207,5 +217,5 @@ def _expanded(xacro: Path, name: str) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="pm3dof_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     urdf = folder / f"{name}.urdf"
-    urdf.write_text(expand_xacro(xacro), encoding="utf-8")
+    urdf.write_text(expand_xacro(xacro, package_paths=packages), encoding="utf-8")
     return urdf

@@ -5,10 +5,11 @@ Not every tool reads every kind of file. What it does not read is rewritten as O
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path, PurePath
 
-from pm3dof_pin.description.mesh_files import read_meshes
+from pm3dof_pin.description.mesh_files import find_mesh, read_meshes
+from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.xml_text import numbers_text
 from pm3dof_pin.files import write_atomically
@@ -38,18 +39,17 @@ class Meshes:
             self._add(name, path)
 
     @classmethod
-    def of_urdf(cls, urdf: Path, names: Iterable[str], package_paths: Sequence[Path] = ()) -> Meshes:
+    def of_urdf(cls, files: RobotFiles, names: Iterable[str]) -> Meshes:
         """Find the meshes of a URDF.
 
         Args:
-            urdf: the URDF; relative names count from its folder, `package://x/` from the folder `x` that it is in.
-            names: file names as written in it.
-            package_paths: folders that may have the folder `x`, or what relative names name, before those.
+            files: the robot, a URDF.
+            names: file names as written in it, see :func:`~pm3dof_pin.description.mesh_files.find_mesh`.
 
         Raises:
-            DescriptionError: a file is not there.
+            DescriptionError: a file is not there, is no mesh, or is one of elsewhere.
         """
-        return cls({name: _found(urdf, name, package_paths) for name in dict.fromkeys(names)})
+        return cls({name: find_mesh(files, name) for name in dict.fromkeys(names)})
 
     def __len__(self) -> int:
         return len(self.copies)
@@ -105,16 +105,3 @@ def _as_obj(path: Path) -> bytes:
     if not lines:
         raise DescriptionError(path, "mesh", "expected triangles")
     return ("\n".join(lines) + "\n").encode()
-
-
-def _found(urdf: Path, name: str, package_paths: Sequence[Path]) -> Path:
-    folders = [*package_paths, urdf.absolute().parent]
-    relative = name.removeprefix("file://")
-    if name.startswith("package://"):
-        package, _, relative = name.removeprefix("package://").partition("/")
-        folders += urdf.absolute().parent.parents
-        folders = [folder / package for folder in folders] + [folder for folder in folders if folder.name == package]
-    for folder in folders:
-        if (path := folder / relative).is_file():
-            return path.resolve()
-    raise DescriptionError(urdf, f"mesh '{name}'", "expected a file that exists")

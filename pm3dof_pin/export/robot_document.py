@@ -173,7 +173,7 @@ def read_robot(
     urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     names = [shape.mesh for shape in shapes if shape.kind == "mesh"]
-    found = Meshes.of_urdf(files.urdf, names, files.package_paths)
+    found = Meshes.of_urdf(files, names)
     return RobotDocument(files, urdf, mechanism, _allowed_pairs(files.srdf, urdf), found)
 
 

@@ -15,6 +15,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -86,7 +87,18 @@ def as_urdf(mechanism: Mechanism, *, floating: bool = True) -> RobotFiles:
     _write(urdf.with_suffix(".srdf"), _named_configurations(mechanism, files, floating))
     if files.errors.is_file():
         shutil.copy(files.errors, urdf.with_suffix(".errors.yaml"))
-    return RobotFiles(files.name, urdf, closures, urdf.with_suffix(".srdf"), "urdf", files.package_paths)
+    return replace(
+        files,
+        path=urdf,
+        closures=closures,
+        srdf=urdf.with_suffix(".srdf"),
+        format="urdf",
+        own_folders=(*files.own_folders, *_mesh_folders(urdf)),  # checked where they were read
+    )
+
+
+def _mesh_folders(urdf: Path) -> set[Path]:
+    return {Path(mesh.get("filename", "")).parent for mesh in read_xml(urdf).iter("mesh")}
 
 
 def _write(path: Path, root: ElementTree.Element) -> None:

@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from pm3dof_pin.description.closures import read_closures
-from pm3dof_pin.description.expand import expand_xacro
+from pm3dof_pin.description.expand import expand_xacro, trust_xacro
 from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.description import description_files, same_but_rounding
@@ -230,3 +230,64 @@ def test_what_is_no_xacro_is_refused(tmp_path: Path, text: str | None, said: str
     with pytest.raises(DescriptionError, match=said) as caught:
         expand_xacro(path)
     assert caught.value.path == path
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("${(lambda: ().__class__.__base__)()}", "'__base__' in .* is not allowed"),
+        ("${'%s'.format(1)}", "'format' in .* is not allowed"),
+        ("${(x for x in [1]).gi_frame}", "'gi_frame' in .* is not allowed"),
+        ("$(eval 1 .__class__)", "'__class__' in .* is not allowed"),
+        ("${python.vars(list)}", "'vars'"),
+        ("${xacro.load_yaml('/etc/passwd')}", "it reads /etc/passwd, which is not in"),
+        ("$(env HOME)", "environment variable 'HOME' is not set"),
+        ("$(find elsewhere)", "no package 'elsewhere' in"),
+        ("${len([0] * 10 ** 10)}", "GiB of memory"),
+        ("${xacro.load_yaml('outside.yaml')}", "it reads .*outside.yaml, which is not in"),
+    ],
+)
+def test_a_xacro_from_others_may_do_little(tmp_path: Path, content: str, said: str) -> None:
+    (tmp_path / "secret.yaml").write_text("a: 1", encoding="utf-8")
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    (folder / "outside.yaml").symlink_to(tmp_path / "secret.yaml")
+    path = folder / "arm.urdf.xacro"
+    robot = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="{}"/></robot>'
+    path.write_text(robot.format(content), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=said):
+        expand_xacro(path)
+
+
+def test_a_xacro_reads_its_package_and_those_it_is_given(tmp_path: Path) -> None:
+    folder = tmp_path / "arm_description" / "xacro"
+    folder.mkdir(parents=True)
+    (folder.parent / "package.xml").write_text("<package/>", encoding="utf-8")
+    (folder.parent / "sizes.yaml").write_text("length: 0.25", encoding="utf-8")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "common.xacro").write_text('<robot><link name="common"/></robot>', encoding="utf-8")
+    path = folder / "arm.urdf.xacro"
+    path.write_text(
+        '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find parts)/common.xacro"/>'
+        "<link name=\"l${xacro.load_yaml('../sizes.yaml').length}\"/></robot>",
+        encoding="utf-8",
+    )
+    with pytest.raises(DescriptionError, match="no package 'parts'"):
+        expand_xacro(path)
+    text = expand_xacro(path, package_paths=[tmp_path])
+    assert '<link name="common" />' in text
+    assert '<link name="l0.25" />' in text
+
+
+def test_a_trusted_xacro_may_do_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OF_MINE", "forearm")
+    path = tmp_path / "arm.xacro"
+    path.write_text('<robot name="arm"><link name="$(env OF_MINE)"/></robot>', encoding="utf-8")
+    trust_xacro()
+    try:
+        assert '<link name="forearm" />' in expand_xacro(path)
+    finally:
+        trust_xacro(False)
+    with pytest.raises(DescriptionError, match="'OF_MINE' is not set"):
+        expand_xacro(path)

@@ -117,7 +117,7 @@ def test_a_missing_mesh_is_named(write_robot: Write, tmp_path: Path, caplog: pyt
     robot = Robot.load(urdf)
     assert [body.name for body in bodies_of(robot)] == ["universe", "turn"]
     assert "gone.stl" in caplog.text
-    with pytest.raises(DescriptionError, match=r"robot\.urdf: visual: .*gone\.stl"):
+    with pytest.raises(DescriptionError, match=r"robot\.urdf: mesh '.*gone\.stl"):
         bodies_of(robot, urdf)
 
 
