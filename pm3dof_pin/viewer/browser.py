@@ -107,7 +107,7 @@ def turntable_of(html: str, width: int, height: int, count: int) -> list[bytes]:
         file = Path(folder) / "page.html"
         file.write_text(html, encoding="utf-8")
         browser.open(file.as_uri())
-        browser.evaluate("document.body.classList.add('bare'), dispatchEvent(new Event('resize'))")
+        browser.evaluate("pm3dof.bare()")
         pictures = []
         for _ in range(count):
             pictures.append(browser.picture())

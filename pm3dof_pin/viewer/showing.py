@@ -159,7 +159,7 @@ class ShownScene:
         pictures = [
             Image.open(io.BytesIO(png)).convert("RGB") for png in turntable_of(self.html(), width, height, count)
         ]
-        palette = pictures[0].quantize(256)
+        palette = pictures[0].quantize(256, method=Image.Quantize.MAXCOVERAGE)  # small parts keep their colours
         frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
         with write_atomically(target) as temporary:
             pace = round(1000.0 * duration / count)

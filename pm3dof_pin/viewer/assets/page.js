@@ -105,6 +105,16 @@ const pm3dof = (() => {
     viewer.set_dirty();
   }
 
+  // Nothing but the machine, on white, in all of the window: for moving pictures.
+  function bare() {
+    document.body.classList.add("bare");
+    viewer.hide_background();
+    node("/floor").object.visible = false;
+    viewer.set_3d_pane_size();
+    cameraSerial = null;
+    if (panel.camera) frame(panel.camera);
+  }
+
   // Turn the camera about the vertical through what it looks at [deg].
   function turn(angle) {
     const { position } = viewer.camera, { target } = viewer.controls, a = angle * Math.PI / 180;
@@ -442,6 +452,6 @@ const pm3dof = (() => {
   }
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
-  const drawing = { viewer, node, placeNode, pane, turn, element, engineering, scientific, fixed, isShown, setValues, showNote };
+  const drawing = { viewer, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
   return { ...drawing, ...state, on, tell, flip, slide, home, show, setPose, followAll, lineOf, receive, start };
 })();
