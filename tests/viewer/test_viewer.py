@@ -165,3 +165,22 @@ def test_a_path_ends_when_something_else_is_displayed(mechanism: Robot) -> None:
     viewer.display(mechanism.home)
     assert not has_animation()
     assert viewer.scene.panel["path"] is None
+
+
+@pytest.mark.browser
+def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Path) -> None:
+    """Each picture is another one, in the machine's own colours; the floor and the panel are not in it."""
+    from PIL import Image
+
+    target = Viewer(mechanism, sliders=False).save_turntable(tmp_path / "turn.gif", width=200, height=160, count=3)
+    with Image.open(target) as moving:
+        assert (moving.n_frames, moving.size) == (3, (200, 160))
+        frames = []
+        for number in range(3):
+            moving.seek(number)
+            frames.append(np.asarray(moving.convert("RGB")).astype(float))
+    for one, other in ((0, 1), (1, 2), (2, 0)):
+        assert np.abs(frames[one] - frames[other]).max() > 50.0
+    assert all(np.all(frame[:5, :5] > 245.0) for frame in frames)
+    orange = [np.abs(frame - [213.0, 94.0, 0.0]).max(axis=-1).min() for frame in frames]  # of the sliders
+    assert max(orange) < 60.0
