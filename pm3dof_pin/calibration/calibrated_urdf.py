@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.xml_file import comment_text, read_xml
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.exceptions import DescriptionError
@@ -40,14 +41,11 @@ def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, fl
         InvalidValueError: an unknown parameter, a wrong shape, or a number that is not finite.
     """
     path = Path(urdf)
-    try:
-        robot = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise DescriptionError(path, "URDF", f"expected a readable URDF ({error})") from error
+    robot = read_xml(path)
     for place, displacement in errors.displacements(values).items():
         _displace(path, robot, place, displacement)
     ElementTree.indent(robot, "  ")
-    banner = _BANNER.format(name=robot.get("name", path.stem), count=len(errors))
+    banner = _BANNER.format(name=comment_text(robot.get("name", path.stem)), count=len(errors))
     return banner + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 

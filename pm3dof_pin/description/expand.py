@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError
 
 from pm3dof_pin.description.own_files import package_of
-from pm3dof_pin.description.xml_file import MOST_BYTES
+from pm3dof_pin.description.xml_file import MOST_BYTES, comment_text
 from pm3dof_pin.exceptions import DescriptionError
 
 _logger = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ def expand_xacro(
     for element in robot.iter():
         _tidy(path, element)
     ElementTree.indent(robot, "  ")
-    return _BANNER.format(name=path.name) + ElementTree.tostring(robot, encoding="unicode") + "\n"
+    return _BANNER.format(name=comment_text(path.name)) + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iterable[Path | str]) -> str:

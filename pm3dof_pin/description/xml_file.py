@@ -53,6 +53,11 @@ def read_bytes(path: Path | str) -> bytes:
     return content
 
 
+def comment_text(text: str) -> str:
+    """Write text so that it does not end the comment it stands in."""
+    return " ".join(text.replace("--", "- -").replace("--", "- -").split())
+
+
 class _Reader:
     def __init__(self, path: Path | str) -> None:
         self._path = path

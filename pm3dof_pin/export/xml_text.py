@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
+from pm3dof_pin.description.xml_file import comment_text
+
 
 def numbers_text(numbers: Iterable[float]) -> str:
     """Write numbers, separated by blanks, so that reading them back gives the same ones."""
@@ -24,4 +26,4 @@ def document_text(root: ElementTree.Element, banner: str) -> str:
         banner: a comment to stand on top.
     """
     ElementTree.indent(root, "  ")
-    return f'<?xml version="1.0"?>\n<!-- {banner} -->\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    return f'<?xml version="1.0"?>\n<!-- {comment_text(banner)} -->\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from functools import lru_cache
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -23,11 +24,11 @@ def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> s
         served: whether it shall ask the server it comes from for what changes.
         programs: JavaScript that computes what sliders move; without it there are none.
     """
-    # "</script>" inside a string would end the element that holds the data
-    data = json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    escaped = title.replace("&", "&amp;").replace("<", "&lt;")
+    data = json.dumps(scene, separators=(",", ":"), allow_nan=False)
+    for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" end or open what they should not, inside a string too
+        data = data.replace(sign, f"\\u{ord(sign):04x}")
     return Template(_asset("page.html")).substitute(
-        title=escaped,
+        title=escape(title),
         style=_asset("page.css"),
         socket="yes" if served else "no",
         licences=_meshcat_file("LICENSE") + "\n" + _meshcat_file("dist/main.min.js.LICENSE.txt"),

@@ -13,9 +13,10 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
+from urllib.parse import urlsplit
 
 from tornado.httpserver import HTTPServer
-from tornado.web import Application, RequestHandler
+from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from pm3dof_pin.exceptions import ServerError
@@ -79,7 +80,8 @@ class SceneServer:
     async def _serve(self, ready: Future[None]) -> None:
         handlers: set[_Socket] = set()
         shared = {"scene": self._scene, "loop": self._loop, "handlers": handlers}
-        server = HTTPServer(Application([(r"/", _Page, {"page": self._page}), (r"/socket", _Socket, shared)]))
+        rooms: list[Any] = [(r"/", _Page, {"page": self._page}), (r"/socket", _Socket, shared)]
+        server = HTTPServer(Application(rooms, own_host=self.host))
         server.add_socket(self._socket)
         ready.set_result(None)
         await self._stop.wait()
@@ -89,20 +91,47 @@ class SceneServer:
         await server.close_all_connections()
 
 
-class _Page(RequestHandler):
+class _OwnAddressOnly(RequestHandler):
+    """Answers only requests that were made to this machine by a name of its own.
+
+    A browser sends the name that it was told, also where somebody else's name server says that it is this machine
+    ("DNS rebinding"); so the page of another site can reach the server, but not without being told from ours.
+    """
+
+    def prepare(self) -> None:
+        """Refuse requests to other names, and from pages of other origins."""
+        host = self.request.host.strip().lower()
+        if not self._is_own(_name_in(host)):
+            raise HTTPError(403, f"not a name of this machine: {host}")
+        origin = self.request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc.lower() != host:
+            raise HTTPError(403, f"not from a page of this server: {origin}")
+
+    def _is_own(self, name: str) -> bool:
+        listening: str = self.application.settings["own_host"]
+        if name in (listening.lower(), "localhost") or _is_loopback_address(name):
+            return True
+        if is_loopback(listening):
+            return False
+        here = self.request.connection.stream.socket.getsockname()[0]  # type: ignore[union-attr]
+        return name in (str(here).partition("%")[0], socket.gethostname().lower(), socket.getfqdn().lower())
+
+
+class _Page(_OwnAddressOnly):
     def initialize(self, page: Callable[[], str]) -> None:
         self._page = page
 
     def get(self) -> None:
         """Send the page; it is never kept by the browser, as the next one may show another machine."""
         self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Content-Type-Options", "nosniff")
         self.write(self._page())
 
     def data_received(self, chunk: bytes) -> None:
         """Requests have no body."""
 
 
-class _Socket(WebSocketHandler):
+class _Socket(_OwnAddressOnly, WebSocketHandler):
     def initialize(self, scene: Scene, loop: asyncio.AbstractEventLoop, handlers: set[Any]) -> None:
         self._scene = scene
         self._loop = loop
@@ -145,6 +174,20 @@ def is_loopback(host: str) -> bool:
     except OSError:
         return False
     return all(ipaddress.ip_address(str(address).partition("%")[0]).is_loopback for address in addresses)
+
+
+def _name_in(host: str) -> str:
+    """Return the name or address of a Host header, without the port and without brackets."""
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.rpartition(":")[0] if host.count(":") == 1 else host
+
+
+def _is_loopback_address(name: str) -> bool:
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False
 
 
 def _bind(host: str, port: int | None) -> socket.socket:

@@ -86,7 +86,7 @@ def test_a_page_needs_nothing_else() -> None:
     scene = Scene()
     scene.set_object("/</script><b>", ball())
     page = page_html(scene.snapshot(), title="<a & b>", served=False)
-    assert "<title>&lt;a &amp; b></title>" in page
+    assert "<title>&lt;a &amp; b&gt;</title>" in page
     assert page.count("</script>") == page.count("<script")
     without_licences = re.sub(r'<script type="text/plain" id="licences">.*?</script>', "", page, flags=re.DOTALL)
     assert set(re.findall(r"https?://[\w./-]+", without_licences)) <= {

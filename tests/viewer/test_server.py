@@ -135,6 +135,33 @@ def test_other_sites_cannot_listen_in(viewer: Viewer, origin: str | None, status
             assert answer.status == status
 
 
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("localhost:8888", 200), ("127.0.0.1", 200), ("[::1]:7000", 200), ("elsewhere.example", 403), ("10.1.2.3", 403)],
+)
+@pytest.mark.parametrize("page", ["/", "/socket"])
+def test_only_own_names_are_answered(viewer: Viewer, page: str, host: str, status: int) -> None:
+    """Another site may have its name resolved to this machine; the browser then still says that name."""
+    url = viewer.start()
+    connection = http.client.HTTPConnection("127.0.0.1", port_of(url), timeout=5.0)
+    with contextlib.closing(connection):
+        connection.request("GET", page, headers={"Host": host})
+        with connection.getresponse() as answer:
+            # what is no upgrade to a socket is a bad request of its own
+            assert answer.status == (400 if status == 200 and page == "/socket" else status)
+
+
+def test_a_server_for_others_answers_to_the_address_they_came_to(mechanism: Robot) -> None:
+    with Viewer(mechanism, host="0.0.0.0") as viewer:
+        port = port_of(viewer.start())
+        for host, status in ((socket.gethostname(), 200), ("elsewhere.example", 403)):
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5.0)
+            with contextlib.closing(connection):
+                connection.request("GET", "/", headers={"Host": f"{host}:{port}"})
+                with connection.getresponse() as answer:
+                    assert answer.status == status
+
+
 def test_closing_leaves_nothing(mechanism: Robot) -> None:
     viewer = Viewer(mechanism)
     port = port_of(viewer.start())
