@@ -25,7 +25,6 @@ from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFr
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
 
 LEAST_POINTS = 2
@@ -60,15 +59,17 @@ def atlas(
     ] = None,
     points: Annotated[
         tuple[int, int, int] | None,
-        typer.Option(metavar="NX NY NZ", help="Number of theta_x, theta_y and z_e (91 91 61)."),
+        typer.Option(metavar="NX NY NZ", help="Numbers of values of theta_x, theta_y and z_e (91 91 61)."),
     ] = None,
     tilt: Annotated[
         float | None,
-        typer.Option(parser=tilt_angle, help="theta_x and theta_y run from minus to plus this angle [deg] (45)."),
+        typer.Option(
+            parser=tilt_angle, help="--range of theta_x and theta_y, from minus to plus this angle [deg] (45)."
+        ),
     ] = None,
     heights: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="FIRST LAST", help="Heights z_e [m]; those of the level platform by default."),
+        typer.Option(metavar="FIRST LAST", help="--range of z_e [m]; heights of the level platform by default."),
     ] = None,
     keep_beyond_limits: Annotated[
         bool, typer.Option("--keep-beyond-limits", help="Keep values of poses that break a joint limit.")
@@ -119,7 +120,9 @@ def atlas(
             raise typer.BadParameter("--points, --tilt and --heights do not go with --range and --counts")
         grid = robot_grid(loaded, ranges or _all_ranges(loaded, counts), values or ())
     elif tuple(coordinate.name for coordinate in loaded.coordinates) == _TILTS:
-        grid = _tilt_grid(loaded, points or _DEFAULT_POINTS, _DEFAULT_TILT if tilt is None else tilt, heights)
+        grid = robot_grid(
+            loaded, _tilt_ranges(loaded, points or _DEFAULT_POINTS, _DEFAULT_TILT if tilt is None else tilt, heights)
+        )
     elif points or tilt is not None or heights:
         raise typer.BadParameter(f"--points, --tilt and --heights are for {', '.join(_TILTS)}: use --range")
     else:
@@ -146,12 +149,14 @@ def atlas(
         message(f"wrote {file}")
 
 
-def _tilt_grid(robot: Robot, points: tuple[int, int, int], tilt: float, heights: tuple[float, float] | None) -> Grid:
-    """Return the grid of --points, --tilt and --heights: z_e, theta_x, theta_y."""
-    angle = math.radians(tilt)
-    low, high = heights or robot.range_of(robot.coordinate("z_e"))
+def _tilt_ranges(
+    robot: Robot, points: tuple[int, int, int], tilt: float, heights: tuple[float, float] | None
+) -> list[CoordinateRange]:
+    """Return what --points, --tilt and --heights stand for as values of --range: z_e, theta_x, theta_y."""
     nx, ny, nz = points
-    return robot.grid(z_e=(low, high, nz), theta_x=(-angle, angle, nx), theta_y=(-angle, angle, ny))
+    low, high = heights or robot.range_of(robot.coordinate("z_e"))
+    tilts = [CoordinateRange(name, -tilt, tilt, count) for name, count in (("theta_x", nx), ("theta_y", ny))]
+    return [CoordinateRange("z_e", low, high, nz), *tilts]
 
 
 def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
     from pm3dof_pin.kinematics.robot import Robot
 
+_SAME = 1e-9  # what places of tools may differ by [m]
+_TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
+
 
 def compensate(
     calibration: Annotated[Path, typer.Option(metavar="DIR", help="Folder that `pm3dof calibrate` wrote.")],
@@ -54,7 +57,8 @@ def compensate(
 ) -> None:
     """Commands that bring the calibrated machine to a pose, or to many: angles in degrees, lengths in metres.
 
-    A pose that breaks a joint limit is still answered, with a message and exit status 1.
+    Differences are motions of the drives. A pose that breaks a joint limit is still answered, with a message and exit
+    status 1.
     """
     from pm3dof_pin.calibration.results import read_compensation
     from pm3dof_pin.exceptions import InvalidValueError
@@ -65,8 +69,9 @@ def compensate(
     given = _conditions(condition or []) | dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
     known = read_compensation(calibration)
     machine = known.errors.robot
-    if robot is not None and (name := _name_of(robot)) != machine.name:
-        raise InvalidValueError("--calibration", calibration, f"one of {name}, it is of {machine.name}")
+    if robot is not None and not _moves_alike(asked := _loaded(robot, machine), machine):
+        found = machine.name if asked.name != machine.name else f"another {machine.name}"
+        raise InvalidValueError("--calibration", calibration, f"one of {asked.name}, it is of {found}")
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.file is not None:
@@ -100,10 +105,24 @@ def compensate(
     stop_on_broken_limits(broken_limits(machine, solved.configuration()))
 
 
-def _name_of(robot: str) -> str:
+def _loaded(robot: str, machine: Robot) -> Robot:
+    """Load the robot of `--robot`, with the tool that was calibrated."""
     from pm3dof_pin.kinematics.robot import Robot
 
-    return Robot.load(robot).name
+    return Robot.load(robot, tool_frame=machine.tool_frame)
+
+
+def _moves_alike(one: Robot, other: Robot) -> bool:
+    """Tell whether two robots have the same drives, and their tools are at the same places at commands around home."""
+    import numpy as np
+
+    drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
+    if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=_SAME):
+        return False
+    steps = [_TRIED * abs(c.scale) * (other.characteristic_length if c.unit == "m" else 1.0) for c in other.commands]
+    commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
+    places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
+    return bool(np.allclose(places[0], places[1], rtol=0.0, atol=_SAME, equal_nan=True))
 
 
 def _completed(compensation: Compensation, given: Conditions) -> Conditions:
@@ -126,10 +145,16 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
     names = {"m": ("m", "µm"), "rad": ("deg", "µrad")}
     units = [names[unit] for unit in dict.fromkeys(command.unit for command in robot.commands)]
     unit, small = (", ".join(words) for words in zip(*units, strict=True))
+    sizes = [abs(command.scale) for command in robot.commands]
     rows = [
-        [command.name, f"{factor * u:.9f}", f"{factor * nominal:.9f}", f"{1e6 * (u - nominal):.2f}"]
-        for command, factor, u, nominal in zip(
-            robot.commands, factors, answer.commands[0], answer.nominal_commands[0], strict=True
+        [
+            command.name,
+            f"{factor * u:.9f}",
+            f"{factor * nominal:.9f}",
+            f"{1e6 * (u - nominal) / size:.2f}",
+        ]
+        for command, factor, u, nominal, size in zip(
+            robot.commands, factors, answer.commands[0], answer.nominal_commands[0], sizes, strict=True
         )
     ]
     lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
-from pm3dof_pin.cli.map_options import Over, Values, robot_grid
+from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
@@ -47,6 +47,7 @@ def error_map(
         float | None, typer.Option(help="Allocate tolerances so that the tip error stays within this [m] everywhere.")
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
+    engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
     as_json: Json = False,
@@ -74,17 +75,21 @@ def error_map(
     grid = None
     if samples is None:
         grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points)
-    distribution: Any = "uniform" if uniform else "normal"
+    settings: dict[str, Any] = {
+        "eta": eta,
+        "distribution": "uniform" if uniform else "normal",
+        "engine": engine.value,
+    }
     files: list[Path] = []
     result: dict[str, Any] = {"robot": errors.robot.name, "eta_m_per_rad": eta}
     with progress_bar("error map") as progress:
         if grid is None:
             poses = reachable_poses(errors.robot, samples or SAMPLES, np.random.default_rng(0))
-            mapped = error_map_at(closing_errors(errors, poses), poses, eta=eta, distribution=distribution)
+            mapped = error_map_at(closing_errors(errors, poses), poses, **settings)
             place = "the workspace, at random"
         else:
             errors = closing_errors(errors)
-            section, mapped = error_section(errors, grid, eta=eta, distribution=distribution)
+            section, mapped = error_section(errors, grid, **settings)
             steps = 2 + len(PICTURES) * (pictures and len(grid.dims) == 2)
             progress(1, steps)
             units = {coordinate.name: coordinate.unit for coordinate in errors.robot.coordinates}

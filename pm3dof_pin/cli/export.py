@@ -10,7 +10,7 @@ import typer
 
 from pm3dof_pin.cli.options import THE_TRIPOD
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, description_path
+from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, description_path
 
 
 class Format(StrEnum):
@@ -32,6 +32,7 @@ def export(
         typer.Option("--out", help="Folder to write to; made if it is not there. By default results/FORMAT."),
     ] = None,
     meshes: Annotated[bool, typer.Option(help="Shapes that are meshes, and their files.")] = True,
+    tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
     config: Config = None,
 ) -> None:
@@ -41,9 +42,23 @@ def export(
     2 package, urdf the URDF with its closures file, error file and SRDF. Meshes are put beside it, or left out with
     --no-meshes.
     """
+    from pm3dof_pin.exceptions import DescriptionError
     from pm3dof_pin.export.formats import export_robot
 
     folder = out if out is not None else Path("results") / format_name.value
     described = description_path(robot, config)
-    for file in export_robot(described, format_name.value, folder, meshes=meshes, package_paths=package_path or ()):
+    try:
+        written = export_robot(
+            described,
+            format_name.value,
+            folder,
+            meshes=meshes,
+            tool_frame=tool_frame,
+            package_paths=package_path or (),
+        )
+    except DescriptionError as error:
+        if meshes and "mesh" in error.element:
+            message("pm3dof: --no-meshes exports the robot without them")
+        raise
+    for file in written:
         message(f"wrote {file}")

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+from pm3dof_pin.cli.file_schemas import FileKind, file_schema
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
@@ -24,6 +27,10 @@ def info(
     robot: RobotName = "pm3dof",
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
+    schema: Annotated[
+        FileKind | None,
+        typer.Option("--schema", help="Print the JSON Schema of a YAML file instead, for editors."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """What a robot is: files, joints, commands, coordinates, loop closures, degrees of freedom, home.
@@ -33,6 +40,9 @@ def info(
     from pm3dof_pin.description.robots import find_robot, robot_names
     from pm3dof_pin.kinematics.robot import Robot
 
+    if schema is not None:
+        print_result(file_schema(schema), [], as_json=True)
+        return
     files = find_robot(robot, package_path or ())
     machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
     result = _files(files) | _tree(machine) | _closures(machine) | _mobility(machine) | _readings(machine)

@@ -92,7 +92,9 @@ class _Coordinate(Schema):
     range: tuple[Length, Length] | None = None
 
 
-class _File(Schema):
+class ClosuresSchema(Schema):
+    """The keys of a closures file and their forms."""
+
     closed_loop: list[tuple[Name, Name]] | None = None
     type: list[Literal["3d", "3D", "6d", "6D"]] | None = None
     name_mot: list[Name] | None = None
@@ -117,7 +119,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
     """
     path = Path(path)
-    file = checked(read_mapping(path), _File, path)
+    file = checked(read_mapping(path), ClosuresSchema, path)
     closures, commands = _closures(path, file), _commands(path, file)
     for key in ("name_mot", "motion_coordinates", "joint_name"):
         _require_unique(path, key, getattr(file, key) or ())
@@ -139,7 +141,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
     )
 
 
-def _closures(path: Path, file: _File) -> tuple[LoopClosure, ...]:
+def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
     loops = list(_pairs(path, "closed_loop", file.closed_loop, "type", file.type))
     limits = [None] * len(loops) if file.closure_limits is None else file.closure_limits
     limited = _pairs(path, "closed_loop", loops, "closure_limits", limits)
@@ -149,7 +151,7 @@ def _closures(path: Path, file: _File) -> tuple[LoopClosure, ...]:
     )
 
 
-def _commands(path: Path, file: _File) -> tuple[Command, ...]:
+def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:
     for k, entry in enumerate(file.commands or ()):
         _require_scale(path, f"commands[{k}].scale", entry.scale)
     commands = tuple(Command(c.name, c.joint, c.unit, c.offset, c.scale) for c in file.commands or ())

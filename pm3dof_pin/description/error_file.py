@@ -66,7 +66,9 @@ class _Class(Schema):
     errors: list[_Line]
 
 
-class _File(Schema):
+class ErrorFileSchema(Schema):
+    """The keys of an error file and their forms."""
+
     classes: dict[str, _Class]
     command_zeros: dict[Name, Name] | None = None
     sources: SourceNumbers = SourceNumbers()
@@ -83,7 +85,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
     """
     path = Path(path)
-    file = checked(read_mapping(path), _File, path)
+    file = checked(read_mapping(path), ErrorFileSchema, path)
     if not file.classes:
         raise DescriptionError(path, "classes", "expected classes of parts by name")
     entries = []

@@ -303,7 +303,9 @@ def read_quantities(path: Path | str) -> dict[str, Parameter]:
     return _quantities(path, read_parameters(path))
 
 
-class _Entry(Schema):
+class ParameterSchema(Schema):
+    """The keys of one parameter and their forms."""
+
     value: float | list[float]
     unit: Unit
     status: Literal["printed", "inferred", "chosen"]
@@ -318,14 +320,14 @@ def _name(path: Path, sections: Mapping[str, Any]) -> str:
 def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Parameter]:
     """Every quantity of a parameter file, keyed "section.name"."""
     return {
-        f"{section}.{name}": _quantity(path, f"{section}.{name}", checked(entry, _Entry, path, f"{section}.{name}"))
+        (key := f"{section}.{name}"): _quantity(path, key, checked(entry, ParameterSchema, path, key))
         for section, entries in sections.items()
         if isinstance(entries, dict)
         for name, entry in entries.items()
     }
 
 
-def _quantity(path: Path, key: str, entry: _Entry) -> Parameter:
+def _quantity(path: Path, key: str, entry: ParameterSchema) -> Parameter:
     value = tuple(entry.value) if isinstance(entry.value, list) else entry.value
     quantity = Parameter(value, entry.unit, entry.symbol, entry.status, entry.source)
     bounds = _BOUNDS.get(entry.unit, ANY)

@@ -174,10 +174,10 @@ Spring: TypeAlias = JointSpring | AxialSpring | CantileverSpring | BeamSpring | 
 
 class _Entry(Schema):
     name: Name
-    type: str
 
 
 class _Joint(_Entry):
+    type: Literal["joint"]
     joint: Name
     stiffness: Stiffness
     unit: JointSpringUnit
@@ -187,6 +187,7 @@ class _Joint(_Entry):
 
 
 class _Axial(_Entry):
+    type: Literal["axial"]
     at: Name
     axis: tuple[float, float, float]
     stiffness: Stiffness
@@ -202,6 +203,7 @@ class _Length(Schema):
 
 
 class _Cantilever(_Entry):
+    type: Literal["cantilever"]
     at: Name
     axis: tuple[float, float, float]
     bending_stiffness: Stiffness
@@ -219,6 +221,7 @@ class _Cantilever(_Entry):
 
 
 class _Beam(_Entry):
+    type: Literal["beam"]
     at: Name
     matrix: list[list[float]]
 
@@ -227,6 +230,7 @@ class _Beam(_Entry):
 
 
 class _Closure(_Entry):
+    type: Literal["closure"]
     closure: Annotated[int, msgspec.Meta(ge=0)]
     matrix: list[list[float]]
 
@@ -234,8 +238,10 @@ class _Closure(_Entry):
         return ClosureSpring(self.name, self.closure, _square(self.matrix))
 
 
-_Form: TypeAlias = _Joint | _Axial | _Cantilever | _Beam | _Closure
-_FORMS: dict[str, type[_Form]] = {
+SpringSchema: TypeAlias = _Joint | _Axial | _Cantilever | _Beam | _Closure
+"""The forms of an entry of `springs`."""
+
+SPRING_SCHEMAS: dict[str, type[SpringSchema]] = {
     "joint": _Joint,
     "axial": _Axial,
     "cantilever": _Cantilever,
@@ -262,10 +268,12 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
         if name in {other.name for other in springs}:
             raise DescriptionError(source, element, f"the name '{name}' is taken, expected another")
         element += f" '{name}'"
-        if not isinstance(kind, str) or kind not in _FORMS:
-            raise DescriptionError(source, f"{element}.type", f"expected one of {', '.join(_FORMS)}, not {kind}")
+        if not isinstance(kind, str) or kind not in SPRING_SCHEMAS:
+            raise DescriptionError(
+                source, f"{element}.type", f"expected one of {', '.join(SPRING_SCHEMAS)}, not {kind}"
+            )
         try:
-            springs.append(checked(entry, _FORMS[kind], source, element).spring())
+            springs.append(checked(entry, SPRING_SCHEMAS[kind], source, element).spring())
         except InvalidValueError as error:
             place = f"{element}.{error.name}"
             raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error

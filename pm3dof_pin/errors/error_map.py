@@ -23,7 +23,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Engine
 
 _CONTROL_TOLERANCE = 1e-9
 _NOTHING = 1e-20  # of the squared error: what rounding leaves of errors that commands undo altogether
@@ -171,6 +171,7 @@ def error_map(
     *,
     eta: float = TIP_LENGTH,
     distribution: Distribution = "normal",
+    engine: Engine = "program",
 ) -> ErrorMap:
     """Compute the errors of the tool that tolerances of the parts lead to.
 
@@ -189,6 +190,7 @@ def error_map(
         poses: poses of the robot as described.
         eta: weight of the orientation in the tip error [m/rad].
         distribution: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions.
+        engine: what computes the sensitivities.
 
     Raises:
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
@@ -197,7 +199,7 @@ def error_map(
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / np.sqrt(3.0)
-    return ErrorMap(errors, poses, sensitivities(errors, poses), frozen(np.array(sigmas)), eta)
+    return ErrorMap(errors, poses, sensitivities(errors, poses, engine=engine), frozen(np.array(sigmas)), eta)
 
 
 def section_grid(

@@ -59,6 +59,7 @@ def export_robot(
     folder: str | Path,
     *,
     meshes: bool = True,
+    tool_frame: str | None = None,
     package_paths: Iterable[str | Path] = (),
 ) -> list[Path]:
     """Write a robot's description for another tool, with its mesh files.
@@ -73,6 +74,7 @@ def export_robot(
         format_name: one of :data:`FORMATS`.
         folder: where to; made if it is not there. A ROS package becomes a folder of its own in it.
         meshes: whether shapes that are meshes are exported, and their files written.
+        tool_frame: frame meant by "the tool", where the description does not say or says another.
         package_paths: folders that ROS packages are in.
 
     Returns:
@@ -88,7 +90,7 @@ def export_robot(
         ConvergenceError: the loops do not close near the home configuration.
         OutputError: a file cannot be written.
     """
-    document = read_robot(robot, meshes=meshes, package_paths=package_paths)
+    document = read_robot(robot, meshes=meshes, tool_frame=tool_frame, package_paths=package_paths)
     files = exported_files(document, format_name)
     target = Path(folder) / ros_package_name(document.name) if format_name == "ros" else Path(folder)
     kinds = _MESH_KINDS.get(format_name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 from xml.etree import ElementTree
 
+import yaml
+
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX
 from pm3dof_pin.export.robot_document import RobotDocument
 from pm3dof_pin.export.xml_text import document_text
@@ -26,7 +28,19 @@ def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, 
     }
     texts = {suffix: path.read_text(encoding="utf-8") for suffix, path in files.items() if path is not None}
     texts = {".urdf": urdf_text(robot, mesh_prefix)} | texts
+    if (tool_frame := robot.mechanism.tool_frame) is not None:
+        texts[CLOSURES_SUFFIX] = _with_tool_frame(robot, texts.get(CLOSURES_SUFFIX), tool_frame)
     return {robot.file_name + suffix: text for suffix, text in texts.items()}
+
+
+def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str) -> str:
+    """Return the text of the closures file, if there is one, with the tool frame that the robot was loaded with."""
+    line = f"tool_frame: {tool_frame}\n"
+    if closures is None:
+        return f"name_mot: [{', '.join(robot.mechanism.actuated_joints)}]\n{line}"
+    if (yaml.safe_load(closures) or {}).get("tool_frame") == tool_frame:
+        return closures
+    return "".join(kept for kept in closures.splitlines(True) if not kept.startswith("tool_frame:")) + line
 
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:

@@ -151,13 +151,18 @@ class RobotDocument:
 
 
 def read_robot(
-    name_or_path: str | Path, *, meshes: bool = True, package_paths: Iterable[str | Path] = ()
+    name_or_path: str | Path,
+    *,
+    meshes: bool = True,
+    tool_frame: str | None = None,
+    package_paths: Iterable[str | Path] = (),
 ) -> RobotDocument:
     """Read a robot for export, as a plain URDF where it is written in something else or has joints that URDF lacks.
 
     Args:
         name_or_path: name or path of a robot, see :func:`~pm3dof_pin.description.robots.find_robot`.
         meshes: whether shapes that are meshes are kept.
+        tool_frame: frame meant by "the tool", where the description does not say or says another.
         package_paths: folders that ROS packages are in.
 
     Raises:
@@ -166,10 +171,10 @@ def read_robot(
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """
-    mechanism = Robot.load(name_or_path, package_paths=package_paths)
+    mechanism = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
     files = as_urdf(mechanism, floating=False)
     if files is not mechanism.files:
-        mechanism = Robot.load(files.urdf)
+        mechanism = Robot.load(files.urdf, tool_frame=tool_frame)
     urdf = _without_limits_that_are_none(read_urdf(files.urdf, meshes=meshes), mechanism)
     shapes = [shape for link in urdf.links.values() for shape in (*link.visuals, *link.collisions)]
     names = [shape.mesh for shape in shapes if shape.kind == "mesh"]

@@ -1,4 +1,8 @@
-"""The arrays of an atlas on disk: a Zarr store that is filled block by block, and the NetCDF file made from it."""
+"""The arrays of an atlas on disk: a Zarr store that is filled block by block, and the NetCDF file made from it.
+
+Blocks are written by Zarr itself. xarray's writing of regions (`to_zarr(region=...)`) gives the same files for 20 ms of
+CPU a block instead of 18 (16^3 poses, two 6 x 6 quantities), and knows no more of which blocks are finished.
+"""
 
 from __future__ import annotations
 

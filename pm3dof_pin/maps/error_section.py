@@ -12,7 +12,7 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.maps.grid_map import grid_dataset
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Engine
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +28,12 @@ QUANTITIES = {
 
 
 def error_section(
-    errors: GeometricErrors, grid: Grid, *, eta: float = TIP_LENGTH, distribution: Distribution = "normal"
+    errors: GeometricErrors,
+    grid: Grid,
+    *,
+    eta: float = TIP_LENGTH,
+    distribution: Distribution = "normal",
+    engine: Engine = "program",
 ) -> tuple[xr.Dataset, ErrorMap]:
     """Compute the first-order errors of the tool over a grid of the robot's coordinates.
 
@@ -37,6 +42,7 @@ def error_section(
         grid: poses of the robot as described; see :func:`~pm3dof_pin.errors.error_map.section_grid`.
         eta: weight of the orientation in the tip error [m/rad].
         distribution: what the tolerances are.
+        engine: what closes the loops and computes the sensitivities.
 
     Returns:
         A dataset over the dimensions of the grid with the variables of :data:`QUANTITIES`, NaN where a pose breaks a
@@ -48,12 +54,12 @@ def error_section(
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     robot = errors.robot
-    poses = robot.solve(grid, on_failure="nan")
+    poses = robot.solve(grid, on_failure="nan", engine=engine)
     within = np.nonzero(poses.within_limits)
     if not within[0].size:
         fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
         raise UnreachablePoseError(f"no pose of the section{' ' if fixed else ''}{fixed} is within the limits")
-    result = error_map(errors, poses[within], eta=eta, distribution=distribution)
+    result = error_map(errors, poses[within], eta=eta, distribution=distribution, engine=engine)
     variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
     for name, (unit, long_name) in QUANTITIES.items():
         field = np.full(grid.shape, np.nan)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.kinematics.robot import Robot
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -213,6 +215,19 @@ def test_the_robot_may_be_named(place: Path, run: Run) -> None:
     other = run("compensate", *pose, "hexapod", cwd=place)
     assert other.returncode == 1
     assert "expected one of hexapod, it is of pm3dof" in other.stderr
+
+
+def test_another_robot_of_the_same_name_is_refused(place: Path, run: Run, tmp_path: Path) -> None:
+    """Its guideways are 10 mm lower: its drives stand elsewhere at home."""
+    folder = Path(shutil.copytree(find_robot("pm3dof").urdf.parent, tmp_path / "urdf"))
+    closures = folder / "pm3dof.closures.yaml"
+    changed = closures.read_text().replace("0.240272", "0.250272")
+    assert changed != closures.read_text()
+    closures.write_text(changed)
+    pose = ("5", "-8", "0.49", "--calibration", "calibration", "--robot", str(folder))
+    other = run("compensate", *pose, cwd=place)
+    assert other.returncode == 1
+    assert "expected one of pm3dof, it is of another pm3dof" in other.stderr
 
 
 def test_parameters_with_which_loops_cannot_close_are_named(place: Path, run: Run) -> None:

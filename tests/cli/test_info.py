@@ -6,10 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from pm3dof_pin.cli.app import app
+from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.exceptions import DescriptionError
 
 HINGE = """<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/>
@@ -178,6 +181,22 @@ def test_the_packages_own_robot_lacks_nothing() -> None:
     text = lines()
     assert "theta_x  coordinate       -40        40         0   deg" in text
     assert "u1          command  0.155272  0.325272  0.240272     m" in text
+
+
+@pytest.mark.parametrize("kind", ["closures", "errors", "parameters"])
+def test_schemas_for_editors(kind: str) -> None:
+    """They take the files of all robots, and refuse a key that is misspelt."""
+    schema = info("--schema", kind)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    pattern = "*/config/pm3dof.yaml" if kind == "parameters" else f"*/urdf/*.{kind}.yaml"
+    files = [yaml.safe_load(path.read_text()) for path in robots_directory().glob(pattern)]
+    assert files
+    for data in files:
+        jsonschema.validate(data, schema)
+    place = files[0]["geometry"]["link_length"] if kind == "parameters" else files[0]
+    place["colour"] = "red"
+    with pytest.raises(jsonschema.ValidationError, match="'colour' was unexpected"):
+        jsonschema.validate(files[0], schema)
 
 
 def test_it_says_what_solves_many_poses(tmp_path: Path) -> None:

@@ -147,6 +147,11 @@ def test_an_exported_urdf_is_loaded_again(four_bar: Path, tmp_path: Path) -> Non
     assert Robot.load(tmp_path / "four_bar.urdf").closures == Robot.load(four_bar).closures
 
 
+def test_the_tool_may_be_named(four_bar: Path, tmp_path: Path) -> None:
+    export_robot(four_bar, "urdf", tmp_path, tool_frame="rocker_tip")
+    assert Robot.load(tmp_path / "four_bar.urdf").tool_frame == "rocker_tip"
+
+
 def test_a_mesh_that_cannot_be_rewritten_is_named(four_bar: Path, tmp_path: Path) -> None:
     (four_bar.parent / "more" / "arm.dae").write_text("no mesh")
     with pytest.raises(DescriptionError, match=r"arm\.dae: mesh: expected a mesh that can be read"):
@@ -157,6 +162,9 @@ def test_a_missing_mesh_is_named(four_bar: Path) -> None:
     (four_bar.parent / "more" / "arm.obj").unlink()
     with pytest.raises(DescriptionError, match=r"mesh 'more/arm\.obj': expected a file that exists"):
         read_robot(four_bar)
+    failed = run("mjcf", "--robot", str(four_bar), cwd=four_bar.parent)
+    assert failed.returncode == 1
+    assert "--no-meshes exports the robot without them" in failed.stderr
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,14 @@ def test_sections_of_any_robot(tripod_errors: GeometricErrors, tripod: Tripod, s
         section_grid(tripod_errors.robot, fixed={"height": 0.5})
 
 
+def test_on_pinocchio_pose_by_pose(tripod_errors: GeometricErrors) -> None:
+    few = section_grid(tripod_errors.robot, points=3, fixed={"z_e": 0.5})
+    assert few is not None
+    compiled, careful = (error_section(tripod_errors, few, engine=engine)[0] for engine in ("program", "pinocchio"))
+    for name in QUANTITIES:
+        np.testing.assert_allclose(compiled[name], careful[name], rtol=1e-9)
+
+
 def test_uniform_tolerances_are_narrower(tripod_errors: GeometricErrors, grid: Grid) -> None:
     normal, _ = error_section(tripod_errors, grid)
     uniform, _ = error_section(tripod_errors, grid, distribution="uniform")
