@@ -1,7 +1,8 @@
 """What a map of any robot costs: closing loops, limits and compliance over a grid, random poses, first and second use.
 
 One thread but where it says otherwise. Ratios are taken in one run: against Pinocchio's Jacobians in C++ where a
-compiler is at hand, and against the same work done pose by pose on Pinocchio.
+compiler is at hand, and against the same work done pose by pose on Pinocchio. Maps are long runs: unlike those of the
+other benchmarks, their ratios mean little while others use the machine.
 """
 
 from __future__ import annotations
