@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.errors.error_parameters import GeometricErrors
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.maps.workspace import Workspace
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,6 +118,15 @@ def mechanism() -> Robot:
     from pm3dof_pin.kinematics.robot import Robot
 
     return Robot.load("pm3dof")
+
+
+@pytest.fixture(scope="session")
+def tripod_workspace(tripod: Tripod) -> Workspace:
+    """The whole reachable set of the chapter's machine, 61 sections of 360 rays."""
+    from pm3dof_pin.chapter.workspace import tripod_space
+    from pm3dof_pin.maps.workspace import workspace
+
+    return workspace(tripod_space(tripod))
 
 
 @pytest.fixture(scope="session")

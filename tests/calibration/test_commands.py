@@ -153,7 +153,6 @@ def test_bad_files_and_folders(place: Path, run: Run) -> None:
 
 ROBOTS = {
     "hexapod": ("hexapod", "lm+gp", 40),
-    "three_rps": ("three_rps", "lm", 30),
     "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 30),
     "ur5": ("ur5", "lm", 40),
 }

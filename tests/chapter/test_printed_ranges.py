@@ -8,18 +8,12 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.printed_ranges import RangeStatement, compare_printed_ranges
-from pm3dof_pin.chapter.workspace import tripod_space
-from pm3dof_pin.maps.workspace import Workspace, workspace
+from pm3dof_pin.maps.workspace import Workspace
 
 
 @pytest.fixture(scope="module")
-def whole(tripod: Tripod) -> Workspace:
-    return workspace(tripod_space(tripod))
-
-
-@pytest.fixture(scope="module")
-def statements(tripod: Tripod, whole: Workspace) -> dict[str, RangeStatement]:
-    return {statement.subject: statement for statement in compare_printed_ranges(tripod, whole)}
+def statements(tripod: Tripod, tripod_workspace: Workspace) -> dict[str, RangeStatement]:
+    return {statement.subject: statement for statement in compare_printed_ranges(tripod, tripod_workspace)}
 
 
 def test_heights(statements: dict[str, RangeStatement]) -> None:
@@ -40,11 +34,11 @@ def test_slider_travel_at_the_printed_heights(statements: dict[str, RangeStateme
     assert statement.computed[1] > statement.printed[1] + 0.03
 
 
-def test_tilts(statements: dict[str, RangeStatement], whole: Workspace) -> None:
+def test_tilts(statements: dict[str, RangeStatement], tripod_workspace: Workspace) -> None:
     for axis, name in enumerate(("theta_x", "theta_y")):
         statement = statements[name]
         assert statement.printed == pytest.approx(np.radians([-40.0, 40.0]))
-        assert statement.computed[:2] == pytest.approx(whole.ranges[axis])
+        assert statement.computed[:2] == pytest.approx(tripod_workspace.ranges[axis])
     assert np.degrees(statements["theta_x"].computed) == pytest.approx([-40.49, 44.72, 38.1], abs=0.1)
     assert np.degrees(statements["theta_y"].computed) == pytest.approx([-40.46, 40.46, 40.4], abs=0.1)
     assert "runs from -40.5 deg" in statements["theta_x"].text

@@ -76,7 +76,7 @@ def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_area_and_ranges_against_counting(tripod: Tripod, z_e: float) -> None:
-    section, step = workspace_section(tripod_space(tripod), z_e), np.radians(0.1)
+    section, step = workspace_section(tripod_space(tripod), z_e), np.radians(0.2)
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), step)
     # a cell is counted wrongly by less than its half, and the boundary runs through fewer than 2 * perimeter / step
     assert abs(section.area - reachable.sum() * step**2) < _perimeter(section) * step

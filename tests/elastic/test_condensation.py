@@ -137,7 +137,7 @@ class TripodEnergy:
         return hessian
 
 
-@pytest.mark.parametrize("pose", [[0.0, 0.0, 0.49], POSE, [-0.35, 0.1, 0.42], [0.1, 0.4, 0.53]])
+@pytest.mark.parametrize("pose", [[0.0, 0.0, 0.49], POSE])
 def test_both_are_the_second_derivative_of_the_minimised_energy(
     tripod: Tripod,
     elastic: ElasticModel,
