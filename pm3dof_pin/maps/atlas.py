@@ -1,23 +1,27 @@
 """The atlas: quantities of any robot over a grid of its coordinates, in bounded memory, resumable.
 
-An atlas is computed in blocks of whole rows of its last dimensions. Every block is written, whole, into a Zarr store
-`<name>.parts` beside the result; its map of broken limits comes last, so a block with that map is done, and a job that
-was killed goes on with the blocks that have none. When all are there the store becomes the result. A block is computed
-from its own poses alone: no byte of the result depends on the order or the process in which the blocks were computed.
+An atlas is computed in blocks of whole rows of its last dimensions. Every block is written into a Zarr store
+`<name>.parts` beside the result, brought to the disk, and then entered with its checksums into the store's journal. A
+job that was killed goes on with the blocks that are not in the journal, or are not what the journal says. When all are
+there the store becomes the result. A block is computed from its own poses alone: no byte of the result depends on the
+order or the process in which the blocks were computed. One run at a time works on an atlas.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 import itertools
 import json
+import logging
 import math
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -30,6 +34,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.atlas_journal import Block, Checksums
+from pm3dof_pin.maps.atlas_lock import exclusive_run
 from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes, flag_type, limit_names
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
@@ -39,13 +45,12 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-Block: TypeAlias = tuple[int, ...]
-"""First index of a block along each dimension."""
-
 Precision: TypeAlias = Literal["single", "double"]
 
 _BLOCK_POSES = 131_072
 _SCHEDULER_PATIENCE = "10s"
+_SYNCS = 16
+_BETWEEN_ENTRIES = 0.5  # s: what a killed run computes twice at most
 
 
 @dataclass(frozen=True)
@@ -218,7 +223,7 @@ def compute_atlas(
         UnreachablePoseError: no pose of the grid is within the limits; nothing is written.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
-    with _cluster(scheduler) if scheduler else nullcontext() as cluster:
+    with exclusive_run(atlas.path), _cluster(scheduler) if scheduler else nullcontext() as cluster:
         return _compute(atlas, threads, cluster, progress)
 
 
@@ -226,24 +231,53 @@ def _compute(
     atlas: Atlas, threads: int | None, cluster: Client | None, progress: Callable[[int, int], None] | None
 ) -> Path:
     try:
-        atlas.store.open()
-        todo = [block for block in atlas.blocks() if not atlas.store.is_done(block)]
+        finished = atlas.store.open()
+        todo = [block for block in atlas.blocks() if block not in finished]
         total = atlas.grid.size
         done = total - sum(_poses_in(atlas, block) for block in todo)
-        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
-        for block in run:
-            done += _poses_in(atlas, block)
-            if progress:
-                progress(done, total)
+        with _Entries(atlas.store) as entries:
+            run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
+            for sealed in run:
+                entries.add(sealed)
+                done += _poses_in(atlas, sealed[0])
+                if progress:
+                    progress(done, total)
         if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
             atlas.store.remove()
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
         return atlas.store.finish(map(atlas.slices, atlas.blocks()))
     except OSError as error:
         reason = error.strerror or str(error)
+        if error.filename and error.errno == errno.ENOENT:
+            reason += f": {error.filename} (removed by another program?)"
         if atlas.parts.exists():
             reason += f"; finished blocks are kept in {atlas.parts} and the same command goes on there"
         raise OutputError(atlas.path, reason) from error
+
+
+class _Entries:
+    """Blocks on their way into the journal, a few at a time; on leaving, whatever happened, all of them."""
+
+    def __init__(self, store: AtlasStore) -> None:
+        self._store = store
+        self._waiting: list[tuple[Block, Checksums]] = []
+        self._last = time.monotonic()
+
+    def __enter__(self) -> _Entries:
+        return self
+
+    def add(self, sealed: tuple[Block, Checksums]) -> None:
+        self._waiting.append(sealed)
+        if time.monotonic() - self._last > _BETWEEN_ENTRIES:
+            self._enter()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with nullcontext() if kind is None else suppress(OSError):
+            self._enter()
+
+    def _enter(self) -> None:
+        self._store.enter(self._waiting)
+        self._waiting, self._last = [], time.monotonic()
 
 
 def open_atlas(path: Path | str) -> xr.Dataset:
@@ -273,7 +307,7 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 
 
 def compute_block(atlas: Atlas, block: Block) -> Block:
-    """Compute one block and write it into the store; the map of broken limits last, as the sign that it is done."""
+    """Compute one block and write it into the store."""
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
     size = math.prod(poses.shape)
@@ -294,40 +328,69 @@ def compute_block(atlas: Atlas, block: Block) -> Block:
     return block
 
 
-def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[Block]:
-    """Run the blocks on threads (programs and writes leave the interpreter lock), a few ahead at a time."""
+def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Iterator[tuple[Block, Checksums]]:
+    """Run the blocks on threads (programs and writes leave the interpreter lock), a few ahead at a time.
+
+    They are brought to the disk by threads of their own, which wait for the disk and not for a processor.
+    """
     count = threads or os.cpu_count() or 1
-    waiting: deque[Future[Block]] = deque()
-    with ThreadPoolExecutor(count) as pool:
+    computing: deque[Future[Block]] = deque()
+    sealing: deque[Future[tuple[Block, Checksums]]] = deque()
+    with ThreadPoolExecutor(count) as pool, ThreadPoolExecutor(_SYNCS) as syncs:
         try:
             for block in todo:
-                waiting.append(pool.submit(compute_block, atlas, block))
-                if len(waiting) > count:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
+                computing.append(pool.submit(compute_block, atlas, block))
+                if len(computing) > count:
+                    sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
+                while sealing and (sealing[0].done() or len(sealing) > _SYNCS):
+                    yield sealing.popleft().result()
+            while computing:
+                sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
+            while sealing:
+                yield sealing.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _cluster(scheduler: str) -> Client:
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[Client]:
     try:
         from distributed import Client
     except ImportError as error:
         raise PM3DofError("a dask scheduler needs the extra 'cluster': pip install 'pm3dof-pin[cluster]'") from error
+    # what it has to say of a scheduler that is gone is said below, in one line
+    log = logging.getLogger("distributed")
+    level, log.level = log.level, logging.CRITICAL
     try:
-        return Client(scheduler, timeout=_SCHEDULER_PATIENCE)  # type: ignore[no-untyped-call]
-    except (OSError, TimeoutError, ValueError) as error:
-        raise PM3DofError(f"no dask scheduler answers at {scheduler}: {error}") from error
+        try:
+            client = Client(scheduler, timeout=_SCHEDULER_PATIENCE)  # type: ignore[no-untyped-call]
+        except (OSError, TimeoutError, ValueError) as error:
+            raise PM3DofError(f"no dask scheduler answers at {scheduler}: {error}") from error
+        try:
+            yield client
+        finally:
+            with suppress(Exception):  # it may be gone
+                client.close(timeout=1)  # type: ignore[no-untyped-call]
+    finally:
+        log.level = level
 
 
-def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[Block]:
+def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[tuple[Block, Checksums]]:
     from distributed import as_completed
 
     absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
-    futures = [cluster.submit(compute_block, absolute, block, pure=False) for block in todo]
-    for future in as_completed(futures):  # type: ignore[no-untyped-call]
-        yield future.result()
+    futures = [cluster.submit(_compute_and_seal, absolute, block, pure=False) for block in todo]
+    try:
+        for future in as_completed(futures):  # type: ignore[no-untyped-call]
+            yield future.result()
+    except (PM3DofError, OSError):
+        raise
+    except Exception as error:  # of dask's own making: a scheduler or workers that are gone
+        raise OSError(f"the dask cluster failed: {type(error).__name__}: {error}") from error
+
+
+def _compute_and_seal(atlas: Atlas, block: Block) -> tuple[Block, Checksums]:
+    return atlas.store.seal(compute_block(atlas, block))
 
 
 def _poses_in(atlas: Atlas, block: Block) -> int:

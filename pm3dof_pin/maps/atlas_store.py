@@ -2,13 +2,22 @@
 
 Blocks are written by Zarr itself. xarray's writing of regions (`to_zarr(region=...)`) gives the same files for 20 ms of
 CPU a block instead of 18 (16^3 poses, two 6 x 6 quantities), and knows no more of which blocks are finished.
+
+Nothing in the store is believed: when a job goes on, what it says of itself is compared with what it should say, and
+every finished block with the checksums in its journal. Chunks carry checksums of their own (CRC-32C), also in a
+result that is a Zarr store.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import logging
 import math
 import shutil
-from collections.abc import Iterable, Mapping
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +27,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically
+from pm3dof_pin.maps.atlas_journal import Block, Checksums, Journal, sync
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
 from pm3dof_pin.typing import Array
 
@@ -25,6 +35,9 @@ if TYPE_CHECKING:
     import zarr
 
 Place = tuple[slice, ...]
+
+_JOURNAL = "finished.journal"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,33 +87,121 @@ class AtlasStore:
         """Number of values along each dimension of the grid."""
         return tuple(len(values) for values, _ in self.coordinates.values())
 
-    def open(self) -> None:
-        """Make the store, or check that the one that is there is of the same atlas.
+    @cached_property
+    def journal(self) -> Journal:
+        """Which blocks are finished."""
+        text = json.dumps(self.attributes, sort_keys=True, default=str)
+        return Journal(self.parts / _JOURNAL, hashlib.sha256(text.encode()).hexdigest())
+
+    def open(self) -> set[Block]:
+        """Make the store, or go on with the one that is there; damage in it is repaired, and logged as a warning.
+
+        Returns:
+            The finished blocks.
 
         Raises:
             OutputError: the result cannot take its place, there is no room for it, or another atlas is unfinished.
         """
-        import zarr
-
         self._require_place()
-        if (self.parts / "zarr.json").is_file():
-            if dict(zarr.open_group(self.parts, mode="r").attrs) != self.attributes:
-                raise OutputError(self.path, f"{self.parts} is an unfinished atlas of other settings; remove it first")
-            for torn in self.parts.rglob("*.partial"):
-                torn.unlink()
-            return
-        shutil.rmtree(self.parts, ignore_errors=True)
-        self._require_room()
-        self.parts.parent.mkdir(parents=True, exist_ok=True)
-        fresh = self.parts.with_name(self.parts.name + ".new")
-        shutil.rmtree(fresh, ignore_errors=True)
-        self._make(fresh)
-        fresh.rename(self.parts)
+        for torn in self.path.parent.glob(f".{self.path.stem}-????????{self.path.suffix}"):
+            torn.unlink()  # of a killed run: this one is the only one
+        if not self.parts.is_dir():
+            self.parts.unlink(missing_ok=True)
+            self._require_room()
+        elif not self._is_ours():
+            raise OutputError(self.path, f"{self.parts} is an unfinished atlas of other settings; remove it first")
+        skeleton = self.parts.with_name(self.parts.name + ".new")
+        shutil.rmtree(skeleton, ignore_errors=True)
+        self._make(skeleton)
+        if not self.parts.is_dir():
+            Journal(skeleton / _JOURNAL, self.journal.specification).write({})
+            skeleton.rename(self.parts)
+            sync(self.parts.parent)
+            return set()
+        self._repair(skeleton)
+        return self._sound_blocks()
 
-    def is_done(self, block: tuple[int, ...]) -> bool:
-        """Tell whether a block, given by its first indices, is finished."""
-        chunk = (str(first // size) for first, size in zip(block, self.block_shape, strict=True))
-        return self.parts.joinpath(BROKEN_LIMITS, "c", *chunk).is_file()
+    def _is_ours(self) -> bool:
+        """Tell whether the unfinished store is of this atlas, or too damaged to be of any."""
+        belongs = self.journal.belongs()
+        if belongs is not None:
+            return belongs
+        try:
+            said = json.loads((self.parts / "zarr.json").read_bytes())["attributes"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return True
+        return bool(said == json.loads(json.dumps(self.attributes)))
+
+    def _repair(self, skeleton: Path) -> None:
+        """Put everything but the blocks into the state of a new store, and take out what does not belong there."""
+        wanted = {file.relative_to(skeleton) for file in skeleton.rglob("*") if file.is_file()}
+        arrays = tuple(f"{variable.name}/c/" for variable in self.variables)
+        for file in [*self.parts.rglob("*")]:
+            name = file.relative_to(self.parts)
+            chunk = str(name).startswith(arrays) and all(part.isdigit() for part in name.parts[2:])
+            if file.is_file() and name not in wanted and not chunk and str(name) != _JOURNAL:
+                file.unlink()
+        repaired = []
+        for name in sorted(wanted):
+            target = self.parts / name
+            if not target.is_file() or target.read_bytes() != (skeleton / name).read_bytes():
+                repaired.append(str(name))
+                if target.is_dir():
+                    shutil.rmtree(target)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                (skeleton / name).replace(target)
+        shutil.rmtree(skeleton)
+        if repaired:
+            _log.warning("%s: %s damaged or missing, written again", self.parts, ", ".join(repaired))
+
+    def _sound_blocks(self) -> set[Block]:
+        """Return the blocks in the journal whose files are what they were; leave only them in the journal."""
+        listed = self.journal.read()
+        if self.journal.damaged:
+            _log.warning("%s is damaged or missing; blocks it does not list are computed again", self.journal.path)
+        with ThreadPoolExecutor() as pool:
+            sound = list(pool.map(lambda entry: self._is_sound(*entry), listed.items()))
+        kept = {block: sums for (block, sums), good in zip(listed.items(), sound, strict=True) if good}
+        if len(kept) < len(listed):
+            _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(listed) - len(kept))
+        self.journal.write(kept)
+        return set(kept)
+
+    def _is_sound(self, block: Block, checksums: Checksums) -> bool:
+        try:
+            return self._checksums(block) == checksums
+        except OSError:
+            for variable in self.variables:
+                if self._chunk(variable, block).is_dir():
+                    shutil.rmtree(self._chunk(variable, block))
+            return False
+
+    def _checksums(self, block: Block) -> Checksums:
+        files = {variable.name: self._chunk(variable, block) for variable in self.variables}
+        return {name: zlib.crc32(file.read_bytes()) if file.exists() else None for name, file in files.items()}
+
+    def _chunk(self, variable: Variable, block: Block) -> Path:
+        """Return the file of a block in an array."""
+        numbers = [str(first // size) for first, size in zip(block, self.block_shape, strict=True)]
+        return self.parts.joinpath(variable.name, "c", *numbers, *["0"] * len(variable.own_dims))
+
+    def seal(self, block: Block) -> tuple[Block, Checksums]:
+        """Bring the files of a block that was written to the disk; return its entry for the journal."""
+        for variable in self.variables:
+            if self._chunk(variable, block).exists():  # not where everything is the fill value
+                sync(self._chunk(variable, block))
+        return block, self._checksums(block)
+
+    def enter(self, sealed: Sequence[tuple[Block, Checksums]]) -> None:
+        """Enter sealed blocks into the journal; from then on they count as finished."""
+        if not sealed:
+            return
+        chunks = (self._chunk(variable, block) for block, _ in sealed for variable in self.variables)
+        folders = {folder for chunk in chunks for folder in chunk.relative_to(self.parts).parents}
+        for folder in folders:
+            if (self.parts / folder).exists():
+                sync(self.parts / folder)
+        self.journal.append(sealed)
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Return the type of an array."""
@@ -113,8 +214,15 @@ class AtlasStore:
             array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
     def read(self, name: str, place: Place) -> Any:
-        """Read the values of one array at one block."""
-        return self._arrays[name][place]
+        """Read the values of one array at one block.
+
+        Raises:
+            OSError: the block is not what was written.
+        """
+        try:
+            return self._arrays[name][place]
+        except (ValueError, RuntimeError) as error:
+            raise OSError(f"a block of {name} was damaged after it was written ({error})") from error
 
     @cached_property
     def _arrays(self) -> dict[str, zarr.Array[Any]]:
@@ -131,14 +239,23 @@ class AtlasStore:
         shutil.rmtree(self.parts)
 
     def finish(self, blocks: Iterable[Place]) -> Path:
-        """Make the result of the finished blocks and return its path."""
+        """Make the result of the finished blocks and return its path.
+
+        Raises:
+            OSError: the disk is full, a block cannot be read, or the like.
+        """
         if self.path.suffix == ".nc":
-            self._copy_to_netcdf(blocks)
+            try:
+                self._copy_to_netcdf(blocks)
+            except OutputError as error:
+                raise OSError(error.reason) from error
             self.remove()
             return self.path
         if self.path.exists():
             shutil.rmtree(self.path)
+        (self.parts / _JOURNAL).unlink()
         self.parts.rename(self.path)
+        sync(self.path.parent)
         return self.path
 
     def _require_place(self) -> None:
@@ -162,7 +279,7 @@ class AtlasStore:
 
     def _make(self, path: Path) -> None:
         import zarr
-        from zarr.codecs import BloscCodec
+        from zarr.codecs import BloscCodec, Crc32cCodec
 
         group = zarr.create_group(path, attributes=dict(self.attributes))
         for name, (values, attributes) in self.coordinates.items():
@@ -185,42 +302,47 @@ class AtlasStore:
                 chunks=self.block_shape + own_shape,
                 fill_value=variable.fill_value,
                 # of those measured: 40 % of the time of zstd, 120 % of its bytes
-                compressors=BloscCodec(cname="lz4", clevel=9, shuffle="shuffle"),
+                compressors=[BloscCodec(cname="lz4", clevel=9, shuffle="shuffle"), Crc32cCodec()],
                 dimension_names=[*self.coordinates, *variable.own_dims],
                 attributes={key: _plain(value) for key, value in variable.attributes.items()},
-                config={"write_empty_chunks": True},  # a block of zeros is a finished block too
             )
 
     def _copy_to_netcdf(self, blocks: Iterable[Place]) -> None:
         """Copy the store block by block, in order."""
         import netCDF4
-        import zarr
 
-        group = zarr.open_group(self.parts, mode="r")
-        with write_atomically(self.path) as temporary, netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
-            file.setncatts(dict(self.attributes))
-            for name, (values, attributes) in self.coordinates.items():
-                file.createDimension(name, len(values))
-                coordinate = file.createVariable(name, "f8", (name,), contiguous=True, fill_value=False)
-                coordinate.setncatts(dict(attributes))
-                coordinate[:] = values
+        with write_atomically(self.path) as temporary:
+            try:
+                with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
+                    self._fill(file, blocks)
+            except RuntimeError as error:  # what the NetCDF library makes of a full disk
+                raise OSError(f"{error} while the NetCDF file was put together: is the disk full?") from error
+            sync(temporary)
+
+    def _fill(self, file: Any, blocks: Iterable[Place]) -> None:
+        file.setncatts(dict(self.attributes))
+        for name, (values, attributes) in self.coordinates.items():
+            file.createDimension(name, len(values))
+            coordinate = file.createVariable(name, "f8", (name,), contiguous=True, fill_value=False)
+            coordinate.setncatts(dict(attributes))
+            coordinate[:] = values
+        for entry in self.variables:
+            for dim, size in entry.own_dims.items():
+                if dim not in file.dimensions:
+                    file.createDimension(dim, size)
+            file.createVariable(
+                entry.name,
+                entry.dtype.str[1:],
+                (*self.coordinates, *entry.own_dims),
+                compression="zlib",
+                complevel=1,
+                shuffle=True,
+                chunksizes=self.block_shape + tuple(entry.own_dims.values()),
+                fill_value=False,
+            ).setncatts(dict(entry.attributes))
+        for place in blocks:
             for entry in self.variables:
-                for dim, size in entry.own_dims.items():
-                    if dim not in file.dimensions:
-                        file.createDimension(dim, size)
-                file.createVariable(
-                    entry.name,
-                    entry.dtype.str[1:],
-                    (*self.coordinates, *entry.own_dims),
-                    compression="zlib",
-                    complevel=1,
-                    shuffle=True,
-                    chunksizes=self.block_shape + tuple(entry.own_dims.values()),
-                    fill_value=False,
-                ).setncatts(dict(entry.attributes))
-            for place in blocks:
-                for entry in self.variables:
-                    file.variables[entry.name][place] = _array(group, entry.name)[place]
+                file.variables[entry.name][place] = self.read(entry.name, place)
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:

@@ -1,0 +1,282 @@
+"""A store that notices: damage, kills, full disks, two at once: the same bytes, or one line that says what to do."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pm3dof_pin.exceptions import OutputError, PM3DofError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps import atlas as atlas_module
+from pm3dof_pin.maps import atlas_journal
+from pm3dof_pin.maps.atlas import Atlas, compute_atlas
+from pm3dof_pin.maps.atlas_store import AtlasStore
+
+QUANTITIES = ("felt_stiffness", "condition_number")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return Robot.load("hexapod")
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(atlas_module, "_BLOCK_POSES", 20)
+
+
+def make(robot: Robot, path: Path, count: int = 9) -> Atlas:
+    return Atlas(robot, robot.grid(x=(-0.01, 0.01, count), y=(-0.01, 0.01, 9)), QUANTITIES, path)
+
+
+def digest(path: Path) -> dict[str, str]:
+    files = [path] if path.is_file() else sorted(entry for entry in path.rglob("*") if entry.is_file())
+    return {str(file.relative_to(path.parent)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def interrupted(monkeypatch: pytest.MonkeyPatch, job: Atlas) -> None:
+    """Compute all blocks, and stop before they become the result."""
+    with monkeypatch.context() as patch:
+        patch.setattr(AtlasStore, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
+        with pytest.raises(KeyboardInterrupt):
+            compute_atlas(job)
+
+
+def flip(file: Path, where: int = -9) -> None:
+    data = bytearray(file.read_bytes())
+    data[where] ^= 0x10
+    file.write_bytes(data)
+
+
+def a_chunk(parts: Path) -> Path:
+    return sorted(entry for entry in (parts / "felt_stiffness" / "c").rglob("*") if entry.is_file())[1]
+
+
+def swap(parts: Path) -> None:
+    one, other = sorted(entry for entry in (parts / "felt_stiffness" / "c").rglob("*") if entry.is_file())[:2]
+    first = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(first)
+
+
+def folder_in_place(parts: Path) -> None:
+    chunk = a_chunk(parts)
+    chunk.unlink()
+    (chunk / "inside").mkdir(parents=True)
+
+
+def torn_journal(parts: Path) -> None:
+    journal = parts / "finished.journal"
+    journal.write_bytes(journal.read_bytes()[:-20])
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "a flipped bit in a block": lambda parts: flip(a_chunk(parts)),
+    "a block cut short": lambda parts: a_chunk(parts).write_bytes(a_chunk(parts).read_bytes()[:-7]),
+    "an empty block": lambda parts: a_chunk(parts).write_bytes(b""),
+    "a block that is gone": lambda parts: a_chunk(parts).unlink(),
+    "two blocks exchanged": swap,
+    "a folder where a block was": folder_in_place,
+    "an array that is gone": lambda parts: shutil.rmtree(parts / "condition_number"),
+    "an array's metadata cut short": lambda parts: (parts / "felt_stiffness" / "zarr.json").write_text('{"shape": [4'),
+    "the group's metadata cut short": lambda parts: (parts / "zarr.json").write_text("{"),
+    "other settings in the group's metadata": lambda parts: flip(parts / "zarr.json", 60),
+    "a changed coordinate": lambda parts: flip(parts / "x" / "c" / "0"),
+    "a coordinate that is gone": lambda parts: shutil.rmtree(parts / "y"),
+    "a flipped bit in the journal": lambda parts: flip(parts / "finished.journal", -30),
+    "a torn journal": torn_journal,
+    "a journal that is gone": lambda parts: (parts / "finished.journal").unlink(),
+    "a file that does not belong there": lambda parts: (parts / "felt_stiffness" / "c" / "0" / "x.partial").write_text(
+        ""
+    ),
+}
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".nc"])
+def test_damage_is_noticed_and_repaired_to_the_byte(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, suffix: str
+) -> None:
+    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / f"atlas{suffix}")))
+    job = make(robot, tmp_path / "broken" / f"atlas{suffix}")
+    interrupted(monkeypatch, job)
+    shutil.copytree(job.parts, tmp_path / "sound")
+    for name, damage in DAMAGES.items():
+        shutil.rmtree(tmp_path / "broken")
+        shutil.copytree(tmp_path / "sound", job.parts)
+        caplog.clear()
+        damage(job.parts)
+        path = compute_atlas(make(robot, job.path))
+        assert digest(path) == whole, name
+        assert bool(caplog.text) == (name != "a file that does not belong there"), name
+        assert {entry.name for entry in path.parent.iterdir()} == {path.name}, name
+
+
+def test_sound_blocks_are_not_computed_again(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    job = make(robot, tmp_path / "atlas.zarr")
+    interrupted(monkeypatch, job)
+    flip(a_chunk(job.parts))
+    computed = []
+    compute = atlas_module.compute_block
+    monkeypatch.setattr(atlas_module, "compute_block", lambda a, block: computed.append(block) or compute(a, block))
+    compute_atlas(make(robot, job.path))
+    assert len(computed) == 1
+    assert "1 finished blocks are damaged; computed again" in caplog.text
+
+
+def test_a_block_damaged_before_the_result_is_made(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.nc")))
+    job = make(robot, tmp_path / "broken" / "atlas.nc")
+    finish = AtlasStore.finish
+
+    def late_damage(store: AtlasStore, blocks: object) -> Path:
+        flip(a_chunk(store.parts))
+        return finish(store, blocks)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(AtlasStore, "finish", late_damage)
+        with pytest.raises(OutputError, match=r"felt_stiffness was damaged after it was written.*same command goes on"):
+            compute_atlas(job)
+    assert digest(compute_atlas(make(robot, job.path))) == whole
+
+
+@pytest.mark.parametrize("moment", ["block", "journal", "netcdf"])
+def test_a_full_disk_is_one_line_and_loses_nothing(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    whole = digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.nc")))
+    job = make(robot, tmp_path / "broken" / "atlas.nc")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with monkeypatch.context() as patch:
+        if moment == "block":
+            count = []
+            write = AtlasStore.write
+
+            def write_until_full(store: AtlasStore, *arguments: object) -> None:
+                count.append(1)
+                if len(count) > 5:
+                    raise full
+                write(store, *arguments)  # type: ignore[arg-type]
+
+            patch.setattr(AtlasStore, "write", write_until_full)
+        elif moment == "journal":
+            patch.setattr(atlas_journal.Journal, "append", lambda *_: (_ for _ in ()).throw(full))
+        else:
+            import netCDF4
+
+            def refuse(*_: object, **__: object) -> None:
+                raise RuntimeError("NetCDF: HDF error")
+
+            patch.setattr(netCDF4, "Dataset", refuse)
+        with pytest.raises(
+            OutputError, match=r"(No space|NetCDF: HDF error).*finished blocks are kept in .*same command"
+        ):
+            compute_atlas(job)
+    assert not job.path.exists()
+    assert digest(compute_atlas(make(robot, job.path))) == whole
+    assert {entry.name for entry in job.path.parent.iterdir()} == {"atlas.nc"}
+
+
+_RUN = """
+import sys
+from pathlib import Path
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps import atlas
+atlas._BLOCK_POSES = 20
+robot = Robot.load("hexapod")
+grid = robot.grid(x=(-0.01, 0.01, 9), y=(-0.01, 0.01, 9))
+job = atlas.Atlas(robot, grid, ("felt_stiffness", "condition_number"), Path(sys.argv[1]))
+if "slow" in sys.argv:
+    import time
+    compute = atlas.compute_block
+    atlas.compute_block = lambda *a: (time.sleep(0.1), compute(*a))[1]
+atlas._BETWEEN_ENTRIES = 0.0
+try:
+    atlas.compute_atlas(job, threads=1)
+except atlas.OutputError as error:
+    print(error, file=sys.stderr)
+    sys.exit(1)
+"""
+
+
+def test_two_at_once_and_then_killed(robot: Robot, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "atlas.zarr"
+    first = subprocess.Popen([sys.executable, "-c", _RUN, str(path), "slow"])
+    journal = path.with_name("atlas.zarr.parts") / "finished.journal"
+    while not journal.exists() or len(journal.read_bytes().splitlines()) < 2:
+        assert first.poll() is None
+        time.sleep(0.01)
+    with pytest.raises(OutputError, match=rf"another run, pid {first.pid} on .*, since 2.*, is computing it; wait"):
+        compute_atlas(make(robot, path))
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    compute_atlas(make(robot, path))
+    assert f"left by a run that did not end by itself, pid {first.pid}" in caplog.text
+    assert digest(path) == digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.zarr")))
+    assert {entry.name for entry in tmp_path.iterdir()} == {"atlas.zarr", "whole"}
+
+
+def test_a_real_limit_on_the_size_of_files(robot: Robot, tmp_path: Path) -> None:
+    """What a quota does: the NetCDF library cannot write on, and the command ends with one line."""
+    path = tmp_path / "atlas.nc"
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))
+
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN, str(path)], preexec_fn=limited, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "finished blocks are kept in" in line
+    assert not path.exists()
+    compute_atlas(make(robot, path))
+    assert digest(path) == digest(compute_atlas(make(robot, tmp_path / "whole" / "atlas.nc")))
+
+
+def test_a_cluster_that_dies_is_one_line(robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+
+    class Cluster:
+        def __init__(self, *_: object, **__: object) -> None: ...
+        def submit(self, *_: object, **__: object) -> None: ...
+        def close(self, **_: object) -> None:
+            raise TimeoutError
+
+    def lost(_: object) -> None:
+        raise distributed.client.FutureCancelledError("compute_block-1", "scheduler-connection-lost")
+
+    monkeypatch.setattr(distributed, "Client", Cluster)
+    monkeypatch.setattr(distributed, "as_completed", lost)
+    with pytest.raises(OutputError, match=r"dask cluster failed: FutureCancelledError: .*same command goes on there"):
+        compute_atlas(make(robot, tmp_path / "atlas.zarr"), scheduler="tcp://127.0.0.1:9")
+    assert issubclass(OutputError, PM3DofError)
+
+
+def test_a_journal_believes_sound_lines_only(tmp_path: Path) -> None:
+    journal = atlas_journal.Journal(tmp_path / "journal", "this atlas")
+    assert journal.belongs() is None
+    journal.write({(0, 0): {"a": 1}})
+    journal.append([((0, 4), {"a": None}), ((4, 0), {"a": 7})])
+    assert journal.read() == {(0, 0): {"a": 1}, (0, 4): {"a": None}, (4, 0): {"a": 7}}
+    assert json.loads(journal.path.read_text().splitlines()[0][9:]) == "this atlas"
+    with journal.path.open("a") as file:
+        file.write("00000000 [[[8, 0], {}]]\n")
+    assert len(journal.read()) == 3
+    assert atlas_journal.Journal(journal.path, "another").belongs() is False
+    assert atlas_journal.Journal(journal.path, "another").read() == {}
