@@ -264,17 +264,17 @@ def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | Non
         return None
 
 
-def _draw_forces(viewer: Viewer, where: Configuration) -> None:
+def _draw_forces(viewer: Viewer, configuration: Configuration) -> None:
     from pm3dof_pin.dynamics.statics import holding_forces
     from pm3dof_pin.exceptions import SingularConfigurationError
 
     try:
-        held = holding_forces(where).actuator_forces
+        forces = holding_forces(configuration).actuator_forces
     except SingularConfigurationError as error:
         message(f"pm3dof: no forces are drawn: {error}")
         return
-    if held.any():
-        viewer.actuator_forces(held, what="Holding forces")
+    if forces.any():
+        viewer.actuator_forces(forces, what="Holding forces")
 
 
 def _draw_workspace(viewer: Viewer, quantity: str) -> None:

@@ -215,9 +215,9 @@ def condensed(
     return report
 
 
-def _decomposed(model: ElasticModel, where: Configuration, frame: str, tolerance: float) -> _Decomposition:
-    motions = elastic_motions(model, where, tolerance=tolerance)
-    jacobian = where.frame_jacobian(frame)
+def _decomposed(model: ElasticModel, configuration: Configuration, frame: str, tolerance: float) -> _Decomposition:
+    motions = elastic_motions(model, configuration, tolerance=tolerance)
+    jacobian = configuration.frame_jacobian(frame)
     twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
     scaled = jacobian / twist_scale[:, None]
     reference = tolerance * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
@@ -226,7 +226,7 @@ def _decomposed(model: ElasticModel, where: Configuration, frame: str, tolerance
 
     twists = twist_scale[:, None] * (held @ (held.T @ (scaled @ motions.elastic)))
     strains = motions.whitened @ twists.T
-    root = model.scaled_compliance_root(where)
+    root = model.scaled_compliance_root(configuration)
     return _Decomposition(
         motions=motions,
         spring_forces=frozen(np.linalg.solve(root.T, strains)),

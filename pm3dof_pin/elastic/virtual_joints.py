@@ -208,8 +208,8 @@ class _Builder:
         except FrameNotFoundError as error:
             if self._old.existJointName(chain.place):
                 return None
-            where = f"{self._mechanism.source}: spring '{chain.name}'"
-            raise FrameNotFoundError(chain.place, where, error.known) from error
+            element = f"{self._mechanism.source}: spring '{chain.name}'"
+            raise FrameNotFoundError(chain.place, element, error.known) from error
         frame, above = self._old.frames[index], self._frame_above(index)
         if frame.type == pin.FrameType.JOINT:
             return None

@@ -101,8 +101,8 @@ def _number(xacro: Path, state: ElementTree.Element, joint: ElementTree.Element)
     try:
         return float(joint.get("value", ""))
     except ValueError as error:
-        where = f"group_state '{state.get('name')}': joint '{joint.get('name')}'"
-        raise DescriptionError(xacro, where, f"expected one number, not '{joint.get('value')}'") from error
+        element = f"group_state '{state.get('name')}': joint '{joint.get('name')}'"
+        raise DescriptionError(xacro, element, f"expected one number, not '{joint.get('value')}'") from error
 
 
 def _obstacle(configuration: Configuration) -> str:

@@ -66,9 +66,9 @@ def critical_springs(section: xr.Dataset) -> Figure:
             for c in section.coords
             if section[c].ndim == 0 and "units" in section[c].attrs
         ]
-        where = f" at {', '.join(stands)}" if stands else ""
+        place = f" at {', '.join(stands)}" if stands else ""
         machine = section.attrs["machine"]
-        figure.suptitle(f"Spring that gives most, the fuller the colour the greater its share: {machine}{where}")
+        figure.suptitle(f"Spring that gives most, the fuller the colour the greater its share: {machine}{place}")
         height = 2.45 * rows + 1.1
         figure.subplots_adjust(
             left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08

@@ -351,8 +351,8 @@ class Mechanism:
     def _constraint(
         self, index: int, loop: LoopClosure
     ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
-        where = f"{self._source}: closed_loop[{index}]"
-        frame_a, frame_b = (self.model.frames[self._frame_id(name, where)] for name in (loop.frame_a, loop.frame_b))
+        element = f"{self._source}: closed_loop[{index}]"
+        frame_a, frame_b = (self.model.frames[self._frame_id(name, element)] for name in (loop.frame_a, loop.frame_b))
         if frame_a.parentJoint == frame_b.parentJoint:
             raise DescriptionError(
                 self._source,

@@ -55,11 +55,11 @@ def c99(
     Raises:
         InvalidValueError: there are not as many values as parameters.
     """
-    told = descriptions or {}
+    texts = descriptions or {}
     parts = ["#include <math.h>", ""]
     if parameters is not None:
         parts += _table(program, np.asarray(parameters, dtype=float))
-    parts += ["/*", *(f" * {line}".rstrip() for line in _comment(program, summary, told)), " */"]
+    parts += ["/*", *(f" * {line}".rstrip() for line in _comment(program, summary, texts)), " */"]
     parts += [f"void {program.name}(const double *x, const double *p, double *y)", "{"]
     names = [f"x[{k}]" for k in range(len(program.inputs))]
     names += [f"p[{k}]" for k in range(len(program.parameters))]

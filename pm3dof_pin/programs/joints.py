@@ -259,9 +259,9 @@ def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) ->
             yield from _links(part_name, part, first * part_placement if k == 0 else part_placement, geometry)
         return
     q_index, v_index = model_joint.idx_q, model_joint.idx_v
-    here = Placement(_NO_ROTATION, _NO_MOTION)
+    no_offset = Placement(_NO_ROTATION, _NO_MOTION)
     for k, joint in enumerate(_simple_joints(name, kind, geometry)):
-        yield ChainJoint(first if k == 0 else here, joint, q_index, v_index)
+        yield ChainJoint(first if k == 0 else no_offset, joint, q_index, v_index)
         q_index, v_index = q_index + joint.nq, v_index + joint.nv
 
 

@@ -76,8 +76,8 @@ class Scene:
 
     def set_property(self, path: str, name: str, value: object, *, of_object: bool = True) -> None:
         """Set a property of three.js, of the object at a path or (of_object=False) of the group at it."""
-        where = f"{path}/{OBJECT}" if of_object else path
-        self._apply({"type": "set_property", "path": where, "property": name, "value": value})
+        target = f"{path}/{OBJECT}" if of_object else path
+        self._apply({"type": "set_property", "path": target, "property": name, "value": value})
 
     def set_visible(self, path: str, visible: bool) -> None:
         """Show or hide everything at and below a path."""
@@ -97,7 +97,7 @@ class Scene:
         self._apply({"type": "set_animation", "animations": animations, "options": options})
 
     def stop_animation(self) -> None:
-        """Play nothing any more."""
+        """Stop the animation."""
         with self._lock:
             self._animation = None
             stop = {"type": "set_animation", "animations": [], "options": {"play": False}}

@@ -202,5 +202,5 @@ def _bind(host: str, port: int | None) -> socket.socket:
         else:
             listening.setblocking(False)
             return listening
-    where = f"port {tried[0]}" if port is not None else f"any port from {tried[0]} to {tried[-1]}"
-    raise ServerError(f"cannot listen on {host}, {where}: {reason}")
+    ports = f"port {tried[0]}" if port is not None else f"any port from {tried[0]} to {tried[-1]}"
+    raise ServerError(f"cannot listen on {host}, {ports}: {reason}")
