@@ -93,7 +93,8 @@ def atlas(
     for pm3dof z_e, theta_x, theta_y. A job that was interrupted goes on where it stopped when the same command is given
     again.
     """
-    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
+    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
     from pm3dof_pin.maps.atlas import Atlas, compute_atlas
     from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pm3dof_pin.cli.error_budget import budget_lines, budget_of
 from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, robot_grid
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, Wrench
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
@@ -33,7 +34,13 @@ def error_map(
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
     over: Over = None,
     at: Values = None,
-    points: Annotated[int, typer.Option(min=2, help="Number of values of each coordinate without --over.")] = 41,
+    whole: Annotated[
+        bool,
+        typer.Option("--whole", help="Over all coordinates that have ranges; --points values of each, 13 if not said."),
+    ] = False,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="Number of values of each coordinate without --over. [default: 41]")
+    ] = None,
     samples: Annotated[
         int | None, typer.Option(min=1, help="Instead of a section: so many random poses of the whole workspace.")
     ] = None,
@@ -46,6 +53,23 @@ def error_map(
     target: Annotated[
         float | None, typer.Option(help="Allocate tolerances so that the tip error stays within this [m] everywhere.")
     ] = None,
+    budget: Annotated[
+        bool,
+        typer.Option(
+            "--budget", help="All sources of error, not geometry alone, apart and together; so do the next four."
+        ),
+    ] = False,
+    source: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A source or class of sources to leave in the budget; may be repeated."),
+    ] = None,
+    wrench: Wrench = None,
+    rise: Annotated[
+        float | None, typer.Option(min=0.0, metavar="K", help="The machine may be so much colder or warmer [K].")
+    ] = None,
+    large: Annotated[
+        bool, typer.Option("--large", help="Large deflections: the equilibrium under the wrench, pose by pose.")
+    ] = False,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
@@ -53,6 +77,9 @@ def error_map(
     as_json: Json = False,
 ) -> None:
     """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
+
+    With --budget, or a number of it, all sources of error are told apart: parts, temperature, loads, drives, vibration.
+    Their numbers stand in the same file; what it leaves out has a documented default.
 
     Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its description; a robot
     without one has 0.1 mm and 0.5 mrad at every joint. Robots whose coordinates have no ranges are judged at random
@@ -63,29 +90,30 @@ def error_map(
     from pm3dof_pin.errors.error_map import error_map as error_map_at
     from pm3dof_pin.errors.error_map import section_grid
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+    from pm3dof_pin.maps.error_budget_map import whole_workspace_grid
     from pm3dof_pin.maps.error_section import error_outline, error_section
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
-    if samples is not None and (over or at):
-        raise typer.BadParameter("expected --samples, or --over and --at, not both")
+    if sum([samples is not None, bool(over or at), whole]) > 1:
+        raise typer.BadParameter("expected --samples, --whole, or --over and --at, not several of them")
     errors = load_errors(robot, tool_frame, package_path)
     named = robot_grid(errors.robot, over or [], at or [])
     ranges = {name: (float(values[0]), float(values[-1]), len(values)) for name, values in named.axes.items()}
     fixed = {entry.name: named.fixed[entry.name] for entry in at or []}
     grid = None
-    if samples is None:
-        grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points)
-    settings: dict[str, Any] = {
-        "eta": eta,
-        "distribution": "uniform" if uniform else "normal",
-        "engine": engine.value,
-    }
+    if whole:
+        grid = whole_workspace_grid(errors.robot, points or 13)
+    elif samples is None:
+        grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points or 41)
+    distribution: Any = "uniform" if uniform else "normal"
+    settings: dict[str, Any] = {"eta": eta, "distribution": distribution, "engine": engine.value}
     files: list[Path] = []
     result: dict[str, Any] = {"robot": errors.robot.name, "eta_m_per_rad": eta}
     with progress_bar("error map") as progress:
         if grid is None:
             poses = reachable_poses(errors.robot, samples or SAMPLES, np.random.default_rng(0))
-            mapped = error_map_at(closing_errors(errors, poses), poses, **settings)
+            errors = closing_errors(errors, poses)
+            mapped = error_map_at(errors, poses, **settings)
             place = "the workspace, at random"
         else:
             errors = closing_errors(errors)
@@ -114,6 +142,15 @@ def error_map(
         result |= _summary(mapped) | {"ranking": [_plain(share) for share in ranking]}
         if target is not None:
             result["allocation"] = _allocation(mapped, target)
+        if budget or source or wrench is not None or rise is not None or large:
+            from pm3dof_pin.errors.source_errors import ErrorSources
+
+            sources = ErrorSources(errors, wrench=wrench, rise=rise, large=large, distribution=distribution)
+            found, written = budget_of(
+                sources, mapped.poses if grid is None else grid, source or [], eta, out, pictures
+            )
+            files += written
+            result |= found
     print_result(result | {"files": [str(file) for file in files]}, _lines(result, place), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
@@ -137,6 +174,7 @@ def _summary(mapped: ErrorMap) -> dict[str, Any]:
         "position_rms_m": mapped.position_rms,
         "orientation_rms_rad": mapped.orientation_rms,
         "worst_tip_m": mapped.worst_tip,
+        "energy_m": mapped.energy,
     }
     return {
         "poses": len(mapped.poses),
@@ -180,6 +218,7 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
         "position_rms_m": "position error, rms",
         "orientation_rms_rad": "orientation error, rms",
         "worst_tip_m": "tip error, bound",
+        "energy_m": "energy E (8.15), mean",
     }
     rows = [
         [text, *(f"{1e6 * result[kind][name]:.1f}" for kind in ("least", "mean", "greatest"))]
@@ -204,6 +243,8 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
     ]
     if "allocation" in result:
         lines += ["", *_allocation_lines(result["allocation"])]
+    if "budget" in result:
+        lines += ["", *budget_lines(result)]
     return lines
 
 

@@ -64,7 +64,8 @@ def evaluate(
     those of --range; averages are over its volume. For each axis: which spring gives most, in which part of the
     workspace, and what stiffening it by 10 % brings at least.
     """
-    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
+    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
     from pm3dof_pin.files import write_text_atomically
     from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
     from pm3dof_pin.maps.storage import write_netcdf

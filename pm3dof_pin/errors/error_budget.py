@@ -24,7 +24,7 @@ from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.error_map import control_basis
 from pm3dof_pin.errors.expected_norm import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
-from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors
+from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask
@@ -91,7 +91,7 @@ class ErrorBudget:
             InvalidValueError: there is no such source.
         """
         wanted = tuple(names)
-        known = {*self.names, *(source.error_class for source in self.sources)}
+        known = {*self.names, *CLASSES}
         for name in wanted:
             if name not in known:
                 raise InvalidValueError("source of error", name, f"one of {', '.join(sorted(known))}")
@@ -191,7 +191,9 @@ class ErrorBudget:
         return np.asarray(weighted - self._basis @ (np.swapaxes(self._basis, 1, 2) @ weighted))
 
 
-def error_budget(sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH) -> ErrorBudget:
+def error_budget(
+    sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH, names: Sequence[str] = ()
+) -> ErrorBudget:
     """Compute what every source of error does to the tool at some poses.
 
     Example:
@@ -209,16 +211,20 @@ def error_budget(sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH
         sources: the sources with their numbers.
         poses: poses of the robot as described, of shape (n,).
         eta: weight of the orientation in the tip error [m/rad].
+        names: sources or their classes that are left in; all of them if empty.
 
     Raises:
-        InvalidValueError: there are no poses, or the loops cannot close with a geometric error.
+        InvalidValueError: there are no poses, no such source, or the loops cannot close with a geometric error.
         SingularConfigurationError: at a pose the tool can move while all drives stand still, or with all springs at
             rest.
         ConvergenceError: no equilibrium was found where deflections are large.
     """
     if not len(poses):
         raise InvalidValueError("error budget", "no poses", "at least one")
-    return ErrorBudget(poses, sources.at(poses), command_jacobians(poses), eta)
+    by_class = names and all(name in CLASSES for name in names)
+    found = sources.at(poses, [known for known in CLASSES if known in names] if by_class else CLASSES)
+    budget = ErrorBudget(poses, found, command_jacobians(poses), eta)
+    return budget.select(names) if names else budget
 
 
 def budget_as_data(lines: Sequence[BudgetLine]) -> list[dict[str, Any]]:

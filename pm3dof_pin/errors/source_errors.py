@@ -6,10 +6,10 @@ deviation, each of which moves the tool along some twist. All sources are of thi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,9 @@ from pm3dof_pin.typing import Array
 
 ErrorClass = Literal["kinematic parameters", "thermal", "stiffness", "drives", "vibration"]
 """Classes of Table 8.4; "drives" are the clearance and the other factors that the chapter's text adds."""
+
+CLASSES: tuple[ErrorClass, ...] = get_args(ErrorClass)
+"""All classes, in their order."""
 
 GREATEST_VIBRATION = 3.0
 """Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
@@ -129,7 +132,7 @@ class ErrorSources:
             spectra=self.numbers.vibration, payloads={tool: payload} if payload and tool is not None else None
         )
 
-    def at(self, poses: Poses) -> tuple[SourceErrors, ...]:
+    def at(self, poses: Poses, classes: Collection[ErrorClass] = CLASSES) -> tuple[SourceErrors, ...]:
         """Return what each source does at some poses.
 
         Sources that a robot cannot have are left out: those of springs without springs, of screws without sliding
@@ -137,6 +140,7 @@ class ErrorSources:
 
         Args:
             poses: poses of the robot as described, of shape (n,).
+            classes: classes of sources; what is not asked for is not computed.
 
         Raises:
             InvalidValueError: the loops cannot close with a geometric error.
@@ -144,7 +148,8 @@ class ErrorSources:
                 rest.
             ConvergenceError: no equilibrium was found where deflections are large.
         """
-        return _SourcesAtPoses(self, poses).all()
+        there = _SourcesAtPoses(self, poses)
+        return tuple(source for error_class in CLASSES if error_class in classes for source in there.of(error_class))
 
     @cached_property
     def others(self) -> GeometricErrors:
@@ -182,10 +187,16 @@ class _SourcesAtPoses:
         self._moved = sensitivities(sources.others, poses)
         self._by_drives = self._moved.commands * self._scales  # by the drives' joints
 
-    def all(self) -> tuple[SourceErrors, ...]:
-        found = [*self._geometry(), self._waviness(), *self._thermal(), *self._stiffness(), *self._drives()]
-        found += self._vibration()
-        return tuple(source for source in found if source is not None)
+    def of(self, error_class: ErrorClass) -> list[SourceErrors]:
+        """Return the sources of a class that the robot has."""
+        found: dict[ErrorClass, Callable[[], list[SourceErrors | None]]] = {
+            "kinematic parameters": lambda: [*self._geometry(), self._waviness()],
+            "thermal": lambda: [*self._thermal()],
+            "stiffness": lambda: [*self._stiffness()],
+            "drives": self._drives,
+            "vibration": lambda: [*self._vibration()],
+        }
+        return [source for source in found[error_class]() if source is not None]
 
     def _source(
         self,

@@ -174,7 +174,9 @@ class Atlas:
         parts = [robot.closures, robot.commands, robot.coordinates, robot.limit_groups, robot.springs]
         if isinstance(self.robot, ElasticModel):
             parts += [(block.name, block.coefficients.tolist(), block.length) for block in self.robot.blocks]
-        return "\n".join([robot.model.saveToString(), *map(repr, parts)])
+        errors = robot.files.errors if robot.files is not None else None
+        tolerances = errors.read_text(encoding="utf-8") if errors is not None and errors.is_file() else ""
+        return "\n".join([robot.model.saveToString(), *map(repr, parts), tolerances])
 
     def _variable(self, quantity: Quantity) -> Variable:
         labels = {dim.name: dim.labels(self.mapped) for dim in quantity.dims}

@@ -1,0 +1,113 @@
+"""The budget of all sources of error, for `pm3dof error-map`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pm3dof_pin.cli.output import table_lines
+
+if TYPE_CHECKING:
+    from pm3dof_pin.errors.source_errors import ErrorSources
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.poses import Poses
+
+_CLASSES = {
+    "kinematic parameters": "quasi-static: kinematic parameters",
+    "thermal": "quasi-static: thermal",
+    "stiffness": "quasi-static: stiffness",
+    "drives": "quasi-static: clearance, drives",
+    "vibration": "vibration",
+    "all": "all",
+}
+"""The words of Table 8.4."""
+
+
+def budget_of(
+    sources: ErrorSources, where: Grid | Poses, names: Sequence[str], eta: float, out: Path, pictures: bool
+) -> tuple[dict[str, Any], list[Path]]:
+    """Compute the budget and write its maps, the least sensitive region among them.
+
+    Args:
+        sources: the sources with their numbers.
+        where: a grid, or poses within all limits.
+        names: sources or classes to leave in; all of them if empty.
+        eta: weight of the orientation in the tip error [m/rad].
+        out: folder to write to.
+        pictures: whether to draw.
+
+    Returns:
+        What goes into the result of the command, and the files written.
+    """
+    import numpy as np
+
+    from pm3dof_pin.errors.error_budget import budget_as_data, error_budget
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map, budget_table
+    from pm3dof_pin.maps.storage import write_csv, write_netcdf
+    from pm3dof_pin.measuring.measurement_file import write_plan
+
+    if isinstance(where, Poses):
+        budget = error_budget(sources, where, eta=eta, names=names)
+        dataset = budget_table(budget)
+    else:
+        dataset, budget = budget_map(sources, where, eta=eta, names=names)
+    files = [write_netcdf(dataset, out / "error_budget.nc"), write_csv(dataset, out / "error_budget.csv")]
+    least = np.flatnonzero(budget.least_sensitive())
+    region = budget.poses[least]
+    files.append(write_plan(region, out / "least_sensitive.csv"))
+    if pictures and dataset["tip_rms"].ndim in (2, 3) and LEAST_SENSITIVE in dataset:
+        from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
+        from pm3dof_pin.figures.style import save_figure
+
+        files.append(save_figure(least_sensitive_region(dataset), out / "least_sensitive_region.png"))
+    ends = {
+        f"{coordinate.name}_{coordinate.unit}": [float(column.min()), float(np.median(column)), float(column.max())]
+        for coordinate, column in zip(sources.robot.coordinates, region.coordinates.T, strict=True)
+    }
+    tip = budget.tip_rms
+    return {
+        "budget": budget_as_data(budget.lines()),
+        "wrench_N_Nm": sources.wrench.tolist(),
+        "rise_K": sources.rise,
+        "least_sensitive": {
+            "poses": len(region),
+            "tip_rms_m": {"least": float(tip.min()), "most": float(tip[least].max()), "elsewhere": float(tip.max())},
+            "least_median_greatest": ends,
+        },
+    }, files
+
+
+def budget_lines(result: dict[str, Any]) -> list[str]:
+    """Return the budget as a table, in the words of Table 8.4.
+
+    Args:
+        result: what :func:`budget_of` returned.
+    """
+    columns = ("tip_rms_m", "greatest_tip_rms_m", "worst_tip_m", "left_m", "energy_m")
+    rows, last = [], ""
+    for line in result["budget"]:
+        group = _CLASSES[line["error_class"]]
+        numbers = [f"{1e6 * line[name]:.2f}" for name in columns]
+        rows.append([group if group != last else "", line["long_name"], *numbers, f"{line['share']:.1%}"])
+        last = group
+    header = ["Table 8.4", "source [µm]", "tip, rms", "worst pose", "bound", "left", "E", "share"]
+    least, ends = result["least_sensitive"], result["least_sensitive"]["least_median_greatest"]
+    tip = least["tip_rms_m"]
+    lines = table_lines(header, rows, words=2)
+    lines.append(
+        f"least sensitive fifth: {1e6 * tip['least']:.1f} to {1e6 * tip['most']:.1f} µm, elsewhere up to "
+        f"{1e6 * tip['elsewhere']:.1f} µm; medians: {_medians(ends)}"
+    )
+    return lines
+
+
+def _medians(ends: dict[str, list[float]]) -> str:
+    import math
+
+    words = []
+    for heading, (_, median, _) in ends.items():
+        name, unit = heading.rsplit("_", 1)
+        words.append(f"{name} = {median:.4f} m" if unit == "m" else f"{name} = {math.degrees(median):.1f} deg")
+    return ", ".join(words)

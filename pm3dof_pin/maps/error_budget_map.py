@@ -1,0 +1,155 @@
+"""All sources of error over a section or the whole workspace of any robot, as a labelled dataset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pm3dof_pin.errors.error_budget import ErrorBudget, error_budget
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.grid_map import grid_dataset
+from pm3dof_pin.typing import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+LEAST_SENSITIVE = "least_sensitive"
+"""Variable that is 1 in the region least sensitive to errors, 0 elsewhere."""
+
+LEAST_SENSITIVE_PART = 0.2
+"""Part of the poses that counts as the least sensitive region."""
+
+_MOST_POSES = 200_000
+
+_Variables = dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]
+
+
+def whole_workspace_grid(robot: Robot, points: int) -> Grid:
+    """Make a grid over all coordinates that have ranges; the others stay at home.
+
+    Args:
+        robot: the robot.
+        points: number of values of each coordinate.
+
+    Raises:
+        InvalidValueError: no coordinate has a range, or the grid would have far too many poses.
+    """
+    ranges = {c.name: robot.range_of(c) for c in robot.coordinates}
+    limited = {name: (*ends, points) for name, ends in ranges.items() if np.isfinite(ends).all()}
+    if not limited:
+        raise InvalidValueError("grid", f"no range for {', '.join(ranges)}", "coordinates with ranges; sample poses")
+    if points ** len(limited) > _MOST_POSES:
+        most = math.floor(_MOST_POSES ** (1.0 / len(limited)) + 1e-9)
+        expected = f"at most {most} over {len(limited)} coordinates; or sample poses"
+        raise InvalidValueError("points", points, expected)
+    return robot.grid(**limited)
+
+
+def budget_map(
+    sources: ErrorSources,
+    grid: Grid,
+    *,
+    eta: float = TIP_LENGTH,
+    names: Sequence[str] = (),
+    part: float = LEAST_SENSITIVE_PART,
+) -> tuple[xr.Dataset, ErrorBudget]:
+    """Compute the errors of all sources over a grid of the robot's coordinates, of any number of dimensions.
+
+    Args:
+        sources: the sources with their numbers.
+        grid: poses of the robot as described.
+        eta: weight of the orientation in the tip error [m/rad].
+        names: sources or their classes; all of them if empty.
+        part: part of the poses within the limits that counts as the least sensitive region.
+
+    Returns:
+        A dataset over the dimensions of the grid, NaN where a pose breaks a limit: `tip_rms`, `worst_tip`, `left_rms`
+        and `energy` of all sources together, `tip_rms_<source>` of each alone, `least_sensitive` and `broken_limits`;
+        and the budget over the poses within the limits, in the order of the grid.
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within the limits.
+        PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
+    """
+    robot = sources.robot
+    poses = robot.solve(grid, on_failure="nan")
+    within = np.nonzero(poses.within_limits)
+    if not within[0].size:
+        raise UnreachablePoseError(f"no pose of the grid over {', '.join(grid.dims)} is within the limits")
+    budget = error_budget(sources, poses[within], eta=eta, names=names)
+    variables: _Variables = {}
+    for name, (values, attributes) in _fields(budget, part).items():
+        field = np.full(grid.shape, np.nan)
+        field[within] = values
+        variables[name] = (grid.dims, field, attributes)
+    title = f"Errors of {robot.name} by all sources over {', '.join(grid.dims)}"
+    return _labelled(grid_dataset(grid, poses, variables, title), eta, part), budget
+
+
+def budget_table(budget: ErrorBudget, *, part: float = LEAST_SENSITIVE_PART) -> xr.Dataset:
+    """Return the same along one dimension, `pose`, for poses that are no grid; coordinates and commands beside them.
+
+    Args:
+        budget: the budget at the poses.
+        part: see :func:`budget_map`.
+    """
+    import xarray as xr
+
+    robot, poses = budget.poses.robot, budget.poses
+    labels = {
+        c.name: ("pose", column, {"units": c.unit, "long_name": f"coordinate {c.name} of {robot.name}"})
+        for c, column in zip(robot.coordinates, poses.coordinates.T, strict=True)
+    }
+    variables = {name: ("pose", values, attributes) for name, (values, attributes) in _fields(budget, part).items()}
+    dataset = xr.Dataset(variables, coords=labels, attrs={"title": f"Errors of {robot.name}", "machine": robot.name})
+    return _labelled(dataset, budget.eta, part)
+
+
+def least_sensitive_poses(sources: ErrorSources, poses: Poses, *, part: float = LEAST_SENSITIVE_PART) -> Poses:
+    """Return the part of some poses at which all sources move the tool least: where the chapter calibrates.
+
+    Args:
+        sources: the sources with their numbers.
+        poses: candidates, of the robot as described.
+        part: part of them.
+
+    Raises:
+        InvalidValueError: the part is not in (0, 1].
+    """
+    return poses[np.flatnonzero(error_budget(sources, poses).least_sensitive(part))]
+
+
+def _fields(budget: ErrorBudget, part: float) -> dict[str, tuple[Array, dict[str, Any]]]:
+    words = {
+        "tip_rms": "tip error of all sources, root mean square over machines",
+        "worst_tip": "tip error of all sources, bound",
+        "left_rms": "tip error left with the best commands, root mean square over machines",
+        "energy": "energy E of (8.15) of all sources, mean over machines",
+    }
+    found = {name: (getattr(budget, name), {"units": "m", "long_name": text}) for name, text in words.items()}
+    for source in budget.sources:
+        alone = budget.select([source.name]).tip_rms
+        found[f"tip_rms_{source.name}"] = (
+            alone,
+            {"units": "m", "long_name": f"tip error by {source.long_name}", "error_class": source.error_class},
+        )
+    region = budget.least_sensitive(part).astype(float)
+    found[LEAST_SENSITIVE] = (region, {"units": "1", "long_name": "region least sensitive to all sources"})
+    return found
+
+
+def _labelled(dataset: xr.Dataset, eta: float, part: float) -> xr.Dataset:
+    return dataset.assign_attrs(
+        model="error",
+        eta_m_per_rad=eta,
+        least_sensitive_part=part,
+        references="D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3",
+    )

@@ -1,0 +1,133 @@
+"""Errors of the tool as quantities of maps: of the geometry, of temperature, and of every source apart and together.
+
+Those of geometry and temperature come from compiled programs; weight and vibration take milliseconds a pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import closable
+from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.maps.quantities import Dimension, Evaluation, MappedRobot, quantity
+from pm3dof_pin.typing import Array
+
+_CHUNK = 8192  # poses at a time: a pose has some hundred numbers of effects
+_POSES_TO_CLOSE_AT = 20
+
+_sources: WeakKeyDictionary[MappedRobot, ErrorSources] = WeakKeyDictionary()
+
+
+def _sources_of(mapped: MappedRobot) -> ErrorSources:
+    """Return the sources of a robot with the numbers of its error file, made once."""
+    if mapped not in _sources:
+        robot = mapped.robot
+        declared = GeometricErrors(robot) if robot.files is None else GeometricErrors.of(robot, robot.files.errors)
+        poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
+        _sources[mapped] = ErrorSources(closable(declared, poses))
+    return _sources[mapped]
+
+
+def _has_tool(mapped: MappedRobot) -> bool:
+    """Tell whether a robot has a tool whose errors can be mapped."""
+    return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
+
+
+def _source_names(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the sources, and of all together."""
+    sources = _sources_of(mapped)
+    return (
+        *(source.name for source in sources.at(reachable_poses(sources.robot, 1, np.random.default_rng(0)))),
+        TOGETHER,
+    )
+
+
+_Reading = Callable[[ErrorBudget], Array]
+
+
+def _over(evaluation: Evaluation, classes: tuple[str, ...], read: _Reading, shape: tuple[int, ...] = ()) -> Array:
+    """Read numbers off the budgets of some classes of sources at all poses, NaN where there are none."""
+    poses, sources = evaluation.poses, _sources_of(evaluation.mapped)
+    values = np.full((int(np.prod(poses.shape)), *shape), np.nan)
+    flat = poses.reshape(len(values))
+    solved = np.flatnonzero(flat.solved)
+    for start in range(0, len(solved), _CHUNK):
+        rows = solved[start : start + _CHUNK]
+        values[rows] = _read(sources, flat[rows], classes, read, shape)
+    return values.reshape(*poses.shape, *shape)
+
+
+def _read(
+    sources: ErrorSources, poses: Poses, classes: tuple[str, ...], read: _Reading, shape: tuple[int, ...]
+) -> Array:
+    try:
+        return read(error_budget(sources, poses, names=classes))
+    except PM3DofError:
+        if len(poses) == 1:  # a singular pose
+            return np.full((1, *shape), np.nan)
+    return np.concatenate([_read(sources, poses[[row]], classes, read, shape) for row in range(len(poses))])
+
+
+_GEOMETRY = ("kinematic parameters",)
+
+
+@quantity(
+    "geometric_error", unit="m", long_name="tip error by geometry, root mean square over machines", exists=_has_tool
+)
+def _geometric_error(evaluation: Evaluation) -> Array:
+    return _over(evaluation, _GEOMETRY, lambda budget: budget.tip_rms)
+
+
+@quantity("geometric_error_bound", unit="m", long_name="bound of the tip error by geometry", exists=_has_tool)
+def _geometric_error_bound(evaluation: Evaluation) -> Array:
+    return _over(evaluation, _GEOMETRY, lambda budget: budget.worst_tip)
+
+
+@quantity(
+    "geometric_error_left",
+    unit="m",
+    long_name="tip error by geometry that no command can undo, root mean square",
+    exists=_has_tool,
+)
+def _geometric_error_left(evaluation: Evaluation) -> Array:
+    return _over(evaluation, _GEOMETRY, lambda budget: budget.left_rms)
+
+
+@quantity(
+    "geometric_error_energy",
+    unit="m",
+    long_name="energy E of (8.15) of the pose error by geometry, mean",
+    exists=_has_tool,
+)
+def _geometric_error_energy(evaluation: Evaluation) -> Array:
+    return _over(evaluation, _GEOMETRY, lambda budget: budget.energy)
+
+
+@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=_has_tool)
+def _thermal_error(evaluation: Evaluation) -> Array:
+    return _over(evaluation, ("thermal",), lambda budget: budget.tip_rms)
+
+
+@quantity(
+    "error_budget",
+    dims=(Dimension("error_source", _source_names),),
+    unit="m",
+    long_name="tip error by each source, and by all together, root mean square",
+    exists=_has_tool,
+)
+def _error_budget(evaluation: Evaluation) -> Array:
+    names = _source_names(evaluation.mapped)
+
+    def read(budget: ErrorBudget) -> Array:
+        apart = [budget.select([name]).tip_rms for name in budget.names]
+        return np.stack([*apart, budget.tip_rms], axis=-1)
+
+    return _over(evaluation, (), read, (len(names),))
