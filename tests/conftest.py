@@ -158,10 +158,20 @@ CLOSURES = "closed_loop: [[coupler_tip, rocker_tip]]\ntype: ['3d']\nname_mot: [c
 
 @pytest.fixture(scope="session")
 def tripod_errors() -> GeometricErrors:
-    """The chapter's machine with its 35 error parameters."""
+    """The chapter's machine with the 40 error parameters of its file."""
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
     return GeometricErrors.load("pm3dof")
+
+
+@pytest.fixture(scope="session")
+def redundant_errors(tripod_errors: GeometricErrors) -> GeometricErrors:
+    """The same with one that does nothing to the tool: a turn about the axis of a passive joint."""
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+
+    everything = GeometricErrors(tripod_errors.robot)
+    turn = everything.select(["platform_x_joint.rx"]).parameters
+    return GeometricErrors(tripod_errors.robot, [*tripod_errors.parameters, *turn])
 
 
 @pytest.fixture(scope="session")

@@ -31,6 +31,7 @@ COMMANDS = {
     "workspace": "workspace",
     "atlas": "atlas",
     "evaluate": "evaluate",
+    "error-parameters": "error_parameters",
     "error-map": "error_map",
     "calibration-plan": "calibration_plan",
     "measure": "measure",

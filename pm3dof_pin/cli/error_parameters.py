@@ -1,19 +1,119 @@
-"""The error parameters of the robot of `--robot`, and which of them its loops can close with."""
+"""`pm3dof error-parameters`, and the error parameters that other commands work with."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pm3dof_pin.cli.output import message
+import typer
+
+from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 
 if TYPE_CHECKING:
+    from pm3dof_pin.description.error_file import ErrorEntry
     from pm3dof_pin.errors.error_parameters import GeometricErrors
     from pm3dof_pin.kinematics.poses import Poses
 
 _SHOWN = 10
+_LISTED = 3
 _POSES = 20
+
+
+def error_parameters(
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the minimal and complete parameters, an error file to be edited."),
+    ] = None,
+    robot: RobotName = THE_TRIPOD,
+    tool_frame: ToolFrame = None,
+    package_path: PackagePath = None,
+    as_json: Json = False,
+) -> None:
+    """Say which geometric errors a robot has, and find a minimal and complete set of them.
+
+    Of all errors of joints, closures and the tool, as few as do everything to the tool that all of them do. Those that
+    the robot's error file declares come first.
+    """
+    import numpy as np
+
+    from pm3dof_pin.description.error_file import error_file_text, read_error_file
+    from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.errors.error_parameters import GeometricErrors, all_parameters
+    from pm3dof_pin.errors.minimal_parameters import error_entries, minimal_parameters, poses_needed
+    from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+
+    file = find_robot(robot, package_path or ()).errors
+    loaded = load_errors(robot, tool_frame, package_path)
+    declared = loaded if file.is_file() else None
+    first = declared.parameters if declared is not None else ()
+    named = {parameter.name for parameter in first}
+    others = [parameter for parameter in all_parameters(loaded.robot) if parameter.name not in named]
+    everything = GeometricErrors(loaded.robot, [*first, *others])
+    poses = reachable_poses(loaded.robot, poses_needed(loaded.robot), np.random.default_rng(0))
+    found = minimal_parameters(everything, poses, first=named)
+    entries = error_entries(found)
+    result: dict[str, Any] = {
+        "robot": loaded.robot.name,
+        "poses": len(poses),
+        "candidates": len(everything),
+        "parameters": [
+            {
+                "name": parameter.name,
+                "class": parameter.group,
+                "unit": parameter.unit,
+                "tolerance": parameter.tolerance,
+                "declared": parameter.name in named,
+            }
+            for parameter in found.parameters
+        ],
+        "declared": None if declared is None else len(declared),
+        "missing": [] if declared is None else [name for name in found.names if name not in named],
+        "redundant": [] if declared is None else [name for name in declared.names if name not in found.names],
+        "errors_file": str(file) if declared is not None else None,
+    }
+    if out is not None:
+        title = f"What may sit wrong in {loaded.robot.name}, for error maps and calibration: {len(found)} parameters"
+        comment = (
+            f"{title}, minimal and complete.\n"
+            "Directions are those of each joint's or frame's own axes: x, y, z, along the joint's, across it.\n"
+            "Tolerances are standard deviations: set them to your machine's."
+        )
+        zeros = read_error_file(file).command_zeros if declared is not None else {}
+        write_text_atomically(out, error_file_text(entries, comment=comment, command_zeros=zeros))
+        result["file"] = str(out)
+    print_result(result, _described(result, entries), as_json=as_json)
+
+
+def _described(result: dict[str, Any], entries: Sequence[ErrorEntry]) -> list[str]:
+    count = len(result["parameters"])
+    lines = [
+        f"{result['robot']}: {count} error parameters do what all {result['candidates']} errors of joints, closures "
+        f"and tool do to the tool at {result['poses']} poses"
+    ]
+    if result["declared"] is None:
+        lines.append("no error file: error maps and calibration take all of them")
+    else:
+        lines.append(f"{result['errors_file']} declares {result['declared']}")
+        for key, text in (("missing", "missing there"), ("redundant", "of no effect beyond the others")):
+            if result[key]:
+                lines.append(f"{text}: {', '.join(result[key])}")
+    rows = [
+        [
+            *(_places(e.places), e.group, " ".join(e.translations) or "-", " ".join(e.rotations) or "-"),
+            *(f"{e.length_tolerance * 1e6:.6g} um", f"{e.angle_tolerance * 1e6:.6g} urad"),
+        ]
+        for e in entries
+    ]
+    lines += ["", *table_lines(["place", "class", "translation", "rotation", "of length", "of angle"], rows)]
+    return [*lines, *([f"wrote {result['file']}"] if "file" in result else [])]
+
+
+def _places(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= _LISTED else f"{names[0]}, {names[1]} ... {names[-1]} ({len(names)})"
 
 
 def load_errors(

@@ -45,7 +45,14 @@ def info(
         return
     files = find_robot(robot, package_path or ())
     machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
-    result = _files(files) | _tree(machine) | _closures(machine) | _mobility(machine) | _readings(machine)
+    result = (
+        _files(files)
+        | _errors(files, machine)
+        | _tree(machine)
+        | _closures(machine)
+        | _mobility(machine)
+        | _readings(machine)
+    )
     result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
     reason = machine.why_careful()
     result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
@@ -63,6 +70,15 @@ def _files(files: RobotFiles) -> dict[str, Any]:
         "srdf": str(files.srdf) if files.srdf is not None else None,
         "errors_file": str(files.errors) if files.errors.is_file() else None,
     }
+
+
+def _errors(files: RobotFiles, robot: Robot) -> dict[str, Any]:
+    if not files.errors.is_file():
+        return {"error_parameters": None}
+    from pm3dof_pin.errors.error_parameters import GeometricErrors
+
+    errors = GeometricErrors.of(robot, files.errors)
+    return {"error_parameters": {group: len(errors.indices(group)) for group in errors.groups}}
 
 
 def _tree(robot: Robot) -> dict[str, Any]:
@@ -177,7 +193,10 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     if not robot.springs:
         said.append("no springs: stiffness needs some, in a closures file (springs)")
     if result["errors_file"] is None:
-        said.append("no error file: error maps and calibration take every geometric error of every joint")
+        said.append(
+            "no error file: error maps and calibration take every geometric error of every joint; "
+            "pm3dof error-parameters makes one"
+        )
     if result["links_without_mass"]:
         said.append(
             f"links without mass: {', '.join(result['links_without_mass'])}: kinematics do not need any; "
@@ -208,6 +227,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         x, y, z = result["home_tool_position_m"]
         lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
+    counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
         f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
@@ -220,6 +240,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
             for key in ("closures_file", "srdf", "errors_file")
             if result[key] is not None
         ),
+        *([f"error parameters: {counted}"] if counted else []),
         f"named configurations: {', '.join(result['named_configurations']) or 'none'}",
         *result["missing"],
         f"robots that come with the package: {', '.join(result['robots'])}",

@@ -17,7 +17,7 @@ _Word = Literal["x", "y", "z", "along", "across"]
 
 
 @dataclass(frozen=True)
-class _ErrorEntry:
+class ErrorEntry:
     """One line of the error file.
 
     Attributes:
@@ -49,7 +49,7 @@ class ErrorFile:
     """
 
     path: Path
-    entries: tuple[_ErrorEntry, ...]
+    entries: tuple[ErrorEntry, ...]
     command_zeros: Mapping[str, str]
     sources: SourceNumbers
 
@@ -98,8 +98,42 @@ def read_error_file(path: Path | str) -> ErrorFile:
                 element = f"classes.{group}.errors[{index}]"
                 raise DescriptionError(path, element, "expected a place, and a translation or a rotation of it")
             tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
-            entries.append(_ErrorEntry(group, places, translations, rotations, *tolerances))
+            entries.append(ErrorEntry(group, places, translations, rotations, *tolerances))
     return ErrorFile(path, tuple(entries), file.command_zeros or {}, file.sources)
+
+
+def error_file_text(entries: Sequence[ErrorEntry], *, comment: str, command_zeros: Mapping[str, str]) -> str:
+    """Return an error file as text; see :func:`read_error_file`.
+
+    Args:
+        entries: its lines; those of one class have the tolerances of the first of them.
+        comment: what stands above it, without the signs of a comment.
+        command_zeros: see :class:`ErrorFile`.
+    """
+    lines = [f"# {line}".rstrip() for line in comment.splitlines()]
+    if command_zeros:
+        zeros = ", ".join(f"{joint}: {frame}" for joint, frame in command_zeros.items())
+        lines += ["", f"command_zeros: {{{zeros}}}"]
+    lines += ["", "classes:"]
+    for group in dict.fromkeys(entry.group for entry in entries):
+        own = [entry for entry in entries if entry.group == group]
+        lines += [
+            f"  {group}:",
+            f"    length_tolerance_m: {_number(own[0].length_tolerance)}",
+            f"    angle_tolerance_rad: {_number(own[0].angle_tolerance)}",
+            "    errors:",
+        ]
+        for entry in own:
+            parts = {"at": entry.places, "translation": entry.translations, "rotation": entry.rotations}
+            words = [f"{key}: [{', '.join(names)}]" for key, names in parts.items() if names]
+            lines += [f"      - {{{', '.join(words)}}}"]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float) -> str:
+    """Write a number so that YAML 1.1 reads one."""
+    text = repr(value)
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")
 
 
 def _listed(words: str | Sequence[str] | None) -> tuple[str, ...]:

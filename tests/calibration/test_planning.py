@@ -102,7 +102,7 @@ def test_plans_keep_their_distance_and_limits(small: PlanningProblem) -> None:
         shares = plan.poses.commands / 0.17  # the stroke
         distances = np.sqrt(np.mean((shares[:, None] - shares) ** 2, axis=2)) + np.eye(15)
         assert distances.min() >= 0.05
-        assert plan.identifiability.rank == 34
+        assert plan.identifiability.rank == 40
         assert plan.observability.O1 > 0.0
 
 

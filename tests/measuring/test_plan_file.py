@@ -59,17 +59,17 @@ def test_the_command(tmp_path: Path, run: Run) -> None:
     assert first.returncode == again.returncode == 0, first.stderr + again.stderr
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     result = json.loads(first.stdout)
-    assert (result["identifiable"], result["least_number_of_poses"]) == (34, 9)
-    assert result["not_identifiable"] == ["platform_x_joint.rx"]
+    assert (result["identifiable"], result["least_number_of_poses"]) == (40, 9)
+    assert result["not_identifiable"] == []
     assert len(result["commands_m"]) == 9
     predicted = result["predicted_tip_rms_by_strategy_m"]
     assert predicted["d-optimal"] == result["predicted_tip_rms_m"] < predicted["random"]
-    assert "34 of 35 parameters identified" in again.stdout
+    assert "40 of 40 parameters identified" in again.stdout
 
 
 def test_too_few_poses_are_reported(tmp_path: Path, run: Run) -> None:
     done = run("calibration-plan", "--poses", "4", "--strategy", "random", *FEW, cwd=tmp_path)
     assert done.returncode == 0
-    assert "19 of 35" in done.stdout
-    assert "13 more" in done.stdout
+    assert "24 of 40" in done.stdout
+    assert "6 more" in done.stdout
     assert run("calibration-plan", "--poses", "149", "--strategy", "random", *FEW, cwd=tmp_path).returncode == 1

@@ -1,0 +1,165 @@
+"""A minimal and complete set of error parameters: as many as can be told apart, none that moves the tool missing.
+
+Any joint, closure point or tool can be displaced in six ways, and most of these do what others do: an offset along the
+axis of a revolute joint may stand before or behind it, a turn of a rod about its two spherical joints moves nothing. Of
+all of them, taken in an order of preference, each is kept that moves the tool in a way that those kept before do not.
+How many these are is the rank of the sensitivities over the workspace, whatever the order, but for those of next to no
+effect; of a serial arm with full poses, 4 for each revolute and 2 for each prismatic joint, and 6 (B. Mooring, Z. Roth
+and M. Driels, Fundamentals of Manipulator Calibration, 1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Literal
+
+import numpy as np
+
+from pm3dof_pin.description.error_file import ErrorEntry
+from pm3dof_pin.errors.error_parameters import (
+    ANGLE_TOLERANCE,
+    LENGTH_TOLERANCE,
+    GeometricErrors,
+    GeometricParameter,
+    all_parameters,
+)
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.sensitivity import closable, sensitivities
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Matrix
+
+LEAST_EFFECT = 3e-4
+"""What adds less than this part of the greatest effect is left out: 30 nm where the greatest is 0.1 mm."""
+
+_CLOSING = 20  # poses at which the loops have to close
+_LEAST_POSES = 60
+_DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # part of an effect that is its own: what is more distinct goes first
+_ALIGNED = 0.99
+_NOTHING = 1e-10  # of the greatest effect
+
+_Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
+_PREFERENCE: tuple[_Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
+
+
+def poses_needed(robot: Robot) -> int:
+    """Return how many poses of a robot show which of its error parameters can be told apart."""
+    return max(_LEAST_POSES, len(all_parameters(robot)) // 2)
+
+
+def minimal_parameters(
+    errors: GeometricErrors, poses: Poses, *, first: Iterable[str] = (), least_effect: float = LEAST_EFFECT
+) -> GeometricErrors:
+    """Return as few of the parameters as do everything that all of them do to the tool.
+
+    Preferred are, in this order, the zeros of the drives, lengths (from one place to the next), other positions, the
+    axes of the drives, other directions, the tool; but where two of them do nearly the same, the more distinct ones.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.errors.minimal_parameters import minimal_parameters
+        >>> robot = pm.load("hexapod")
+        >>> poses = pm.reachable_poses(robot, 100, np.random.default_rng(0))
+        >>> everything = pm.GeometricErrors(robot)
+        >>> len(everything), len(minimal_parameters(everything, poses))
+        (186, 48)
+
+    Args:
+        errors: the candidates, with their tolerances; those with which loops cannot close are left out.
+        poses: poses of the robot as described, over its whole workspace; see :func:`poses_needed`.
+        first: names of parameters that are preferred to all others.
+        least_effect: what does less beyond the others than this part of the greatest effect is left out, such as an
+            offset between the crossing axes of a joint that hardly turns; 0 for nothing but what does nothing.
+
+    Raises:
+        InvalidValueError: a name of `first` is unknown.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+    """
+    wanted = set(errors.select(first).names)
+    fitting = closable(errors, poses[:_CLOSING])
+    kinds = [_PREFERENCE.index(_kind(fitting.robot, parameter)) for parameter in fitting.parameters]
+    numbers = range(len(fitting))
+    preferred = [k for k in numbers if fitting.names[k] in wanted]
+    others = sorted((k for k in numbers if fitting.names[k] not in wanted), key=lambda k: kinds[k])
+    effects = _effects(fitting, poses)
+    least = max(least_effect, _NOTHING) * np.linalg.norm(effects, axis=0).max(initial=0.0)
+    rounds = [(preferred, _DISTINCT[-1], 0.0), *((others, distinct, least) for distinct in _DISTINCT)]
+    chosen = _independent(effects, rounds)
+    return fitting.select(name for k, name in enumerate(fitting.names) if k in chosen)
+
+
+def error_entries(errors: GeometricErrors) -> tuple[ErrorEntry, ...]:
+    """Return parameters as lines of an error file, places of a class with the same errors in one line."""
+    lines: dict[tuple[str, tuple[str, ...], tuple[str, ...], str], list[str]] = {}
+    for place in dict.fromkeys(parameter.place for parameter in errors.parameters):
+        for group in errors.groups:
+            here = [p for p in errors.parameters if (p.place, p.group) == (place, group)]
+            translations, rotations = (
+                tuple(dict.fromkeys(_word(p) for p in here if p.motion == motion))
+                for motion in ("translation", "rotation")
+            )
+            if here:
+                kind = "".join(character for character in place if not character.isdigit())
+                lines.setdefault((group, translations, rotations, kind), []).append(place)
+    return tuple(
+        ErrorEntry(group, tuple(places), translations, rotations, *_tolerances(errors, group))
+        for (group, translations, rotations, _), places in lines.items()
+    )
+
+
+def _effects(errors: GeometricErrors, poses: Poses) -> Matrix:
+    """Return what each parameter does within its tolerance, its norm the root mean square over the poses [m]."""
+    rows = np.array(sensitivities(errors, poses, engine="pinocchio").errors)
+    rows[:, 3:] *= TIP_LENGTH
+    return np.asarray(rows.reshape(-1, len(errors)) * errors.tolerances / np.sqrt(len(poses)))
+
+
+def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, float]]) -> set[int]:
+    """Return columns that span all others: round by round those of which more than a part, and a size, is their own."""
+    triangle = np.asarray(np.linalg.qr(effects, mode="r"))
+    norms = np.linalg.norm(triangle, axis=0)
+    nothing = _NOTHING * norms.max(initial=0.0)
+    chosen: set[int] = set()
+    for order, distinct, least in rounds:
+        for k in order:
+            own = triangle[:, k]
+            size = float(np.linalg.norm(own))
+            if k not in chosen and norms[k] > nothing and size > max(distinct * norms[k], least):
+                chosen.add(k)
+                for _ in range(2):  # once more, against rounding
+                    triangle = triangle - np.outer(own, own @ triangle) / size**2
+                    triangle[:, k] = 0.0
+    return chosen
+
+
+def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
+    model, place = robot.model, parameter.place
+    axis = np.array(parameter.axis)
+    is_joint = model.existJointName(place)
+    if is_joint and place in robot.actuated_joints:
+        prismatic = bool(np.any(model.joints[model.getJointId(place)].createData().S[:3]))
+        along = abs(robot.joint_axis(place)[int(np.argmax(np.abs(axis)))]) > 1.0 / np.sqrt(3.0)
+        if along and parameter.motion == ("translation" if prismatic else "rotation"):
+            return "zero of a drive"
+    if place == robot.tool_frame:
+        return "tool"
+    if parameter.motion == "rotation":
+        return "axis of a drive" if place in robot.actuated_joints else "direction"
+    if is_joint:
+        offset = model.jointPlacements[model.getJointId(place)]
+    else:
+        offset = model.frames[robot.frame_id(place)].placement
+    way = offset.rotation.T @ offset.translation
+    distance = np.linalg.norm(way)
+    return "length" if distance > 0.0 and abs(way @ axis) > _ALIGNED * distance else "position"
+
+
+def _word(parameter: GeometricParameter) -> str:
+    """Return the word of the error file for a direction: an axis of the place, along or across that of its joint."""
+    return parameter.name.rsplit(".", 1)[1][1:].strip("_12")
+
+
+def _tolerances(errors: GeometricErrors, group: str) -> tuple[float, float]:
+    found = {p.motion: p.tolerance for p in errors.parameters if p.group == group}
+    return found.get("translation", LENGTH_TOLERANCE), found.get("rotation", ANGLE_TOLERANCE)
