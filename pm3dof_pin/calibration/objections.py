@@ -36,7 +36,7 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     unknowns, equations = found.rows.shape[2], found.residuals.size
     if calibration.options.identifies and equations < unknowns:
         reasons.append(f"{len(found.measurements)} rows give {equations} equations for {unknowns} unknowns")
-    left = misfit(calibration)
+    left = _misfit(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
     expected = _possible_error(errors, found.measurements, calibration.options.eta, prior)
     if left > expected:
@@ -59,7 +59,7 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     return reasons
 
 
-def misfit(calibration: Calibration) -> float:
+def _misfit(calibration: Calibration) -> float:
     """Return the tip error that the identified parameters leave of the measurements, median over the visits [m]."""
     found = calibration.identification
     _, first = np.unique(found.settled.visit_numbers, return_index=True)

@@ -244,7 +244,7 @@ def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
     }
     if measurements.registration is not None:
         base = measurements.registration.base
-        position, angle = base_sigmas(found)
+        position, angle = _base_sigmas(found)
         summary["base_in_instrument_frame"] = {
             "position_m": base[:3, 3].tolist(),
             "quaternion_wxyz": quaternion(base[:3, :3]).tolist(),
@@ -266,7 +266,7 @@ def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
     return summary
 
 
-def base_sigmas(found: Identification) -> tuple[Array, Array]:
+def _base_sigmas(found: Identification) -> tuple[Array, Array]:
     """Return the standard deviations of the base's position and orientation along the instrument's axes [m], [rad].
 
     Args:

@@ -147,7 +147,7 @@ def evaluate_workspace(
         DescriptionError: a quantity needs springs, and the robot has none.
     """
     wanted = tuple(stiffness_quantities(mapped) if quantities is None else quantities)
-    matrix = ("free_stiffness" if has_rigid_directions(mapped) else "stiffness",) if springs else ()
+    matrix = ("free_stiffness" if _has_rigid_directions(mapped) else "stiffness",) if springs else ()
     every = tuple(dict.fromkeys((*wanted, *matrix, *((SHARES,) if springs else ()))))
     dataset = quantity_map(mapped, grid, every, engine=engine, threads=threads)
     weights = cell_volumes(grid)
@@ -173,10 +173,10 @@ def evaluate_workspace(
 
 def stiffness_quantities(mapped: MappedRobot) -> tuple[str, ...]:
     """Return what tells the stiffness of a robot: of its 6 x 6 matrix, or of its free motions where there is none."""
-    return _OF_FREE_MOTIONS if has_rigid_directions(mapped) else _ELASTIC
+    return _OF_FREE_MOTIONS if _has_rigid_directions(mapped) else _ELASTIC
 
 
-def has_rigid_directions(mapped: MappedRobot) -> bool:
+def _has_rigid_directions(mapped: MappedRobot) -> bool:
     """Tell whether the tool is rigid in some direction, so that only its free motions have a stiffness."""
     usual = Evaluation(mapped, mapped.usual_poses, engine="pinocchio")
     has_stiffness = np.isfinite(usual.elastic(STIFFNESS)).all(axis=(1, 2)).any()

@@ -105,7 +105,7 @@ class InstrumentFrame:
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """See :class:`Nuisance`: everything moves with the base."""
-        return rigid_motions(poses)
+        return _rigid_motions(poses)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         """See :class:`Nuisance`."""
@@ -202,7 +202,7 @@ class Drift:
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """See :class:`Nuisance`."""
-        return np.concatenate([rigid_motions(poses), drives], axis=2) * self._parts(measurements)[:, None, None]
+        return np.concatenate([_rigid_motions(poses), drives], axis=2) * self._parts(measurements)[:, None, None]
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         """See :class:`Nuisance`."""
@@ -330,7 +330,7 @@ class Nuisances:
         return measurements
 
 
-def rigid_motions(poses: Poses) -> Array:
+def _rigid_motions(poses: Poses) -> Array:
     """Return how the tool moves with a twist [v; omega] of everything, at the base's origin, shape=(n, 6, 6).
 
     Args:

@@ -37,7 +37,7 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
             (see :func:`~pm3dof_pin.description.urdf_checks.check_urdf`); or there is no such type.
         JointNotFoundError: a joint to be replaced is not there.
     """
-    root = read_urdf_element(urdf)
+    root = _read_urdf_element(urdf)
     _complete_limits(root)
     try:
         with parser_messages() as said:
@@ -52,7 +52,7 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     return with_joint_types(model, joint_types, source) if joint_types else model
 
 
-def read_urdf_element(urdf: Path) -> ElementTree.Element:
+def _read_urdf_element(urdf: Path) -> ElementTree.Element:
     """Read and check the XML of a URDF; shapes that it does not have are left out.
 
     Raises:
