@@ -28,6 +28,7 @@ from pm3dof_pin.dynamics.modes import Modes, natural_modes
 from pm3dof_pin.elastic.batch import elastic_model
 from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Matrix, Vector
 
@@ -109,11 +110,15 @@ class Vibration:
         numbers = self.spectra or VibrationNumbers(tool=None, motors=None, axes=None)
         spectra = {cause: spectrum for cause in CAUSES if (spectrum := getattr(numbers, cause)) is not None}
         covariances = {cause: np.empty((len(poses), 6, 6)) for cause in spectra}
-        for row, modes in enumerate(self._modes(poses) if spectra else ()):
+        if not spectra:
+            return covariances
+        forcing = _Forcing(elastic_model(poses.robot).mechanism, self.payloads)
+        for row, modes in enumerate(self._modes(poses)):
+            omegas = 2.0 * np.pi * modes.frequencies
+            joint = {s: response_products(omegas, numbers.damping, s) for s in set(spectra.values())}
             for cause, spectrum in spectra.items():
-                inputs = _FORCING[cause](modes, self.payloads)
-                joint = response_products(2.0 * np.pi * modes.frequencies, numbers.damping, spectrum)
-                covariances[cause][row] = modes.twists @ (joint * (inputs @ inputs.T)) @ modes.twists.T
+                inputs = forcing.of(cause, modes)
+                covariances[cause][row] = modes.twists @ (joint[spectrum] * (inputs @ inputs.T)) @ modes.twists.T
         return covariances
 
     def _modes(self, poses: Poses) -> Iterator[Modes]:
@@ -144,7 +149,7 @@ def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Mat
         residue = 1.0 / np.prod([pole - other for j, other in enumerate(poles) if j != k], axis=0)
         logarithms = np.log(edges[:, None, None] - pole)
         # the logarithms of a pole differ by what the band holds of it: its imaginary part keeps them off the cut
-        bands = np.tensordot(np.asarray(spectrum.levels), np.diff(logarithms, axis=0), axes=1)
+        bands = sum(level * (b - a) for level, a, b in zip(spectrum.levels, logarithms, logarithms[1:], strict=False))
         products += (residue * bands).real
     return products / (2.0 * np.pi)
 
@@ -174,25 +179,22 @@ def covariance_root(covariance: Array) -> Array:
     return np.asarray(unit[..., :, None] * axes * np.sqrt(values.clip(min=0.0))[..., None, :])
 
 
-def _on_tool(modes: Modes, payloads: Payloads | None) -> Matrix:
-    """Return how unit forces on the tool, along the axes of the base, force the modes, shape=(k, 3)."""
-    return np.asarray(modes.twists[:3].T)
+class _Forcing:
+    """How unit inputs of each cause force the modes of a mechanism."""
 
+    def __init__(self, mechanism: Robot, payloads: Payloads | None) -> None:
+        self._model = model_with_payloads(mechanism, payloads).copy()
+        self._data = self._model.createData()
 
-def _on_drives(modes: Modes, payloads: Payloads | None) -> Matrix:
-    """Return how unit forces of the drives force the modes, shape=(k, drives)."""
-    return np.asarray(modes.shapes[modes.configuration.mechanism.actuated_indices].T)
-
-
-def _on_base(modes: Modes, payloads: Payloads | None) -> Matrix:
-    """Return how unit accelerations of the base, along its axes, force the modes, shape=(k, 3)."""
-    q = np.array(modes.configuration.q)
-    model = model_with_payloads(modes.configuration.mechanism, payloads).copy()
-    inertial = np.empty((model.nv, 3))
-    for axis, direction in enumerate(np.eye(3)):
-        model.gravity = pin.Motion(direction, np.zeros(3))
-        inertial[:, axis] = pin.computeGeneralizedGravity(model, model.createData(), q)
-    return np.asarray(modes.shapes.T @ inertial)
-
-
-_FORCING = {"tool": _on_tool, "motors": _on_drives, "axes": _on_base}
+    def of(self, cause: str, modes: Modes) -> Matrix:
+        """Return the forcing, shape=(k, inputs): forces along the axes of the base, of each drive, accelerations."""
+        if cause == "tool":
+            return np.asarray(modes.twists[:3].T)
+        if cause == "motors":
+            return np.asarray(modes.shapes[modes.configuration.mechanism.actuated_indices].T)
+        q = np.array(modes.configuration.q)
+        inertial = np.empty((self._model.nv, 3))
+        for axis, direction in enumerate(np.eye(3)):
+            self._model.gravity = pin.Motion(direction, np.zeros(3))
+            inertial[:, axis] = pin.computeGeneralizedGravity(self._model, self._data, q)
+        return np.asarray(modes.shapes.T @ inertial)
