@@ -9,9 +9,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+import yaml
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.xml_file import comment_text, read_xml
+from pm3dof_pin.description.yaml_file import read_mapping
+from pm3dof_pin.elastic.tool_deflection import stiffened_entries
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import chapter_angles, chapter_rotation
 from pm3dof_pin.exceptions import DescriptionError
@@ -54,6 +57,7 @@ def write_calibrated_robot(
     values: ArrayLike | Mapping[str, float],
     robot: str | Path,
     directory: Path | str,
+    stiffness: Mapping[str, float] | None = None,
 ) -> Path:
     """Write a calibrated robot that loads like any other: URDF, closures, and SRDF and error file if there are such.
 
@@ -65,6 +69,7 @@ def write_calibrated_robot(
         values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
         robot: name or path of the robot as described.
         directory: folder to write into; made if missing.
+        stiffness: by spring, how many times stiffer it is than described.
 
     Returns:
         The path of the URDF.
@@ -78,6 +83,10 @@ def write_calibrated_robot(
     target = write_text_atomically(folder / files.urdf.name, calibrated_urdf(errors, values, files.urdf))
     for source in filter(None, (files.closures, files.srdf, files.errors if files.errors.is_file() else None)):
         write_text_atomically(folder / source.name, source.read_text(encoding="utf-8"))
+    if stiffness and files.closures is not None:
+        closures = read_mapping(files.closures)
+        closures["springs"] = stiffened_entries(closures.get("springs", ()), stiffness)
+        write_text_atomically(folder / files.closures.name, yaml.safe_dump(closures, sort_keys=False, width=120))
     if files.srdf is not None:
         write_text_atomically(folder / files.srdf.name, _closed_again(files.srdf, Robot.load(target)))
     return target

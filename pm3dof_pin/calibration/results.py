@@ -76,7 +76,8 @@ def write_calibration(
             if source is not None and source.is_file():
                 write_text_atomically(folder / "nominal" / source.name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:
-            write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated")
+            factors = {name: factor for name, (factor, _) in compensation.stiffness.items()}
+            write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / COMPENSATION, _compensation_as_json(compensation, files.path.name))
         summary = summary_of(calibration, files.name, held_out, validation=validation, objections=objections)

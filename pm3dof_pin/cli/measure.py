@@ -50,6 +50,9 @@ def measure(
             help="Load the tool with known wrenches, each component between minus and plus so much [N, N m].",
         ),
     ] = None,
+    large: Annotated[
+        bool, typer.Option("--large", help="Large deflections: the equilibrium under the loads, pose by pose.")
+    ] = False,
     machine: Annotated[int, typer.Option(min=0, help="Seed of the machine: the same number, the same machine.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
@@ -74,7 +77,9 @@ def measure(
     sample = reachable_poses(errors.robot, poses, generator)
     commands = sample.commands if plan is None else read_commands(plan, errors.robot)
     fitting = closing_errors(errors, sample[:20], quiet=True)
-    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6)
+    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(
+        load, wrench or (0.0,) * 6, large=large
+    )
     if only is not None:
         truth = truth.only(only.value)
     instrument = Instrument.with_targets(noise)

@@ -6,8 +6,9 @@ k_j changes C by dC / d ln k_j = -C_j, whether the mechanism is statically deter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -65,11 +66,23 @@ def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
             raise InvalidValueError("spring", name, f"one of {', '.join(names)}")
         if not (np.isfinite(factor) and factor > 0.0):
             raise InvalidValueError(f"stiffness factor of {name}", factor, "a positive number")
-    springs = [
-        {key: _scaled(value, factors.get(name, 1.0)) if key in _STIFFNESSES else value for key, value in entry.items()}
-        for name, entry in zip(names, robot.springs, strict=True)
+    return robot.replace(springs=stiffened_entries(robot.springs, factors))
+
+
+def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Return the entries of springs, as in a closures file, with some of them stiffer or softer.
+
+    Args:
+        springs: the entries.
+        factors: by spring, what all of its stiffness is multiplied by.
+    """
+    return [
+        {
+            key: _scaled(value, factors.get(str(entry.get("name")), 1.0)) if key in _STIFFNESSES else value
+            for key, value in entry.items()
+        }
+        for entry in springs
     ]
-    return robot.replace(springs=springs)
 
 
 def _scaled(value: object, factor: float) -> object:

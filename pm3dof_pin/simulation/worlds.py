@@ -106,12 +106,13 @@ class World:
             self.strongest if source == "elastic" else (0.0,) * 6,
         )
 
-    def loaded(self, heaviest: float, strongest: Sequence[float] = (0.0,) * 6) -> World:
+    def loaded(self, heaviest: float, strongest: Sequence[float] = (0.0,) * 6, *, large: bool = False) -> World:
         """Return the world with weights on the tool point, and wrenches.
 
         Args:
             heaviest: the greatest of the weights [N].
             strongest: see the attribute.
+            large: whether the machine is brought to its equilibrium under them, not deflected linearly.
 
         Raises:
             InvalidValueError: a number is negative or not finite, or the machine does not give way: it has no springs.
@@ -123,7 +124,10 @@ class World:
             raise InvalidValueError("strongest", wrench.tolist(), "sizes that are not negative")
         if (heaviest > 0.0 or wrench.any()) and self.machine.elastic is None:
             raise InvalidValueError("loads", (heaviest, *strongest), "0, since this machine has no springs to give way")
-        return replace(self, heaviest=heaviest, strongest=tuple(wrench.tolist()))
+        machine = self.machine
+        if machine.elastic is not None:
+            machine = replace(machine, elastic=replace(machine.elastic, large=large))
+        return replace(self, machine=machine, heaviest=heaviest, strongest=tuple(wrench.tolist()))
 
     def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
         """Draw temperatures and loads of some moments, by the name of their column, shape=(count,) each."""

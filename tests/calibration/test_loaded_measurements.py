@@ -133,7 +133,12 @@ def test_the_commands(answer: Callable[..., dict[str, Any]], tmp_path: Path) -> 
     loads = [str(number) for number in STRONGEST]
     answer("measure", "--poses", "40", "--wrench", *loads, "--out", "m.csv", cwd=tmp_path)
     summary = answer("calibrate", "m.csv", "--method", "lm", "--out", "c", cwd=tmp_path)
-    assert summary["identification"]["stiffness"]["passive_leg"]["sigma_of_logarithm"] < 0.1
+    stiffness = summary["identification"]["stiffness"]["passive_leg"]
+    assert stiffness["sigma_of_logarithm"] < 0.1
+    described, written = (Robot.load(robot).springs[-1] for robot in ("pm3dof", tmp_path / "c/calibrated/pm3dof.urdf"))
+    for key in ("bending_stiffness", "torsional_stiffness"):
+        assert written[key] / described[key] == pytest.approx(stiffness["factor"])
+    assert written["length"] == described["length"]
     pose = ("compensate", "0", "0", "0.49", "--calibration", "c")
     plain = answer(*pose, cwd=tmp_path)
     pressed = answer(*pose, "--wrench", "0", "0", "-500", "0", "0", "0", cwd=tmp_path)
