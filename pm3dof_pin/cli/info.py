@@ -12,6 +12,7 @@ from pm3dof_pin.cli.file_schemas import FileKind, file_schema
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
+from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 
 if TYPE_CHECKING:
     from pm3dof_pin.description.robots import RobotFiles
@@ -56,6 +57,8 @@ def info(
     result |= {"springs": len(machine.springs), "named_configurations": list(machine.named_configurations)}
     reason = machine.why_careful()
     result |= {"engine": "program" if reason is None else "pinocchio", "engine_reason": reason}
+    result["tool_motions"] = machine.tool_motions
+    result["singularity_distances"] = read_singularity_distances(machine.home)
     result["missing"] = _missing(result, machine)
     result["robots"] = robot_names()
     print_result(result, _lines(result, machine), as_json=as_json)
@@ -223,6 +226,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
+    lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
         x, y, z = result["home_tool_position_m"]
         lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")

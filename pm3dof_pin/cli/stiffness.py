@@ -29,6 +29,7 @@ from pm3dof_pin.cli.pose_arguments import (
     si_values,
     write_batch,
 )
+from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ def stiffness(
         result |= {} if free is None else _read_free_motions(free)
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
+    result["singularity_distances"] = read_singularity_distances(solved)
     units = {key: unit for key, unit in JSON_UNITS.items() if key in result or key in result.get("indices", {})}
     print_result(result | {"units": units}, _elastic_lines(result), as_json=as_json)
     stop_on_broken_limits(broken_limits(machine, solved))
@@ -226,8 +228,10 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
         *table_lines(["axis", "felt", "unit", *result["spring_shares"]["x"]], felt),
     ]
     if result["K"] is not None:
-        return [*lines, "", *_index_lines(result["indices"])]
-    return [*lines, "", *_free_motion_lines(result)] if "free_motions" in result else lines
+        lines += ["", *_index_lines(result["indices"])]
+    elif "free_motions" in result:
+        lines += ["", *_free_motion_lines(result)]
+    return lines + singularity_line(result["singularity_distances"])
 
 
 def _free_motion_lines(result: dict[str, Any]) -> list[str]:

@@ -56,6 +56,7 @@ class ClosuresFile:
         commands: what the counters of the drives show; empty if nothing is declared.
         coordinates: the numbers the tool is placed with; empty if nothing is declared.
         limit_groups: names of kinds of limits; empty if nothing is declared.
+        tool_motions: components of the tool's twist that count as its motion; empty if all do.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class ClosuresFile:
     commands: tuple[Command, ...] = ()
     coordinates: tuple[Coordinate, ...] = ()
     limit_groups: tuple[LimitGroup, ...] = ()
+    tool_motions: tuple[ToolComponent, ...] = ()
 
 
 class _SwingLimit(Schema):
@@ -107,6 +109,7 @@ class ClosuresSchema(Schema):
     commands: list[_Command] | None = None
     coordinates: list[_Coordinate] | None = None
     limit_groups: dict[Name, list[Name | int]] | None = None
+    tool_motions: Annotated[list[ToolComponent], msgspec.Meta(min_length=1)] | None = None
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
@@ -121,7 +124,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
     path = Path(path)
     file = checked(read_mapping(path), ClosuresSchema, path)
     closures, commands = _closures(path, file), _commands(path, file)
-    for key in ("name_mot", "motion_coordinates", "joint_name"):
+    for key in ("name_mot", "motion_coordinates", "joint_name", "tool_motions"):
         _require_unique(path, key, getattr(file, key) or ())
     for key in ("commands", "coordinates"):
         _require_unique(path, key, [entry.name for entry in getattr(file, key) or ()])
@@ -138,6 +141,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
         limit_groups=tuple(
             _limit_group(path, name, members, closures) for name, members in (file.limit_groups or {}).items()
         ),
+        tool_motions=tuple(file.tool_motions or ()),
     )
 
 

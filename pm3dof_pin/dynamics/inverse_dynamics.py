@@ -150,9 +150,10 @@ def loop_motion(
         )
     start = finite_array("rates", rates, indices.shape) / dof.scale[indices]
     wanted = finite_array("accelerations", accelerations, indices.shape) / dof.scale[indices]
-    v = _reached("rates", given, start, np.zeros_like(dof.scale))
+    units = dof.scale[indices]
+    v = _reached("rates", given, start, np.zeros_like(dof.scale), units)
     drift = _closure_acceleration(configuration, dof.scale * v)
-    a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale))
+    a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale), units)
     return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
@@ -183,13 +184,21 @@ def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vec
     return drift
 
 
-def _reached(what: str, given: Restriction, wanted: Vector, start: Vector) -> Vector:
-    """Add the shortest closed-loop motion to a scaled velocity or acceleration that gives the joints theirs."""
+def _reached(what: str, given: Restriction, wanted: Vector, start: Vector, units: Vector) -> Vector:
+    """Add the shortest closed-loop motion to a scaled velocity or acceleration that gives the joints theirs.
+
+    Args:
+        what: name of what is wanted, for messages.
+        given: the joints over the degrees of freedom.
+        wanted: their velocities or accelerations, scaled, shape=(k,).
+        start: what the motion is added to, shape=(nv,).
+        units: what the scaled numbers of the joints are multiples of, shape=(k,).
+    """
     missing = wanted - given.rows @ start
     motion: Vector = start + given.inverse @ missing
     left = np.linalg.norm(wanted - given.rows @ motion)
     if left > _CONSISTENT * (np.linalg.norm(wanted) + np.linalg.norm(given.rows @ start)):
-        raise InvalidValueError(what, wanted, "what the loops allow")
+        raise InvalidValueError(what, listed(units * wanted), "what the loops allow")
     return motion
 
 

@@ -204,6 +204,8 @@ def _checked(pose: ArrayLike) -> Array:
     array = np.asarray(pose, dtype=float)
     if array.shape[-2:] != (4, 4):
         raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (..., 4, 4)")
+    if (np.linalg.det(array[..., :3, :3]) < 0.0).any():
+        raise InvalidValueError("pose", "a reflection", "rotations, of determinant 1")
     return array
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
@@ -97,14 +98,19 @@ class DegreesOfFreedom:
         return np.eye(len(self.scale))[self._configuration.mechanism.actuated_indices]
 
     @cached_property
-    def tool(self) -> Matrix:
-        """Jacobian of the tool in scaled numbers."""
+    def twist(self) -> Matrix:
+        """Jacobian of the tool in scaled numbers, shape=(6, nv)."""
         scaled: Matrix = self._configuration.tool_jacobian * self.scale / self.twist_scale[:, None]
         return scaled
 
+    @cached_property
+    def tool(self) -> Matrix:
+        """The rows of the tool's Jacobian that count as its motion, see :attr:`Mechanism.tool_motions`."""
+        return self.twist[[TOOL_COMPONENTS.index(name) for name in self._configuration.mechanism.tool_motions]]
+
     @property
     def actuators_and_tool(self) -> Matrix:
-        """Both, one above the other."""
+        """Rates of the actuated joints and motions of the tool, one above the other."""
         return np.vstack([self.actuators, self.tool])
 
     @cached_property
@@ -138,7 +144,9 @@ class Restriction:
     Attributes:
         rows: the rows, shape=(k, nv).
         rank: the decision on `rows @ basis`.
-        motions: orthonormal motions of the basis that the rows do not see, shape=(nv, f - rank).
+        directions: orthonormal motions of the basis that the rows see less and less, shape=(nv, f); the first of them
+            belong to the singular values.
+        motions: those of them that the rows do not see, shape=(nv, f - rank).
         image: orthonormal values that the rows take on the basis, shape=(k, rank).
         inverse: shortest motion of the basis for given values of the rows, shape=(nv, k).
     """
@@ -149,6 +157,7 @@ class Restriction:
         threshold = tolerance * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
         rank = int(np.count_nonzero(values > threshold))
         self.rank = RankDecision(rank, threshold, frozen(values))
-        self.motions: Matrix = basis @ right[rank:].T
+        self.directions: Matrix = basis @ right.T
+        self.motions: Matrix = self.directions[:, rank:]
         self.image: Matrix = left[:, :rank]
-        self.inverse: Matrix = (basis @ right[:rank].T / values[:rank]) @ self.image.T
+        self.inverse: Matrix = (self.directions[:, :rank] / values[:rank]) @ self.image.T

@@ -1,4 +1,4 @@
-"""Singular configurations and their names."""
+"""Singular configurations, their names, and the distance from them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Matrix
+from pm3dof_pin.typing import Matrix, Vector
 
 SingularityType = Literal["constraint", "parallel", "serial", "passive"]
 
@@ -35,6 +35,24 @@ class Singularity:
     twists: Matrix
 
 
+@dataclass(frozen=True, eq=False)
+class SingularityDistance:
+    """How far a configuration is from one type of singularity.
+
+    Attributes:
+        type: see :class:`Singularity`.
+        measure: the singular value that comes down to zero there, in scaled numbers.
+        motion: the motion that is nearest to being lost or gained there, as velocities, shape=(nv,), of length 1 in
+            scaled numbers.
+        twist: twist [v; omega] of the tool in this motion, world axes, shape=(6,).
+    """
+
+    type: SingularityType
+    measure: float
+    motion: Vector
+    twist: Vector
+
+
 def singularities(
     configuration: Configuration, *, generic: Mobility | None = None, tolerance: float = RANK_TOLERANCE
 ) -> tuple[Singularity, ...]:
@@ -48,6 +66,9 @@ def singularities(
 
     Where c degrees of freedom are gained at a constraint singularity, actuated joints at rest leave motions free for
     lack of number. This consequence is not reported once more as "parallel".
+
+    What counts as motion of the tool is the robot's `tool_motions`: of a point tool its translations, so that it does
+    not matter which of the bodies that meet in the point carries the tool frame.
 
     Example:
         A hexapod is singular where its platform is turned by 90 degrees about its axis:
@@ -70,37 +91,93 @@ def singularities(
         InvalidValueError: the loops are not closed.
         ConvergenceError: no generic configuration was found near by.
     """
-    usual = generic or instantaneous_mobility(generic_configuration(configuration), tolerance=tolerance)
     dof = DegreesOfFreedom(configuration, tolerance)
+    bases: dict[SingularityType, Matrix] = {
+        "constraint": _by_movement(dof.basis, dof.actuators)[:, ::-1],
+        "parallel": _by_movement(dof.at_actuators.motions, dof.tool),
+        "serial": _by_movement(dof.at_tool.motions, dof.actuators),
+        "passive": dof.idle.motions,
+    }
+    return tuple(
+        _singularity(dof, judged.type, judged.measure, bases[judged.type][:, : judged.lost])
+        for judged in _judged(dof, _usual(configuration, generic, tolerance))
+        if judged.lost > 0
+    )
+
+
+def singularity_distances(
+    configuration: Configuration, *, generic: Mobility | None = None, tolerance: float = RANK_TOLERANCE
+) -> tuple[SingularityDistance, ...]:
+    """Measure how far a configuration is from each type of singularity.
+
+    The measure is the least of the singular values that a generic configuration has, of the matrix that loses rank
+    there: the closures, the actuated joints' rates, the tool's motions, or the latter two together, over the degrees of
+    freedom. It is zero at the singularity, and near it as good as linear in the distance. Lengths are divided by
+    the characteristic length.
+
+    Example:
+        >>> import numpy as np
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.kinematics.singularity import singularity_distances
+        >>> hexapod = pm.load("hexapod")
+        >>> for turn in (60.0, 80.0, 89.0):
+        ...     turned = hexapod.solve([0.0, 0.0, 0.135, 0.0, 0.0, np.radians(turn)]).configuration()
+        ...     measures = {entry.type: entry.measure for entry in singularity_distances(turned)}
+        ...     print(f"{measures['parallel']:.4f}")
+        0.1700
+        0.0501
+        0.0049
+
+    Args:
+        configuration: an assembled configuration.
+        generic: see :func:`singularities`.
+        tolerance: see there.
+
+    Returns:
+        One for each type that the mechanism can have at all: one without closures has no constraint singularity.
+
+    Raises:
+        PM3DofError: see there.
+    """
+    dof = DegreesOfFreedom(configuration, tolerance)
+    found = []
+    for judged in _judged(dof, _usual(configuration, generic, tolerance)):
+        if judged.rank > 0:
+            motion = judged.seen.directions[:, min(judged.rank, judged.seen.directions.shape[1]) - 1]
+            twist = dof.twist_scale * (dof.twist @ motion)
+            found.append(SingularityDistance(judged.type, judged.measure, frozen(dof.scale * motion), frozen(twist)))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A matrix over the degrees of freedom: the rank it usually has, and how much of it is lost."""
+
+    type: SingularityType
+    seen: Restriction
+    rank: int
+    lost: int
+
+    @property
+    def measure(self) -> float:
+        return self.seen.rank.least(self.rank)
+
+
+def _usual(configuration: Configuration, generic: Mobility | None, tolerance: float) -> Mobility:
+    return generic or instantaneous_mobility(generic_configuration(configuration), tolerance=tolerance)
+
+
+def _judged(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_Judged, ...]:
     gained = dof.count - usual.count
     actuator_rank = min(usual.actuator_rank.rank + gained, len(dof.actuators))
-    tool_rank, idle_rank = usual.tool_rank.rank + gained, usual.idle_rank.rank + gained
+    tool_rank = min(usual.tool_rank.rank + gained, len(dof.tool))
+    idle_rank = usual.idle_rank.rank + gained
     passive = idle_rank - dof.idle.rank.rank
-    candidates: tuple[tuple[SingularityType, int, float, Matrix], ...] = (
-        (
-            "constraint",
-            gained,
-            dof.constraint_rank.least(usual.constraint_rank.rank),
-            _by_movement(dof.basis, dof.actuators)[:, ::-1],
-        ),
-        (
-            "parallel",
-            actuator_rank - dof.at_actuators.rank.rank - passive,
-            dof.at_actuators.rank.least(actuator_rank),
-            _by_movement(dof.at_actuators.motions, dof.tool),
-        ),
-        (
-            "serial",
-            tool_rank - dof.at_tool.rank.rank - passive,
-            dof.at_tool.rank.least(tool_rank),
-            _by_movement(dof.at_tool.motions, dof.actuators),
-        ),
-        ("passive", passive, dof.idle.rank.least(idle_rank), dof.idle.motions),
-    )
-    return tuple(
-        _singularity(dof, kind, measure, motions[:, :count])
-        for kind, count, measure, motions in candidates
-        if count > 0
+    return (
+        _Judged("constraint", dof.closures, usual.constraint_rank.rank, gained),
+        _Judged("parallel", dof.at_actuators, actuator_rank, actuator_rank - dof.at_actuators.rank.rank - passive),
+        _Judged("serial", dof.at_tool, tool_rank, tool_rank - dof.at_tool.rank.rank - passive),
+        _Judged("passive", dof.idle, idle_rank, passive),
     )
 
 
@@ -111,5 +188,5 @@ def _by_movement(motions: Matrix, rows: Matrix) -> Matrix:
 
 
 def _singularity(dof: DegreesOfFreedom, kind: SingularityType, measure: float, motions: Matrix) -> Singularity:
-    twists = dof.twist_scale[:, None] * (dof.tool @ motions)
+    twists = dof.twist_scale[:, None] * (dof.twist @ motions)
     return Singularity(kind, measure, frozen(dof.scale[:, None] * motions), frozen(twists))

@@ -29,9 +29,11 @@ from pm3dof_pin.elastic.quantities import (
     spring_shares,
 )
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, PM3DofError
+from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.typing import Array, Engine
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -86,6 +88,17 @@ class MappedRobot:
             return self.robot.at(samples_near(self.robot, home))
         except ConvergenceError:
             return self.robot.at(home[None])
+
+    @cached_property
+    def usual_mobility(self) -> Mobility:
+        """The degrees of freedom at a generic configuration near home, which singular ones are judged against."""
+        return instantaneous_mobility(generic_configuration(self.robot.home))
+
+    @cached_property
+    def singularity_types(self) -> tuple[str, ...]:
+        """The types of singularity that the robot can have."""
+        home = singularity_distances(self.robot.home, generic=self.usual_mobility)
+        return tuple(distance.type for distance in home)
 
     def _free_motions_at(self, q: Array) -> FreeMotionStiffness | None:
         try:
@@ -252,6 +265,16 @@ def _numbers_to_six(mapped: MappedRobot) -> tuple[str, ...]:
     return tuple(str(number + 1) for number in range(_MODES))
 
 
+def _has_drives_and_tool(mapped: MappedRobot) -> bool:
+    """Tell whether there is something that moves the tool."""
+    return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
+
+
+def _singularity_types(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the types of singularity that the robot can have."""
+    return mapped.singularity_types
+
+
 def _spring_names(mapped: MappedRobot) -> tuple[str, ...]:
     """Return the names of the springs."""
     return mapped.elastic.spring_names
@@ -278,6 +301,7 @@ PRINCIPAL = Dimension("principal", _principal_values)
 MODE = Dimension("mode", _numbers_to_six)
 NATURAL_MODE = Dimension("natural_mode", _numbers_to_six)
 SPRING = Dimension("spring", _spring_names)
+SINGULARITY = Dimension("singularity", _singularity_types)
 COMMAND = Dimension("command", _command_names)
 
 _AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
@@ -364,6 +388,23 @@ def _natural_frequencies(evaluation: Evaluation) -> Array:
 def _first_frequency(evaluation: Evaluation) -> Array:
     model = evaluation.mapped.elastic
     return evaluation.at_each((), lambda q: natural_frequencies(model, q, count=1)[0])
+
+
+@quantity(
+    "singularity_distance",
+    dims=(SINGULARITY,),
+    unit="1",
+    long_name="least scaled singular value of each type of singularity, zero where it is singular",
+    exists=_has_drives_and_tool,
+)
+def _singularity_distance(evaluation: Evaluation) -> Array:
+    mapped = evaluation.mapped
+
+    def measures(q: Array) -> Array:
+        found = singularity_distances(mapped.robot.configuration(q), generic=mapped.usual_mobility)
+        return np.array([distance.measure for distance in found])
+
+    return evaluation.at_each((len(mapped.singularity_types),), measures)
 
 
 @quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")

@@ -25,6 +25,7 @@ import pinocchio as pin
 import yaml
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.description.robots import CLOSURES_SUFFIX, RobotFiles
 from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
@@ -263,6 +264,7 @@ def _closures(mechanism: Mechanism) -> dict[str, Any]:
         "name_mot": list(mechanism.actuated_joints),
         "tool_frame": mechanism.tool_frame,
         "motion_coordinates": list(mechanism.motion_coordinates),
+        "tool_motions": [] if mechanism.tool_motions == TOOL_COMPONENTS else list(mechanism.tool_motions),
         "closure_limits": [loop.swing_limit and {"swing_rad": loop.swing_limit} for loop in mechanism.closures],
         "commands": [_without_none(vars(command)) for command in mechanism.commands],
         "coordinates": [_coordinate(vars(coordinate)) for coordinate in mechanism.declared_coordinates],

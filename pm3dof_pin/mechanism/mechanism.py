@@ -16,7 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import finite_array, frozen
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, Unit
+from pm3dof_pin.description.coordinates import (
+    TOOL_COMPONENTS,
+    Command,
+    Coordinate,
+    LimitGroup,
+    ToolComponent,
+    Unit,
+)
 from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
@@ -81,6 +88,8 @@ class Mechanism:
             own coordinates.
         coordinates: the independent numbers that place the tool; by default those of the motion coordinates, or none.
         limit_groups: names for kinds of limits; limits in none of them are grouped by the names of their joints.
+        tool_motions: components of the tool's twist, world axes, that count as its motion where degrees of freedom are
+            counted and singularities are named: x, y of a planar point tool; all six by default.
         characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
             are decided [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
@@ -99,6 +108,7 @@ class Mechanism:
         commands: what the counters of the drives show, in the order of the actuated joints.
         declared_coordinates: the coordinates that the description declares; may be empty.
         limit_groups: all limits by kind.
+        tool_motions: components of the tool's twist that count as its motion.
         actuated_indices: indices of the driven joints' rates in v, shape=(number of driven joints,).
         passive_indices: indices of all other rates in v.
         lower_limits: least value of each entry of q, shape=(nq,) [m, rad]; -inf where there is none.
@@ -131,6 +141,7 @@ class Mechanism:
         commands: Iterable[Command] = (),
         coordinates: Iterable[Coordinate] = (),
         limit_groups: Iterable[LimitGroup] = (),
+        tool_motions: Iterable[ToolComponent] = (),
         characteristic_length: float | None = None,
         source: Path | str | None = None,
         files: RobotFiles | None = None,
@@ -174,6 +185,7 @@ class Mechanism:
         self.velocity_scale = frozen(np.where(_is_translation(self.model), self.characteristic_length, 1.0))
         self.closure_scale = frozen(self._closure_scale())
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
+        self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
         self._description: dict[str, Any] = {
             "actuated_joints": self.actuated_joints,
             "tool_frame": tool_frame,
@@ -182,6 +194,7 @@ class Mechanism:
             "commands": self.commands,
             "coordinates": self.declared_coordinates,
             "limit_groups": self.limit_groups,
+            "tool_motions": self.tool_motions,
             "characteristic_length": self.characteristic_length,
             "source": self._source,
             "files": files,

@@ -11,7 +11,7 @@ from typing import Any
 import pinocchio as pin
 
 from pm3dof_pin.description.closures import ClosuresFile, LoopClosure, read_closures
-from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
+from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.mechanism.model_files import UNLIMITED, read_model, read_named_configurations
 
@@ -31,6 +31,7 @@ class Description:
     commands: tuple[Command, ...]
     coordinates: tuple[Coordinate, ...]
     limit_groups: tuple[LimitGroup, ...]
+    tool_motions: tuple[ToolComponent, ...]
     files: RobotFiles
 
 
@@ -65,6 +66,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
         commands=said.commands,
         coordinates=said.coordinates,
         limit_groups=said.limit_groups,
+        tool_motions=said.tool_motions,
         files=files,
     )
 

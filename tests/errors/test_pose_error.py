@@ -97,3 +97,9 @@ def test_arguments_are_checked() -> None:
         pose_error.position_error(np.zeros(3), np.zeros(3))
     with pytest.raises(InvalidValueError, match="eta"):
         pose_error.energy(np.eye(4), np.eye(4), eta=-1.0)
+
+
+def test_a_reflection_is_no_orientation() -> None:
+    mirror = np.diag([1.0, 1.0, -1.0, 1.0])
+    with pytest.raises(InvalidValueError, match="reflection"):
+        pose_error.orientation_error(np.eye(4), mirror)

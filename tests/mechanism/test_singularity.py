@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,12 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
 
+from pm3dof_pin.description.closures import read_closures
+from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.singularity import singularities
+from pm3dof_pin.kinematics.singularity import singularities, singularity_distances
+from pm3dof_pin.mechanism.as_urdf import as_urdf
 from pm3dof_pin.mechanism.configuration import Configuration
 
 CRANK, COUPLER, ROCKER, GROUND = 0.2, 0.5, 0.4, 0.6
@@ -241,3 +245,56 @@ def test_gough_platform_turned_about_its_axis_becomes_parallel(gough: Any) -> No
     assert singularity.measure < 1e-10
     assert np.linalg.norm(singularity.twists) > 0.1
     assert names(configuration(turn - 0.05)) == []
+
+
+def test_a_point_tool_is_the_same_on_either_body(make_five_bar: Callable[..., Robot]) -> None:
+    """A stretched left leg moves with the point at rest: serial, whichever of the two links carries the tool frame."""
+    five_bar = make_five_bar(PROXIMAL, DISTAL, PIVOTS)
+    reach = PROXIMAL + DISTAL
+    stretched = five_bar_at(five_bar, np.array([-PIVOTS / 2 + reach * np.cos(1.1), reach * np.sin(1.1)]))
+    found: dict[str, list[list[str]]] = {}
+    for count, tool_motions in (("all", ()), ("point", ("x", "y"))):
+        for tip in ("left_tip", "right_tip"):
+            robot = five_bar.replace(tool_frame=tip, tool_motions=tool_motions, motion_coordinates=())
+            found.setdefault(count, []).append(names(robot.configuration(stretched.q)))
+    assert found["point"] == [["serial"], ["serial"]]
+    assert found["all"][0] != found["all"][1]
+
+
+def test_distances_fall_linearly_to_zero_and_name_the_motion() -> None:
+    """The hexapod with its platform turned by nearly 90 degrees about its axis."""
+    hexapod = Robot.load("hexapod")
+    generic = instantaneous_mobility(generic_configuration(hexapod.home))
+    measures = {}
+    for degrees in (89.0, 89.9, 89.99):
+        turned = hexapod.solve([0.0, 0.0, 0.135, 0.0, 0.0, np.radians(degrees)]).configuration()
+        assert singularities(turned, generic=generic) == ()
+        distances = {entry.type: entry for entry in singularity_distances(turned, generic=generic)}
+        assert set(distances) == {"constraint", "parallel", "serial", "passive"}
+        nearest = distances["parallel"]
+        measures[degrees] = nearest.measure
+        # the drives move by no more than this in it, while the platform turns
+        drives = nearest.motion[hexapod.actuated_indices] / hexapod.characteristic_length
+        assert np.linalg.norm(drives) == pytest.approx(nearest.measure, rel=1e-6)
+        assert abs(nearest.twist[5]) > 0.2
+        np.testing.assert_allclose(turned.constraint_jacobian @ nearest.motion, 0.0, atol=1e-12)
+        np.testing.assert_allclose(turned.tool_jacobian @ nearest.motion, nearest.twist, atol=1e-12)
+    assert measures[89.0] / measures[89.9] == pytest.approx(10.0, rel=0.02)
+    assert measures[89.9] / measures[89.99] == pytest.approx(10.0, rel=0.002)
+
+
+def test_tool_motions_are_read_and_written(tmp_path: Path) -> None:
+    source = Path(__file__).parents[1] / "machines" / "five_bar"
+    for file in source.iterdir():
+        (tmp_path / file.name).write_text(file.read_text())
+    closures = tmp_path / "five_bar.closures.yaml"
+    closures.write_text(closures.read_text() + "tool_motions: [x, y]\n")
+    robot = Robot.load(tmp_path)
+    assert robot.tool_motions == ("x", "y")
+    assert instantaneous_mobility(robot.home).tool_mobility == 2
+    written = as_urdf(robot).closures
+    assert written is not None
+    assert read_closures(written).tool_motions == ("x", "y")
+    closures.write_text(closures.read_text().replace("[x, y]", "[x, w]"))
+    with pytest.raises(DescriptionError, match="tool_motions"):
+        Robot.load(tmp_path)
