@@ -10,7 +10,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify
+from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, prior_from_data
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedModel, LearnedPart
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
@@ -19,11 +19,14 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
 Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
+
+_HARDLY_SHOWN = 0.1  # of the poses
 
 LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
@@ -37,14 +40,15 @@ class Options:
         method: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both.
         seed: of networks and folds.
         eta: weight of the orientation in the tip error [m/rad].
-        prior: standard deviation of the parameters beforehand, in units of their tolerances.
+        prior: standard deviation of the parameters beforehand, in units of their tolerances; None for what makes the
+            measurements most likely, from 1 to 3.
         loss: of the identification.
     """
 
     method: Method = "lm+gp"
     seed: int = 0
     eta: float = TIP_LENGTH
-    prior: float = PRIOR
+    prior: float | None = None
     loss: Loss = "tukey"
 
     def __post_init__(self) -> None:
@@ -72,7 +76,7 @@ class Calibration:
     """A calibrated machine.
 
     Attributes:
-        options: how it was calibrated.
+        options: how it was calibrated, with the prior that was taken.
         measurements: what was measured.
         identification: the parameters identified; by the methods without parameters for finding outliers only.
         compensation: what to command the machine by.
@@ -82,6 +86,10 @@ class Calibration:
     measurements: Measurements
     identification: Identification
     compensation: Compensation
+
+    def with_scatter(self, scatter: Array) -> Calibration:
+        """Return it with what a cross-validation says is left of errors, shape=(6, 6) [m^2]."""
+        return replace(self, compensation=replace(self.compensation, scatter=scatter))
 
 
 def calibrate(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Calibration:
@@ -113,7 +121,11 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         MissingPackageError: a network is wanted and scikit-learn is not installed.
     """
     options = options or Options()
-    identification = identify(measurements, errors, prior=options.prior, loss=options.loss)
+    prior = PRIOR if options.prior is None else options.prior
+    identification = identify(measurements, errors, prior=prior, loss=options.loss)
+    if options.prior is None and (found := prior_from_data(identification)) < prior:
+        identification = identify(identification.measurements, errors, prior=found, loss=options.loss)
+    options = replace(options, prior=identification.prior)
     _warn_of_gaps(identification)
     trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
     shown = identification.settled[trusted]
@@ -121,14 +133,43 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
     if options.identifies:
         shown = compensation.without_loads(shown)
-    # what no command corrects and no parameter explains, root mean square without noise
-    nominal = errors.robot.forward(shown.visits.commands)
-    found = pseudo_errors(shown, compensation.model_poses(nominal), options.eta)
-    across = found.seen.shown - found.control @ control_inverse(found.control)
-    noise = np.einsum("nij,njk,nik->", across, found.seen.covariances, across)
-    unexplained = float(np.sqrt(max(0.0, (np.sum(found.left**2) - noise) / len(nominal))))
-    compensation = replace(compensation, unexplained=unexplained)
+    compensation = replace(compensation, scatter=_scatter(compensation, shown, identification))
     return Calibration(options, identification.measurements, identification, compensation)
+
+
+def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Array:
+    """Return what is left in the measurements that were calibrated from, without noise.
+
+    Of the directions that drives correct, what is learned says itself how well it does.
+    """
+    visits = shown.visits
+    nominal = compensation.errors.robot.forward(visits.commands)
+    found = pseudo_errors(shown, compensation.model_poses(nominal), compensation.eta)
+    if compensation.learned is not None:
+        across = found.seen.shown - found.control @ control_inverse(found.control)
+        covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
+        return scatter_of(found.left, covariances, across)
+    used = float(len(identification.errors)) if compensation.values is not None else 0.0
+    freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
+    return scatter_of(found.before / np.sqrt(freedom), found.at_commands.covariances, found.at_commands.shown)
+
+
+def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
+    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2].
+
+    Directions that hardly any pose shows are taken to scatter as the others do in the mean.
+
+    Args:
+        errors: tip-weighted, shape=(n, 6) [m].
+        covariances: what is known of them, shape=(n, 6, 6) [m^2].
+        shown: projections on the directions they were seen in, shape=(n, 6, 6).
+    """
+    values, axes = np.linalg.eigh((errors.T @ errors - covariances.sum(axis=0)) / len(errors))
+    scatter = (axes * np.maximum(values, 0.0)) @ axes.T
+    parts, directions = np.linalg.eigh(shown.mean(axis=0))
+    hidden = directions[:, parts < _HARDLY_SHOWN]
+    mean = float(np.trace(scatter)) / max(1.0, float(parts.sum()))
+    return np.asarray(scatter + mean * hidden @ hidden.T)
 
 
 def compensation_from(
@@ -154,7 +195,7 @@ def compensation_from(
         compensation = replace(
             compensation,
             values=identification.values,
-            covariance=identification.covariance,
+            covariance=identification.seen_covariance,
             stiffness=identification.stiffness,
         )
         measurements = compensation.without_loads(measurements)

@@ -20,17 +20,22 @@ from pm3dof_pin.calibration.learned_part import LearnedPart
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.wrenches import is_wrench, without_deflections, wrenches_of
 from pm3dof_pin.typing import Array, OnFailure
 
 Conditions = Mapping[str, Array | float]
 """Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
+
+COVERAGE = 0.95
+"""Probability of the bounds of errors."""
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13  # of the drives' joints, beside the rounding of what their counters show
@@ -47,14 +52,16 @@ class Compensated:
         commands: what to command, shape=(n, number of commands) [m, rad].
         nominal_commands: what the description alone would command, shape as above [m, rad].
         deviations: predicted pseudo-error of the nominal machine at the nominal commands, shape as above [m, rad].
-        predicted_error: tip error to be expected with the corrected commands, shape=(n,) [m]: what the calibrated model
-            says no command corrects, and the uncertainty of all that is predicted.
+        predicted_error: tip error to be expected with the corrected commands, root mean square, shape=(n,) [m]: what
+            the calibrated model says no command corrects, and the uncertainty of all that is predicted.
+        error_bound: tip error that is not exceeded with the probability :data:`COVERAGE`, shape=(n,) [m].
     """
 
     commands: Array
     nominal_commands: Array
     deviations: Array
     predicted_error: Array
+    error_bound: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +71,12 @@ class Compensation:
     Attributes:
         errors: the geometric parameters, with the robot as described.
         values: identified parameters, shape=(number of parameters,) [m, rad]; None for the nominal model.
-        covariance: theirs; None for the nominal model.
+        covariance: theirs; None for the nominal model. With twelve rows more, those of the base and of the tool as the
+            measurements define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`.
         learned: pseudo-error on top of that model; None for none.
         eta: weight of the orientation in the tip error [m/rad].
-        unexplained: tip error that was left in the measurements beside all this and beside their noise [m].
+        scatter: covariance of the tip-weighted error that was left in the measurements beside all this and beside their
+            noise, base axes, shape=(6, 6) [m^2].
         stiffness: by spring, how many times stiffer it was found than described, and the standard deviation of the
             logarithm of that; springs not named are as described.
     """
@@ -77,8 +86,13 @@ class Compensation:
     covariance: Array | None = None
     learned: LearnedPart | None = None
     eta: float = TIP_LENGTH
-    unexplained: float = 0.0
+    scatter: Array = field(default_factory=lambda: np.zeros((6, 6)))
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def unexplained(self) -> float:
+        """Tip error that was left in the measurements, root mean square [m]."""
+        return float(np.sqrt(np.trace(self.scatter)))
 
     @cached_property
     def model(self) -> Robot:
@@ -160,7 +174,8 @@ class Compensation:
                 raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
         count, drives = len(nominal), len(self.errors.robot.commands)
         commands, deviations = np.full((2, count, drives), np.nan)
-        answer = Compensated(commands, np.array(nominal.commands), deviations, np.full(count, np.nan))
+        predicted, bounds = np.full((2, count), np.nan)
+        answer = Compensated(commands, np.array(nominal.commands), deviations, predicted, bounds)
         given = {name: np.broadcast_to(values, count) for name, values in (conditions or {}).items()}
         for start in range(0, count, _CHUNK):
             rows = np.arange(start, min(start + _CHUNK, count))[nominal.solved[start : start + _CHUNK]]
@@ -170,7 +185,9 @@ class Compensation:
             nearest = self._nearest(nominal[rows], model, part, on_failure)
             answer.commands[rows] = self._corrected(nearest.commands, part)
             answer.deviations[rows] = self._deviations(nominal[rows], model, part)
-            answer.predicted_error[rows] = self._predicted_error(nominal[rows], nearest, part)
+            left, spread = self._left_over(nominal[rows], nearest, part)
+            answer.predicted_error[rows] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
+            answer.error_bound[rows] = norm_quantiles(left, spread, COVERAGE)
             if progress is not None:
                 progress(min(start + _CHUNK, count), count)
         for array in vars(answer).values():
@@ -283,23 +300,37 @@ class Compensation:
         seen = self._deflected(self._deviated(model, nominal.commands, conditions), conditions).transforms
         return nearest_poses(nominal, seen, self.eta).commands - nominal.commands
 
-    def _predicted_error(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> Array:
+    def _left_over(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> tuple[Array, Array]:
+        """Return the tip-weighted error with the corrected commands, its mean and covariance, (n, 6) and (n, 6, 6)."""
         reached = self._deflected(nearest, conditions)
-        squares = tip_error(pose_difference(nominal.transforms, reached.transforms), self.eta) ** 2
-        weights = tip_weights(self.eta)
+        left = pose_difference(nominal.transforms, reached.transforms) * tip_weights(self.eta)
+        return left, self.covariances(nearest, conditions) + self.scatter
+
+    def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
+        """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2].
+
+        Args:
+            poses: of the model.
+            conditions: temperatures and loads by name.
+        """
+        weights, given = tip_weights(self.eta), conditions or {}
+        total = np.zeros((len(poses), 6, 6))
         if self.values is not None and self.covariance is not None:
-            effects = sensitivities(self.errors, nearest, self.values).errors * weights[:, None]
+            effects = sensitivities(self.errors, poses, self.values).errors
+            if len(self.covariance) > len(self.errors):
+                effects = np.concatenate([effects, datum_motions(poses)], axis=2)
+            effects = effects * weights[:, None]
             # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
             known = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
-            squares = squares + np.sum((effects @ known) * effects, axis=(1, 2))
-        wrenches = self._wrenches(conditions, len(nominal))
+            total = total + (effects @ known) @ np.swapaxes(effects, 1, 2)
+        wrenches = self._wrenches(given, len(poses))
         if wrenches is not None and self.stiffness:
             names = [str(entry["name"]) for entry in self.errors.robot.springs]
             spread = np.array([self.stiffness.get(name, (1.0, 0.0))[1] for name in names])
-            parts = self._by_spring(nearest, wrenches) * weights * spread[:, None]
-            squares = squares + np.sum(parts**2, axis=(1, 2))
+            parts = self._by_spring(poses, wrenches) * weights * spread[:, None]
+            total = total + np.swapaxes(parts, 1, 2) @ parts
         if self.learned is not None:
-            control = command_jacobians(nearest) * weights[:, None]
-            spread = self.learned.uncertainties(nearest.commands, conditions)
-            squares = squares + np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))
-        return np.asarray(np.sqrt(squares + self.unexplained**2))
+            control = command_jacobians(poses) * weights[:, None]
+            moved = control * self.learned.uncertainties(poses.commands, given)[:, None, :]
+            total = total + moved @ np.swapaxes(moved, 1, 2)
+        return np.asarray(total)

@@ -115,6 +115,22 @@ class Identification:
         return self.joint_covariance[: len(self.errors), : len(self.errors)]
 
     @property
+    def seen_covariance(self) -> Array:
+        """Covariance of p and, where nuisances define them, of base and tool, shape=(p or p + 12, same).
+
+        See :func:`pm3dof_pin.measuring.nuisances.datum_motions`.
+        """
+        datum = self.nuisances.datum_map()
+        if not datum.any():
+            return self.covariance
+        count, first = len(self.errors), len(self.joint_covariance) - len(self.nuisances)
+        chosen = np.zeros((count + 12, len(self.joint_covariance)))
+        chosen[:count, :count] = np.eye(count)
+        chosen[count:, first:] = datum
+        known = np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0)
+        return np.asarray(chosen @ known @ chosen.T)
+
+    @property
     def sigmas(self) -> Array:
         """Standard deviation of each parameter, shape=(number of parameters,) [m, rad]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -154,6 +170,39 @@ class Identification:
         )
         drives = drive_motions(poses)
         return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
+
+
+def prior_from_data(found: Identification) -> float:
+    """Return k, how many tolerances parameters are off in the mean, as the measurements that tell them have it.
+
+    The k under which the measurements are most likely (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g with x
+    the parameters in tolerances and g the number of them that are told; at least 1 and at most that of the
+    identification.
+
+    Args:
+        found: parameters identified with a generous prior.
+    """
+    count = len(found.errors)
+    measuring = found.rows[:, :, count:]
+    scaled = np.sqrt(found.weights)[:, None, None] / found.noise_factor
+    blocks = (scaled * found.rows[:, :, :count]).reshape(-1, count)
+    if measuring.shape[2]:
+        others = (scaled * measuring).reshape(len(blocks), -1)
+        blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=RANK_TOLERANCE)[0]
+    values, axes = np.linalg.eigh(blocks.T @ blocks)
+    values = np.maximum(values, 0.0)
+    most = found.prior if np.isfinite(found.prior) else PRIOR
+    k = most
+    # the least-squares solution along each axis, from that with the prior
+    start = axes.T @ (found.values / found.errors.tolerances)
+    pulled = start * (values + (0.0 if np.isinf(found.prior) else 1.0 / found.prior**2))
+    for _ in range(_MAX_STEPS):
+        x = pulled / (values + 1.0 / k**2)
+        told = float(np.sum(values / (values + 1.0 / k**2)))
+        previous, k = k, float(np.clip(np.sqrt(np.sum(x**2) / max(told, 1e-9)), 1.0, most))
+        if abs(k - previous) < 1e-3:
+            break
+    return k
 
 
 def identify(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
-from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from, scatter_of
+from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.errors.command_correction import command_scales, nearest_poses
 from pm3dof_pin.errors.error_map import section_grid
+from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
@@ -34,6 +36,9 @@ class HeldOut:
         excess: by how much the corrected commands miss the best ones, root mean square over the drives' joints, without
             the share that the measurements' noise has in it on the whole, shape=(visits,) [m, rad].
         excess_noise: that share, root mean square over the visits [m, rad].
+        scatter: covariance of what the corrected machine misses beyond what is known to be uncertain, tip-weighted,
+            shape=(6, 6) [m^2].
+        within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
     """
 
     rows: Indices
@@ -43,6 +48,8 @@ class HeldOut:
     noise: Array
     excess: Array
     excess_noise: float
+    scatter: Array
+    within: float
 
 
 def held_out_errors(calibration: Calibration) -> HeldOut:
@@ -71,7 +78,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
         found = identify(
             measurements[shown],
             errors,
-            prior=options.prior,
+            prior=calibration.identification.prior,
             loss=options.loss,
             nuisances=calibration.identification.nuisances,
         )
@@ -79,7 +86,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
         part = measurements[hidden]
         parts.append(_judged(compensation, found.settle(part)))
         starts.append(hidden[np.unique(part.visit_numbers, return_index=True)[1]])
-    return _together(rows, np.concatenate(parts, axis=1)[:, np.argsort(np.concatenate(starts))])
+    return _together(rows, _Scores.joined(parts, np.argsort(np.concatenate(starts))))
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
@@ -91,17 +98,42 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
             is the one identified, where both were registered.
     """
     settled = calibration.identification.settle(measurements)
-    return _together(np.arange(len(measurements)), _judged(calibration.compensation, settled))
+    scores = _judged(calibration.compensation, settled)
+    return _together(np.arange(len(measurements)), scores, calibration.compensation.scatter)
 
 
-def _judged(compensation: Compensation, measurements: Measurements) -> Array:
-    """Return before, after, floor, noise, squared excess and its share of noise of each visit, shape=(6, visits)."""
+@dataclass(frozen=True, eq=False)
+class _Scores:
+    """Of each visit what it is judged by.
+
+    Attributes:
+        sizes: before, after, floor, noise, squared excess, its share of noise, shape=(6, visits).
+        missed: what predicted poses miss, tip-weighted, shape=(visits, 6) [m].
+        covariances: what is known to be uncertain of that, shape=(visits, 6, 6) [m^2].
+        shown: the directions that are shown, shape=(visits, 6, 6).
+    """
+
+    sizes: Array
+    missed: Array
+    covariances: Array
+    shown: Array
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Scores], order: Indices) -> _Scores:
+        sizes = np.concatenate([part.sizes for part in parts], axis=1)[:, order]
+        others = (
+            np.concatenate([getattr(part, name) for part in parts])[order]
+            for name in ("missed", "covariances", "shown")
+        )
+        return cls(sizes, *others)
+
+
+def _judged(compensation: Compensation, measurements: Measurements) -> _Scores:
     if compensation.values is not None:
         measurements = compensation.without_loads(measurements)
-    visits = measurements.visits
+    visits, eta = measurements.visits, compensation.eta
     nominal = compensation.errors.robot.forward(visits.commands)
     predicted = compensation.deviations(nominal, visits.conditions)
-    eta = compensation.eta
     true = pseudo_errors(measurements, nominal, eta)
     best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
     reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
@@ -109,7 +141,7 @@ def _judged(compensation: Compensation, measurements: Measurements) -> Array:
     gain = control_inverse(true.control)
     excess = np.einsum("nij,nj->ni", gain, missed)  # what is not seen is not judged
     noise = np.einsum("nij,njk,nik->n", gain, true.seen.covariances, gain) / gain.shape[1]
-    return np.array(
+    sizes = np.array(
         [
             np.linalg.norm(true.before, axis=1),
             np.linalg.norm(seen_errors(measurements, reached, eta).errors, axis=1),
@@ -119,13 +151,31 @@ def _judged(compensation: Compensation, measurements: Measurements) -> Array:
             noise,
         ]
     )
+    model = compensation.poses(nominal, visits.conditions)
+    left = seen_errors(measurements, model, eta)
+    uncertain = compensation.covariances(model, visits.conditions)
+    return _Scores(sizes, left.errors, left.covariances + left.shown @ uncertain @ left.shown, left.shown)
 
 
-def _together(rows: Indices, scores: Array) -> HeldOut:
-    before, after, floor, noise, excess, share = scores
+def _together(rows: Indices, scores: _Scores, scatter: Array | None = None) -> HeldOut:
+    before, after, floor, noise, excess, share = scores.sizes
     # of a mean square the noise is a part that is known; what is left keeps the shape of its distribution
     left = max(0.0, float(excess.mean() - share.mean())) / max(float(excess.mean()), np.finfo(float).tiny)
-    return HeldOut(rows, before, after, floor, noise, np.sqrt(left * excess), float(np.sqrt(share.mean())))
+    if scatter is None:
+        scatter = scatter_of(scores.missed, scores.covariances, scores.shown)
+    spread = scores.covariances + scores.shown @ scatter @ scores.shown
+    bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
+    return HeldOut(
+        rows,
+        before,
+        after,
+        floor,
+        noise,
+        np.sqrt(left * excess),
+        float(np.sqrt(share.mean())),
+        scatter,
+        float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds)),
+    )
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -77,7 +77,7 @@ class PseudoErrors:
     Attributes:
         deviations: du, shape=(visits, number of commands) [m, rad].
         covariances: of du, from the measurements' noise, shape=(visits, number of commands, same).
-        before: what is seen of the tip-weighted error of the model at the commands, shape=(visits, 6) [m].
+        at_commands: what is seen of the tip-weighted error of the model at the commands.
         left: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m].
         control: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands).
         seen: errors at the deviated commands with their noise.
@@ -85,10 +85,15 @@ class PseudoErrors:
 
     deviations: Array
     covariances: Array
-    before: Array
+    at_commands: SeenErrors
     left: Array
     control: Array
     seen: SeenErrors
+
+    @property
+    def before(self) -> Array:
+        """What is seen of the tip-weighted error of the model at the commands, shape=(visits, 6) [m]."""
+        return self.at_commands.errors
 
     @property
     def whole(self) -> bool:
@@ -138,4 +143,5 @@ def pseudo_errors(
     reached = control(poses, found)
     gain = scales[:, None] * control_inverse(reached, seen)
     covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
-    return PseudoErrors(deviations, covariances, residuals(model), found.errors, reached, found)
+    at_commands = seen_errors(measurements, model, eta)
+    return PseudoErrors(deviations, covariances, at_commands, found.errors, reached, found)

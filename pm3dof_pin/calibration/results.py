@@ -168,7 +168,8 @@ def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
         "tip_noise_m": judged.noise,
         excess: judged.excess,
     }
-    return {"poses": len(judged.after)} | {name: statistics(values) for name, values in kinds.items()}
+    named = {name: statistics(values) for name, values in kinds.items()}
+    return {"poses": len(judged.after)} | named | {"within_95_percent_bound": judged.within}
 
 
 def statistics(values: Array) -> dict[str, float]:
@@ -205,6 +206,7 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "tool_frame": compensation.errors.robot.tool_frame,
         "eta_m_per_rad": compensation.eta,
         "unexplained_m": compensation.unexplained,
+        "scatter_m2": compensation.scatter.tolist(),
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
@@ -228,9 +230,16 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         None if data["covariance"] is None else np.array(data["covariance"], dtype=float),
         learned,
         float(data["eta_m_per_rad"]),
-        float(data["unexplained_m"]),
+        _scatter(data),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
     )
+
+
+def _scatter(data: Mapping[str, Any]) -> Array:
+    """Return the scatter; of older files, which have its size alone, as one that is the same in all directions."""
+    if "scatter_m2" in data:
+        return np.array(data["scatter_m2"], dtype=float)
+    return np.asarray(np.eye(6) * float(data["unexplained_m"]) ** 2 / 6.0)
 
 
 def _measurements_summary(calibration: Calibration) -> dict[str, Any]:

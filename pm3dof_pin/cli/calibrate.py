@@ -78,8 +78,12 @@ def calibrate(
     ] = False,
     eta: Annotated[float, typer.Option(help="Weight of the orientation in the tip error [m/rad].")] = 0.1,
     prior: Annotated[
-        float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
-    ] = 3.0,
+        float | None,
+        typer.Option(
+            help="Sigma of the parameters before any measurement, in units of their tolerances; by default what makes "
+            "the measurements most likely, from 1 to 3."
+        ),
+    ] = None,
     loss: Annotated[LossName, typer.Option(help="Robustness of the identification.")] = LossName.TUKEY,
     seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
     tool_frame: ToolFrame = None,
@@ -113,6 +117,8 @@ def calibrate(
                 calibration = calibrated(measurements, errors, options)
                 progress(1, 4)
                 held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
+                if held_out is not None:
+                    calibration = calibration.with_scatter(held_out.scatter)
             except (ConvergenceError, UnreachablePoseError, InvalidValueError) as error:
                 raise refusal([str(error)], measurements, errors, eta) from error
             progress(2, 4)

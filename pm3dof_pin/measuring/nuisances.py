@@ -304,6 +304,21 @@ class Nuisances:
         kinds = [part.kind for part in self.parts for _ in part.names]
         return np.flatnonzero([entry == kind for entry in kinds])
 
+    def datum_map(self) -> Array:
+        """Return what the parameters do to base and tool as the measurements define them, shape=(12, parameters).
+
+        The base is where the instrument's frame has it, [v; omega]; the tool sits amid the points seen, [v; omega] in
+        its own axes. A shift or turn common to all points cannot be told from another tool.
+        """
+        found = np.zeros((12, len(self)))
+        frame, targets = self.columns("frame"), self.columns("targets")
+        found[np.arange(len(frame)), frame] = 1.0
+        for part in self.parts:
+            if isinstance(part, PointOffsets) and (part.kind == "targets" or not targets.size):
+                rows = np.concatenate([np.hstack([np.eye(3), -_cross(point)]) for point in part.points])
+                found[6:, self.columns(part.kind)] = np.linalg.pinv(rows)
+        return found
+
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """Return the motion of the tool that is seen by each parameter, shape=(n, 6, number of parameters).
 
@@ -342,3 +357,19 @@ def _rigid_motions(poses: Poses) -> Array:
     motions[:, 1, 3], motions[:, 1, 5] = -z, x
     motions[:, 2, 3], motions[:, 2, 4] = y, -x
     return motions
+
+
+def datum_motions(poses: Poses) -> Array:
+    """Return how the tool moves with its base, then with its place on its last link, shape=(n, 6, 12).
+
+    Args:
+        poses: n poses.
+    """
+    own = np.zeros((len(poses), 6, 6))
+    own[:, :3, :3] = own[:, 3:, 3:] = poses.rotations
+    return np.concatenate([rigid_motions(poses), own], axis=2)
+
+
+def _cross(vector: Array) -> Array:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
