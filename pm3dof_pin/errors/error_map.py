@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.expected_norm import expected_norm
+from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
@@ -58,6 +59,7 @@ class ErrorMap:
         sensitivities: the tool's motion by errors and commands.
         sigmas: standard deviation of each parameter, shape=(number of parameters,) [m, rad].
         eta: weight of the orientation in the tip error [m/rad].
+        distribution: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions.
     """
 
     errors: GeometricErrors
@@ -65,6 +67,7 @@ class ErrorMap:
     sensitivities: Sensitivities
     sigmas: Array
     eta: float
+    distribution: Distribution = "normal"
 
     @cached_property
     def weighted(self) -> Array:
@@ -125,6 +128,20 @@ class ErrorMap:
         together = np.linalg.norm(self.worst_case * tip_weights(self.eta), axis=1)
         added = np.linalg.norm(self.weighted, axis=1) @ self.errors.tolerances
         return np.asarray(np.minimum(together, added))
+
+    def tip_bound(self, coverage: float) -> Array:
+        """Return the tip error that so many machines stay below at each pose, shape=(n,) [m].
+
+        To first order; sums of many uniform errors are taken as normal.
+
+        Args:
+            coverage: part of the machines, such as 0.95.
+
+        Raises:
+            InvalidValueError: it is no such part.
+        """
+        scaled = self.weighted * self.sigmas
+        return norm_quantiles(np.zeros(scaled.shape[:2]), scaled @ np.swapaxes(scaled, 1, 2), coverage)
 
     def covariance(self) -> Array:
         """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
@@ -199,7 +216,9 @@ def error_map(
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / np.sqrt(3.0)
-    return ErrorMap(errors, poses, sensitivities(errors, poses, engine=engine), frozen(np.array(sigmas)), eta)
+    return ErrorMap(
+        errors, poses, sensitivities(errors, poses, engine=engine), frozen(np.array(sigmas)), eta, distribution
+    )
 
 
 def section_grid(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,47 @@ def test_a_dearer_class_gets_a_wider_tolerance(tripod_map: ErrorMap) -> None:
         least_cost(tripod_map, TARGET, weights={"nonsense": 1.0})
     with pytest.raises(InvalidValueError, match="target"):
         least_cost(tripod_map, 0.0)
+
+
+@pytest.mark.parametrize("distribution", ["normal", "uniform"])
+def test_as_many_machines_as_said_stay_within_the_target_everywhere(
+    distribution: str, tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    """Closed loops of machines with the tolerances allocated; by their root mean square most are outside somewhere."""
+    poses = tripod_nominal[:40]
+    mapped = error_map(tripod_errors, poses, distribution=distribution)  # type: ignore[arg-type]
+    outside = {}
+    for coverage in (0.95, None):
+        allocated = least_cost(mapped, TARGET, coverage=coverage).tolerances
+        finite = {name: min(value, 1.0) for name, value in allocated.items()}
+        narrowed = GeometricErrors(
+            tripod_errors.robot,
+            [replace(p, tolerance=finite[f"{p.group} [{p.unit}]"]) for p in tripod_errors.parameters],
+        )
+        drawn = monte_carlo(narrowed, poses, 150, np.random.default_rng(5), distribution=distribution)  # type: ignore[arg-type]
+        tips = np.linalg.norm(drawn.differences * np.repeat([1.0, 0.1], 3), axis=2)
+        outside[coverage] = float(np.mean(tips.max(axis=1) > TARGET))
+    assert 0.005 <= outside[0.95] <= 0.1  # 150 machines tell 5 % to 1.8 %
+    assert outside[None] > 0.4
+
+
+def test_half_widths_are_half_widths(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+    normal, uniform = (
+        least_cost(error_map(tripod_errors, tripod_nominal[:50], distribution=kind), TARGET).tolerances
+        for kind in ("normal", "uniform")
+    )
+    for name, sigma in normal.items():
+        assert uniform[name] == pytest.approx(np.sqrt(3.0) * sigma, rel=1e-6)
+
+
+def test_a_target_in_micrometres_is_refused(tripod_map: ErrorMap) -> None:
+    with pytest.raises(InvalidValueError, match="100 µm are 1e-4"):
+        least_cost(tripod_map, 100.0)
+
+
+def test_the_bound_at_a_pose_covers(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+    poses = tripod_nominal[:20]
+    bound = error_map(tripod_errors, poses).tip_bound(0.95)
+    drawn = monte_carlo(tripod_errors, poses, 400, np.random.default_rng(2))
+    within = np.linalg.norm(drawn.differences * np.repeat([1.0, 0.1], 3), axis=2) <= bound
+    assert within.mean() == pytest.approx(0.95, abs=0.02)
