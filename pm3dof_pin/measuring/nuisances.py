@@ -367,7 +367,7 @@ def datum_motions(poses: Poses) -> Array:
     """
     own = np.zeros((len(poses), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = poses.rotations
-    return np.concatenate([rigid_motions(poses), own], axis=2)
+    return np.concatenate([_rigid_motions(poses), own], axis=2)
 
 
 def _cross(vector: Array) -> Array:

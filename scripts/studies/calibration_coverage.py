@@ -113,7 +113,7 @@ class Tripod:
     def _missed(self, x: np.ndarray, sliders: np.ndarray) -> np.ndarray:
         place, turn = self._platform(x)
         ends = place[:, None, :] + np.einsum("nij,kj->nki", turn, self.joints)
-        return np.linalg.norm(ends - sliders, axis=2) - self.lengths
+        return np.asarray(np.linalg.norm(ends - sliders, axis=2) - self.lengths)
 
     def _tool(self, x: np.ndarray) -> np.ndarray:
         place, turn = self._platform(x)
