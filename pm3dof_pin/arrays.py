@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,6 +12,29 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Vector
 
 _Array = TypeVar("_Array", bound=NDArray[Any])
+
+
+def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return values as an array of real numbers: texts and complex numbers are none, even where NumPy would read them.
+
+    Args:
+        name: what the values are, for the message.
+        values: the numbers; an array of them is returned as it is.
+
+    Raises:
+        InvalidValueError: they are no real numbers, or not of one shape.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "biufO" or any(isinstance(entry, (str, bytes)) for entry in _objects(array)):
+            raise InvalidValueError(name, values, "real numbers")
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidValueError(name, values, "real numbers") from error
+
+
+def _objects(array: NDArray[Any]) -> Iterable[Any]:
+    return array.flat if array.dtype.kind == "O" else ()
 
 
 def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
@@ -24,10 +48,7 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     Raises:
         InvalidValueError: they are no numbers, not finite, or of another shape.
     """
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(name, values, "numbers") from error
+    array = np.array(real_array(name, values))
     if array.shape not in shapes:
         raise InvalidValueError(name, f"an array of shape {array.shape}", f"shape {' or '.join(map(str, shapes))}")
     if not np.isfinite(array).all():

@@ -159,11 +159,15 @@ def inverse_kinematics(
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
+    return _legs(tripod, poses, assembly_mode, on_failure).travels
+
+
+def _legs(tripod: Tripod, poses: ArrayLike, assembly_mode: ArrayLike, on_failure: OnFailure) -> Legs:
     pose_array, modes = tripod.checked(poses, assembly_mode)
-    u = Legs.at(tripod, pose_array, modes).travels
+    legs = Legs.at(tripod, pose_array, modes)
     if on_failure == "raise":
-        require_reach(tripod, pose_array, u)
-    return u
+        require_reach(tripod, pose_array, legs.travels)
+    return legs
 
 
 def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
@@ -244,44 +248,53 @@ def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
     return twists[..., :3, :] + np.swapaxes(turned, -1, -2)
 
 
-def link_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def link_jacobian(
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
+) -> Array:
     """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
     Args:
         tripod: the machine.
         poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg.
+        on_failure: "raise", or "nan" for poses out of reach.
 
     Returns:
-        shape=(..., n, 3) [m/rad, m/rad, 1], NaN out of reach.
+        shape=(..., n, 3) [m/rad, m/rad, 1].
 
     Raises:
-        InvalidValueError: poses or modes of a wrong shape.
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
+        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    return Legs.at(tripod, pose_array, modes).wrenches @ motion_twists(pose_array)
+    legs = _legs(tripod, poses, assembly_mode, on_failure)
+    return legs.wrenches @ motion_twists(poses)
 
 
-def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def slider_jacobian(
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
+) -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9).
 
     Args:
         tripod: the machine.
         poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg.
+        on_failure: "raise", or "nan" for poses out of reach.
 
     Returns:
-        shape=(..., n, 3) [m/rad, m/rad, 1], NaN out of reach.
+        shape=(..., n, 3) [m/rad, m/rad, 1].
 
     Raises:
-        InvalidValueError: poses or modes of a wrong shape.
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
+        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    legs = Legs.at(tripod, pose_array, modes)
-    return legs.wrenches @ motion_twists(pose_array) / legs.cosines[..., None]
+    legs = _legs(tripod, poses, assembly_mode, on_failure)
+    return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]
 
 
-def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def passive_joint_angles(
+    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
+) -> Array:
     """Return the angles of the passive joints of every leg.
 
     The universal joint at D_i first turns about the horizontal axis normal to the link's home direction, then about the
@@ -292,15 +305,16 @@ def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
         tripod: the machine.
         poses: shape=(..., 3) [rad, rad, m].
         assembly_mode: -1 or +1, once or for each leg.
+        on_failure: "raise", or "nan" for poses out of reach.
 
     Returns:
-        (first, second, swing), shape=(..., n, 3) [rad], NaN out of reach.
+        (first, second, swing), shape=(..., n, 3) [rad].
 
     Raises:
-        InvalidValueError: poses or modes of a wrong shape.
+        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
+        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    return Legs.at(tripod, pose_array, modes).passive_angles
+    return _legs(tripod, poses, assembly_mode, on_failure).passive_angles
 
 
 def joint_positions(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike = -1) -> dict[str, float]:

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import real_array
 from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.typing import Array
 
 
@@ -120,19 +122,33 @@ class Tripod:
         """Return poses and assembly modes as arrays.
 
         Raises:
-            InvalidValueError: the poses are not of shape (..., 3), or a mode is not -1 or +1.
+            InvalidValueError: the poses are no real numbers or not of shape (..., 3), or look like degrees or
+                millimetres; or a mode is not -1 or +1.
         """
-        array = np.asarray(poses, dtype=np.float64)
+        array = real_array("poses", poses)
         if array.ndim == 0 or array.shape[-1] != 3:
             raise InvalidValueError(
                 "poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e"
             )
-        modes = np.asarray(assembly_mode, dtype=np.float64)
+        self._require_units(array)
+        modes = real_array("assembly_mode", assembly_mode)
         if not np.all(np.abs(modes) == 1.0) or modes.shape not in ((), (self.leg_count,)):
             raise InvalidValueError(
                 "assembly_mode", assembly_mode, f"-1 or +1, once or for each of {self.leg_count} legs"
             )
         return array, modes if modes.ndim > 0 else np.full(self.leg_count, modes)
+
+    def _require_units(self, poses: Array) -> None:
+        p = self.parameters
+        ranges = (
+            ("theta_x", "rad", *p.tilt_range),
+            ("theta_y", "rad", *p.tilt_range),
+            ("z_e", "m", self.height_min, self.height_max),
+        )
+        for (name, unit, lower, upper), column in zip(ranges, np.moveaxis(poses, -1, 0), strict=True):
+            if word := other_unit(column, unit, lower, upper):
+                expected = f"{'metres' if unit == 'm' else 'radians'}; this looks like {word}"
+                raise InvalidValueError(name, f"{column.reshape(-1)[0]:.6g} {unit}", expected)
 
     def checked_pose(self, pose: ArrayLike) -> Array:
         """Return a single pose as an array, shape=(3,).

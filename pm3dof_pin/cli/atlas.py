@@ -129,11 +129,18 @@ def atlas(
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
     job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision.value, engine.value)
-    if job.parts.exists():
-        message(f"going on with {job.parts}")
+    resumed = job.parts.exists()
     try:
         with progress_bar("poses") as progress:
-            path = compute_atlas(job, threads=threads, scheduler=scheduler, progress=progress)
+
+            def show(done: int, total: int) -> None:
+                nonlocal resumed
+                if resumed:  # only now is it known that it can be gone on with
+                    message(f"going on with {job.parts}")
+                resumed = False
+                progress(done, total)
+
+            path = compute_atlas(job, threads=threads, scheduler=scheduler, progress=show)
     except KeyboardInterrupt:
         message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
         raise

@@ -16,6 +16,7 @@ from pm3dof_pin.cli.pose_arguments import (
     Pose,
     PoseChoice,
     expected_numbers,
+    pose_echo,
     read_poses,
     readings,
     write_batch,
@@ -93,15 +94,17 @@ def compensate(
     answer = known.compensate(solved.reshape(1), conditions)
     units = {command.unit for command in machine.commands}
     numbers = {"u": answer.commands[0], "u_nominal": answer.nominal_commands[0], "deviation": answer.deviations[0]}
+    pose_entry, pose_line = pose_echo(machine, solved.q)
     result: dict[str, Any] = {
         "robot": machine.name,
+        **pose_entry,
         **numbers,
         "commands": [{"name": command.name, "unit": command.unit} for command in machine.commands],
         **({f"{name}_{min(units)}": values for name, values in numbers.items()} if len(units) == 1 else {}),
         "predicted_error_m": answer.predicted_error[0],
         "conditions": conditions,
     }
-    print_result(result, _lines(machine, answer), as_json=as_json)
+    print_result(result, pose_line + _lines(machine, answer), as_json=as_json)
     stop_on_broken_limits(broken_limits(machine, solved.configuration()))
 
 

@@ -262,9 +262,19 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
 def pose_in_words(coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> str:
     """Return a pose as `theta_x = 10 deg, z_e = 0.5 m`."""
     return ", ".join(
-        f"{c.name} = {number:g} {'m' if c.unit == 'm' else 'deg'}"
+        f"{c.name} = {round(number, 9) + 0.0:.9g} {'m' if c.unit == 'm' else 'deg'}"
         for c, number in zip(coordinates, numbers, strict=True)
     )
+
+
+def pose_echo(robot: Robot, q: Vector) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """Return the pose that a result answers for: an entry for JSON [m, rad] and a line for people; or nothing."""
+    coordinates = robot.coordinates
+    if not coordinates:
+        return {}, []
+    values = robot.at([q])[0].coordinates
+    line = pose_in_words(coordinates, [value / _factor(c) for c, value in zip(coordinates, values, strict=True)])
+    return {"pose": dict(zip((c.name for c in coordinates), map(float, values), strict=True))}, [f"pose {line}", ""]
 
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:

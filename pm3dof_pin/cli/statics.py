@@ -18,6 +18,7 @@ from pm3dof_pin.cli.pose_arguments import (
     ToolFrame,
     column_of,
     load_robot,
+    pose_echo,
     read_poses,
     write_batch,
 )
@@ -60,9 +61,10 @@ def statics(
     solved = chosen.solve(machine).configuration()
     forces = holding_forces(solved, payloads=payloads)
     broken = broken_limits(machine, solved)
-    result = {"robot": machine.name, "payload_kg": payload, "within_limits": not broken}
+    pose_entry, pose_line = pose_echo(machine, solved.q)
+    result = {"robot": machine.name, **pose_entry, "payload_kg": payload, "within_limits": not broken}
     result |= _result(machine, forces)
-    print_result(result, _lines(result), as_json=as_json)
+    print_result(result, pose_line + _lines(result), as_json=as_json)
     stop_on_broken_limits(broken)
 
 

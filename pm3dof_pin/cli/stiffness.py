@@ -25,6 +25,7 @@ from pm3dof_pin.cli.pose_arguments import (
     ToolFrame,
     column_of,
     load_robot,
+    pose_echo,
     read_poses,
     si_values,
     write_batch,
@@ -100,7 +101,8 @@ def stiffness(
         return
     solved = chosen.solve(machine).configuration()
     tool = cartesian_compliance(elastic, solved)
-    result = {"robot": machine.name, **_read(tool.compliance, tool.spring_names, tool.contributions)}
+    pose_entry, pose_line = pose_echo(machine, solved.q)
+    result = {"robot": machine.name, **pose_entry, **_read(tool.compliance, tool.spring_names, tool.contributions)}
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
         free = _free_motions(elastic, tool, solved)
@@ -109,7 +111,7 @@ def stiffness(
         result |= _read_stiffness(tool.stiffness, tool.compliance)
     result["singularity_distances"] = read_singularity_distances(solved)
     units = {key: unit for key, unit in JSON_UNITS.items() if key in result or key in result.get("indices", {})}
-    print_result(result | {"units": units}, _elastic_lines(result), as_json=as_json)
+    print_result(result | {"units": units}, pose_line + _elastic_lines(result), as_json=as_json)
     stop_on_broken_limits(broken_limits(machine, solved))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.arrays import finite_array, frozen, real_array
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
@@ -23,6 +23,7 @@ from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
+from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
@@ -173,7 +174,8 @@ class Robot(Mechanism):
             values: by coordinate, (first, last, count) for a dimension of the grid, or one value [m, rad].
 
         Raises:
-            InvalidValueError: an unknown coordinate, or a range that is not two finite ends and a count of at least 1.
+            InvalidValueError: an unknown coordinate, a range that is not two finite ends and a count of at least 1, or
+                values that look like millimetres or degrees.
         """
         axes: dict[str, Array] = {}
         fixed = {c.name: float(v) for c, v in zip(self.coordinates, self.home_coordinates, strict=True)}
@@ -186,6 +188,7 @@ class Robot(Mechanism):
                 axes[name] = np.linspace(value[0], value[1], int(value[2]))
             else:
                 fixed[name] = float(value)
+            self._require_unit(self.coordinate(name), axes.get(name, fixed.get(name, ())))
         return Grid(self.coordinates, axes, fixed)
 
     def at(self, q: ArrayLike, *, engine: Engine = "program") -> Poses:
@@ -235,7 +238,8 @@ class Robot(Mechanism):
 
         Raises:
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
-            InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise".
+            InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise"; or all
+                values of a coordinate look like millimetres or degrees, being far out of its range.
         """
         return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
 
@@ -283,7 +287,7 @@ class Robot(Mechanism):
             DescriptionError: the robot has no tool frame.
             InvalidValueError: see :meth:`solve`; or a matrix is no placement.
         """
-        array = _numbers("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
+        array = real_array("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
         if array.shape[-2:] == (4, 4):
             _require_placements(array)
             values = np.concatenate([array[..., :3, 3], angles_of_rotation(array[..., :3, :3])], axis=-1)
@@ -356,12 +360,14 @@ class Robot(Mechanism):
         threads: int | None = None,
     ) -> Poses:
         names = ", ".join(coordinate.name for coordinate in coordinates)
-        targets = _numbers(what, values.values if isinstance(values, Grid) else values)
+        targets = real_array(what, values.values if isinstance(values, Grid) else values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
             expected = f"shape (..., {len(coordinates)}): {names}"
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
         if on_failure == "raise":
             finite_array(f"{what} ({names})", targets, targets.shape)
+        for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
+            self._require_unit(coordinate, column)
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
@@ -380,10 +386,19 @@ class Robot(Mechanism):
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
 
+    def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
+        """Refuse values that are in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""
+        lower, upper = self.range_of(coordinate)
+        if word := other_unit(values, coordinate.unit, lower, upper):
+            first = np.asarray(values, dtype=float).reshape(-1)[0]
+            unit = "metres" if coordinate.unit == "m" else "radians"
+            expected = f"{unit} from {lower:.4g} to {upper:.4g}; this looks like {word}"
+            raise InvalidValueError(coordinate.name, f"{first:.6g} {coordinate.unit}", expected)
+
     def _starts(self, guess: Configuration | ArrayLike, shape: tuple[int, ...]) -> Matrix:
         """Return a guess for each of a batch of poses, one after the other."""
         nq = self.model.nq
-        starts = _numbers("guess", guess.q if isinstance(guess, Configuration) else guess)
+        starts = real_array("guess", guess.q if isinstance(guess, Configuration) else guess)
         if starts.shape not in ((nq,), (*shape, nq)):
             raise InvalidValueError("guess", f"an array of shape {starts.shape}", f"shape ({nq},) or {(*shape, nq)}")
         return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
@@ -432,13 +447,6 @@ class Robot(Mechanism):
             return instantaneous_mobility(generic_configuration(self.home)).tool_mobility
         except (ConvergenceError, InvalidValueError):
             return 0
-
-
-def _numbers(name: str, values: ArrayLike) -> Array:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidValueError(name, values, "numbers") from error
 
 
 def load(

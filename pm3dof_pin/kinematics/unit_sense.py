@@ -1,0 +1,41 @@
+"""Telling numbers in another unit from poses out of reach: millimetres for metres, degrees for radians."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_METRES_BEYOND = 50.0  # multiples of the greatest declared magnitude beyond which a length is suspected
+_RADIANS_BEYOND = 5.0
+_LEAST_ANGLE = 3.2  # no angle up to half a turn is suspected [rad]
+_MARGIN = 0.5  # how far beyond its range a number may be in the other unit, as a part of the range
+
+
+def other_unit(values: ArrayLike, unit: str, lower: float, upper: float) -> str:
+    """Tell which unit numbers seem to be in, if not in the one expected.
+
+    Numbers are suspected if all of them are far beyond the range, and would be near it in the other unit.
+
+    Args:
+        values: of one coordinate [m, rad].
+        unit: "m" or "rad".
+        lower: least value that the robot declares [m, rad].
+        upper: greatest value.
+
+    Returns:
+        "millimetres", "degrees", or nothing.
+    """
+    numbers = np.asarray(values, dtype=float)
+    numbers = numbers[np.isfinite(numbers) & (numbers != 0.0)]
+    if not numbers.size or not np.isfinite([lower, upper]).all():
+        return ""
+    most = max(abs(lower), abs(upper))
+    if unit == "m":
+        limit, factor, word = _METRES_BEYOND * most, 1e-3, "millimetres"
+    else:
+        limit, factor, word = max(_RADIANS_BEYOND * most, _LEAST_ANGLE), math.radians(1.0), "degrees"
+    margin = _MARGIN * (upper - lower)
+    plausible = (factor * numbers >= lower - margin) & (factor * numbers <= upper + margin)
+    return word if bool((np.abs(numbers) > limit).all() and plausible.all()) else ""
