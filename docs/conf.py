@@ -19,13 +19,14 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "computed_pictures",
+    "examples",
     "machine_tables",
     "mathml",
     "module_pages",
     "plain_docstrings",
 ]
 default_role = "code"
-exclude_patterns = ["_build", "extensions"]
+exclude_patterns = ["_build", "extensions", "notebooks"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3

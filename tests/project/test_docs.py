@@ -28,7 +28,7 @@ import pytest
 from pm3dof_pin.cli.stiffness_map import PICTURES
 
 ROOT = Path(__file__).parents[2]
-DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
+DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if not {"_build", "generated"} & {*page.parts}]
 PAGES = [ROOT / "README.md", *DOCS]
 BLOCK = re.compile(r"^```(console|python|output)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMPUTED_PICTURES = {
@@ -140,7 +140,7 @@ def test_every_page_is_reached() -> None:
         for page in DOCS
         for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
         for entry in tree.split("\n")
-        if entry and not entry.startswith(":")
+        if entry and not entry.startswith(":") and not entry.endswith("*")  # which stands for pages that are made
     }
     assert {page.with_suffix("") for page in DOCS} - {ROOT / "docs" / "index"} == listed
 

@@ -1,0 +1,31 @@
+"""Which part to make stiffer?
+
+Every spring has a share in the deflection under a load; the shares add up to one. So a spring that is made stiffer by
+ten per cent takes a tenth of its share away.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import pm3dof_pin as pm
+from pm3dof_pin.elastic.shares import shares
+
+robot = pm.load("pm3dof")
+model = pm.ElasticModel(robot)
+pose = robot.solve([np.radians(20.0), np.radians(-10.0), 0.52]).configuration()
+behaviour = pm.cartesian_compliance(model, pose)
+
+loads = {"force along x": 0, "force along z": 2, "moment about x": 3, "moment about z": 5}
+table = np.array([shares(behaviour.contributions, np.eye(6)[axis]) for axis in loads.values()])
+for load, row in zip(loads, table, strict=True):
+    worst = int(np.argmax(row))
+    print(f"{load:15s} {model.spring_names[worst]:12s} gives {100 * row[worst]:5.1f} % of the deflection")
+
+figure, axes = plt.subplots(figsize=(5.0, 2.6), layout="constrained")
+left = np.zeros(len(loads))
+for name, column in zip(model.spring_names, table.T, strict=True):
+    axes.barh(list(loads), 100.0 * column, left=100.0 * left, label=name)
+    left += column
+axes.set(xlabel="share in the deflection [%]", xlim=(0, 100))
+axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+figure.savefig("critical_components.png", dpi=150)

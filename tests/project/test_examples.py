@@ -1,0 +1,55 @@
+"""The numbered examples and the notebooks: each runs from an empty folder, and leaves what it promises."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
+
+
+def test_examples_are_numbered_and_short() -> None:
+    assert [int(path.name[:2]) for path in EXAMPLES] == list(range(1, 11))
+    for path in EXAMPLES:
+        text = path.read_text(encoding="utf-8")
+        assert text.count("\n") < 40, path.name
+        title, blank, *rest = (ast.get_docstring(ast.parse(text)) or "").splitlines()
+        assert title
+        assert blank == ""
+        assert rest
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run_in_an_empty_folder(path: Path, tmp_path: Path) -> None:
+    """They print something, and write a picture or a page that has something in it."""
+    if "distributed" in path.read_text(encoding="utf-8"):
+        pytest.importorskip("distributed")
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", path],
+        cwd=tmp_path,
+        env=os.environ | {"MPLBACKEND": "Agg"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip()
+    assert any(made.stat().st_size > 8000 for made in tmp_path.iterdir() if made.suffix in (".png", ".html"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(path: Path, tmp_path: Path) -> None:
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert not any(cell.get("outputs") for cell in notebook.cells)  # committed without results, which change
+    nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    drawn = [output for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output]
+    assert any("image/png" in output["data"] for output in drawn)
