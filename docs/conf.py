@@ -16,6 +16,7 @@ release = version = pm3dof_pin.__version__
 
 extensions = [
     "myst_parser",
+    "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "computed_pictures",
