@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.optimize
+import scipy.spatial
 import scipy.special
 
 from pm3dof_pin.description.schema import checked
@@ -229,3 +231,28 @@ def test_numbers_of_the_file(tmp_path: object, tripod_errors: GeometricErrors) -
             checked(data, SourceNumbers, "file")
     with pytest.raises(InvalidValueError, match="wrench"):
         ErrorSources(tripod_errors, wrench=[1.0, np.nan, 0, 0, 0, 0])
+
+
+def test_a_hexapod_stands_where_its_energy_is_least() -> None:
+    """Struts as springs between points, k (l - l0)^2 / 2, less the work of a force: minimised by SciPy."""
+    robot = Robot.load("hexapod")
+    poses = reachable_poses(robot, 1, np.random.default_rng(1))
+    force = np.array([4e4, -3e4, -8e4])
+    wrench = np.array([[*force, 0.0, 0.0, 0.0]])
+    found = ElasticDeflection(own_weight=False, large=True).displacements(poses, wrench)[0]
+    linear = ElasticDeflection(own_weight=False).displacements(poses, wrench)[0]
+    there, tool = poses.configuration(0), poses.positions[0]
+    feet = np.array([there.frame_placement(f"A{k}").translation for k in range(1, 7)])
+    tops = np.array([there.frame_placement(f"B{k}").translation for k in range(1, 7)]) - tool
+    rest = np.linalg.norm(tool + tops - feet, axis=1)
+    stiffness = np.array([float(spring["stiffness"]) for spring in robot.springs])
+
+    def potential(moved: np.ndarray) -> float:
+        shift, turn = 1e-4 * moved[:3], scipy.spatial.transform.Rotation.from_rotvec(1e-3 * moved[3:])
+        lengths = np.linalg.norm(tool + shift + turn.apply(tops) - feet, axis=1)
+        return float(0.5 * stiffness @ (lengths - rest) ** 2 - force @ shift)
+
+    least = scipy.optimize.minimize(potential, np.zeros(6), method="BFGS", options={"gtol": 1e-7})
+    expected = least.x * np.repeat([1e-4, 1e-3], 3)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(found).max())
+    assert np.abs(found - linear).max() > 0.01 * np.abs(found).max()
