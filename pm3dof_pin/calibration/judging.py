@@ -14,7 +14,7 @@ from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, 
 from pm3dof_pin.errors.command_correction import command_scales, nearest_poses
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
-from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array, Indices
@@ -39,6 +39,7 @@ class HeldOut:
         scatter: covariance of what the corrected machine misses beyond what is known to be uncertain, tip-weighted,
             shape=(6, 6) [m^2].
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
+        energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
     """
 
     rows: Indices
@@ -50,6 +51,7 @@ class HeldOut:
     excess_noise: float
     scatter: Array
     within: float
+    energies: Array
 
 
 def held_out_errors(calibration: Calibration) -> HeldOut:
@@ -107,7 +109,7 @@ class _Scores:
     """Of each visit what it is judged by.
 
     Attributes:
-        sizes: before, after, floor, noise, squared excess, its share of noise, shape=(6, visits).
+        sizes: before, after, floor, noise, squared excess, its share of noise, E of the first three, shape=(9, visits).
         missed: what predicted poses miss, tip-weighted, shape=(visits, 6) [m].
         covariances: what is known to be uncertain of that, shape=(visits, 6, 6) [m^2].
         shown: the directions that are shown, shape=(visits, 6, 6).
@@ -141,14 +143,14 @@ def _judged(compensation: Compensation, measurements: Measurements) -> _Scores:
     gain = control_inverse(true.control)
     excess = np.einsum("nij,nj->ni", gain, missed)  # what is not seen is not judged
     noise = np.einsum("nij,njk,nik->n", gain, true.seen.covariances, gain) / gain.shape[1]
+    judged = (true.before, seen_errors(measurements, reached, eta).errors, best)
     sizes = np.array(
         [
-            np.linalg.norm(true.before, axis=1),
-            np.linalg.norm(seen_errors(measurements, reached, eta).errors, axis=1),
-            np.linalg.norm(best, axis=1),
+            *(np.linalg.norm(errors, axis=1) for errors in judged),
             np.sqrt(np.einsum("nii->n", true.seen.covariances)),
             np.mean(excess**2, axis=1),
             noise,
+            *map(weighted_energy, judged),
         ]
     )
     model = compensation.poses(nominal, visits.conditions)
@@ -158,7 +160,7 @@ def _judged(compensation: Compensation, measurements: Measurements) -> _Scores:
 
 
 def _together(rows: Indices, scores: _Scores, scatter: Array | None = None) -> HeldOut:
-    before, after, floor, noise, excess, share = scores.sizes
+    before, after, floor, noise, excess, share, *energies = scores.sizes
     # of a mean square the noise is a part that is known; what is left keeps the shape of its distribution
     left = max(0.0, float(excess.mean() - share.mean())) / max(float(excess.mean()), np.finfo(float).tiny)
     if scatter is None:
@@ -175,6 +177,7 @@ def _together(rows: Indices, scores: _Scores, scatter: Array | None = None) -> H
         float(np.sqrt(share.mean())),
         scatter,
         float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds)),
+        np.array(energies),
     )
 
 

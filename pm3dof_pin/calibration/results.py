@@ -167,6 +167,7 @@ def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
         "tip_error_floor_m": judged.floor,
         "tip_noise_m": judged.noise,
         excess: judged.excess,
+        **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), judged.energies, strict=True)),
     }
     named = {name: statistics(values) for name, values in kinds.items()}
     return {"poses": len(judged.after)} | named | {"within_95_percent_bound": judged.within}

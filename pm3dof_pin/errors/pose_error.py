@@ -96,6 +96,16 @@ def tip_error(difference: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta), axis=-1))
 
 
+def weighted_energy(errors: ArrayLike) -> Array:
+    """Return E of (8.15) of tip-weighted pose errors, shape=(...) [m].
+
+    Args:
+        errors: [translation; eta times rotation vector], shape=(..., 6) [m].
+    """
+    weighted = np.asarray(errors, dtype=float)
+    return np.asarray(np.linalg.norm(weighted[..., :3], axis=-1) + np.linalg.norm(weighted[..., 3:], axis=-1))
+
+
 def tip_weights(eta: float = TIP_LENGTH) -> Array:
     """Return the weights (1, 1, 1, eta, eta, eta) of the tip-weighted size, shape=(6,)."""
     return np.repeat([1.0, _checked_eta(eta)], 3)

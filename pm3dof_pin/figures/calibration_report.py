@@ -10,6 +10,7 @@ from html import escape
 from matplotlib.figure import Figure
 
 from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.calibration.results import statistics
@@ -121,12 +122,15 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         ("measurement noise", held_out.noise),
         (f"corrected minus best commands, each joint [{joint_unit}]", held_out.excess),
     ]
+    kinds = ("as described", "corrected", "best commands: floor")
+    rows += [(f"E of (8.15), {kind}", values) for kind, values in zip(kinds, held_out.energies, strict=True)]
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     return [
         heading,
         "<p>Cross-validation: each fifth of the poses is predicted from the others. Tip errors in µm, as "
         "measured, so noise is in all of them. The floor is left with the best possible commands: with fewer drives "
-        "than a pose has degrees of freedom, commands cannot correct everything. The last line compares commands.</p>",
+        "than a pose has degrees of freedom, commands cannot correct everything. E, the energy of the pose error, adds "
+        "position and weighed turn instead of their squares; the best commands are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
         _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
         f"<p>Beside noise, {1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are neither "
@@ -153,6 +157,19 @@ def _parameters(found: Identification) -> list[str]:
         f"<ul>{remarks}</ul>",
         _image(parameters_picture(found), "identified parameters with their uncertainties"),
         _table(("parameter", "value", "sigma", "tolerance", "unit"), rows),
+        *_stiffness(found),
+    ]
+
+
+def _stiffness(found: Identification) -> list[str]:
+    if not found.stiffness:
+        return []
+    rows = [(name, f"{factor:.3f}", f"{100.0 * sigma:.1f}") for name, (factor, sigma) in found.stiffness.items()]
+    return [
+        "<h2>The stiffness identified</h2>",
+        "<p>From the deflections under the wrenches of the measurements. A spring whose uncertainty stays at "
+        f"{100.0 * STIFFNESS_SIGMA:.0f} % is as described: the measurements say nothing about it.</p>",
+        _table(("spring", "times as stiff as described", "sigma [%]"), rows),
     ]
 
 

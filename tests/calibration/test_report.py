@@ -16,6 +16,7 @@ from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.judging import HeldOut, held_out_errors, workspace_errors
 from pm3dof_pin.calibration.results import read_compensation, write_calibration
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import energy as pose_energy
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
@@ -66,6 +67,25 @@ def test_the_calibrated_urdf_is_the_calibrated_machine(
     expected = calibration.compensation.model_poses(poses).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-12)
     assert pin.buildModelFromUrdf(str(folder / "calibrated" / "pm3dof.urdf")).nv == 12
+
+
+def test_the_energy_of_pose_errors_stands_beside_the_tip_error(
+    calibration: Calibration, held_out: HeldOut, folder: Path, report: str
+) -> None:
+    """sqrt(a^2 + b^2) <= a + b <= sqrt(2) times that; as described it is that of the measured poses."""
+    for tip, energy in zip((held_out.before, held_out.after, held_out.floor), held_out.energies, strict=True):
+        assert np.all(tip <= energy * (1.0 + 1e-12))
+        assert np.all(energy <= np.sqrt(2.0) * tip * (1.0 + 1e-12))
+    measured = calibration.measurements[held_out.rows]
+    nominal = calibration.compensation.errors.robot.forward(measured.commands)
+    assert measured.rotations is not None
+    seen = np.tile(np.eye(4), (len(measured), 1, 1))
+    seen[:, :3, :3], seen[:, :3, 3] = measured.rotations, measured.positions
+    expected = pose_energy(nominal.transforms, seen, calibration.options.eta)
+    np.testing.assert_allclose(np.sort(held_out.energies[0]), np.sort(expected), rtol=1e-6)
+    summary = yaml.safe_load((folder / "calibration.yaml").read_text())["held_out"]
+    assert summary["energy_before_m"]["mean"] == pytest.approx(expected.mean(), rel=1e-6)
+    assert "E of (8.15), corrected" in report
 
 
 def test_the_summary_says_what_was_found(calibration: Calibration, folder: Path) -> None:
