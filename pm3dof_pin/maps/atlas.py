@@ -49,6 +49,10 @@ Precision: TypeAlias = Literal["single", "double"]
 
 _BLOCK_POSES = 131_072
 _SCHEDULER_PATIENCE = "10s"
+_WORKER_PATIENCE = 10.0  # s
+_POLL = 0.01  # s
+_CLUSTER_LOGS = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
+_SILENT = logging.CRITICAL + 1
 _SYNCS = 16
 _BETWEEN_ENTRIES = 0.5  # s: what a killed run computes twice at most
 
@@ -248,6 +252,10 @@ def _compute(
             atlas.store.remove()
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
         return atlas.store.finish(map(atlas.slices, atlas.blocks()))
+    except RuntimeError as error:
+        if "un-acquired lock" in str(error):  # Ctrl-C while a lock was being taken
+            raise KeyboardInterrupt from error
+        raise
     except OSError as error:
         reason = error.strerror or str(error)
         if error.filename and error.errno == errno.ENOENT:
@@ -360,9 +368,11 @@ def _cluster(scheduler: str) -> Iterator[Client]:
         from distributed import Client
     except ImportError as error:
         raise PM3DofError("a dask scheduler needs the extra 'cluster': pip install 'pm3dof-pin[cluster]'") from error
-    # what it has to say of a scheduler that is gone is said below, in one line
-    log = logging.getLogger("distributed")
-    level, log.level = log.level, logging.CRITICAL
+    # what they have to say of a scheduler that is gone is said in one line
+    logs = [logging.getLogger(name) for name in _CLUSTER_LOGS]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(_SILENT)
     try:
         try:
             client = Client(scheduler, timeout=_SCHEDULER_PATIENCE)  # type: ignore[no-untyped-call]
@@ -374,7 +384,8 @@ def _cluster(scheduler: str) -> Iterator[Client]:
             with suppress(Exception):  # it may be gone
                 client.close(timeout=1)  # type: ignore[no-untyped-call]
     finally:
-        log.level = level
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
 
 
 def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterator[tuple[Block, Checksums]]:
@@ -383,12 +394,22 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
     absolute = dataclasses.replace(atlas, path=atlas.path.resolve())
     futures = [cluster.submit(_compute_and_seal, absolute, block, pure=False) for block in todo]
     try:
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
-            yield future.result()
+        ready = as_completed(futures)  # type: ignore[no-untyped-call]
+        idle = time.monotonic()
+        while not ready.is_empty():  # type: ignore[no-untyped-call]
+            for future in ready.next_batch(block=False):  # type: ignore[no-untyped-call]
+                yield future.result()
+                idle = time.monotonic()
+            time.sleep(_POLL)
+            if time.monotonic() - idle > _WORKER_PATIENCE:
+                if not cluster.scheduler_info()["workers"]:
+                    raise OSError("no worker is left on the dask cluster; start some")
+                idle = time.monotonic()
     except (PM3DofError, OSError):
         raise
-    except Exception as error:  # of dask's own making: a scheduler or workers that are gone
-        raise OSError(f"the dask cluster failed: {type(error).__name__}: {error}") from error
+    except Exception as error:  # of dask's own making: a scheduler that is gone, workers that die
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise OSError(f"the dask cluster failed ({reason})") from error
 
 
 def _compute_and_seal(atlas: Atlas, block: Block) -> tuple[Block, Checksums]:
