@@ -236,7 +236,11 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
             else:
                 viewer.motion_ellipsoid(_OF_MOTION.get(of, "velocity"), kind=kind)
     except (SingularConfigurationError, DescriptionError) as error:
-        message(f"pm3dof: no ellipsoids are drawn: {error}")
+        if of is not _Shown.STIFFNESS:
+            message(f"pm3dof: no ellipsoids are drawn: {error}")
+            return
+        message("pm3dof: the tool is rigid in some direction: ellipsoids of the compliance are drawn")
+        _draw_ellipsoids(viewer, model, _Shown.COMPLIANCE, None)
 
 
 def _colour_legs(viewer: Viewer, model: ElasticModel, shares: Load | None) -> None:
@@ -245,12 +249,14 @@ def _colour_legs(viewer: Viewer, model: ElasticModel, shares: Load | None) -> No
 
     from pm3dof_pin.exceptions import PM3DofError
 
-    load = np.eye(6)[list(Load).index(shares or Load.Z)]
-    try:
-        viewer.colour_legs(model, load, visible=shares is not None)
-    except PM3DofError:
-        if shares is not None:
-            raise
+    loads = [shares] if shares is not None else [Load.Z, *Load]
+    for load in loads:
+        try:
+            viewer.colour_legs(model, np.eye(6)[list(Load).index(load)], visible=shares is not None)
+            return
+        except PM3DofError:  # nothing gives under this load
+            if shares is not None:
+                raise
 
 
 def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | None:

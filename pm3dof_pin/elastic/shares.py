@@ -46,7 +46,8 @@ def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
         InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.
     """
     parts = _energies(contributions, wrench)
-    total: Array = parts / parts.sum(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total: Array = parts / parts.sum(axis=-1, keepdims=True)
     return total
 
 

@@ -81,6 +81,7 @@ class Sliders:
             ],
             "explanations": ellipsoids.EXPLANATIONS,
             "actuators": actuators,
+            "joints": _joints(robot),
             "limits": {"joints": _joint_limits(robot), "swings": _swing_limits(robot)},
             "sound_pivot": PIVOT,
             "lengths": self._programs.spring_lengths,
@@ -277,6 +278,22 @@ def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
 
 def _shown_unit(unit: Unit) -> str:
     return "°" if unit == "rad" else "\u00a0m"
+
+
+def _joints(robot: Robot) -> list[Json]:
+    """Return the parts of q: numbers of their own, pairs (cos, sin) and quaternions, by index and size."""
+    parts: list[Json] = []
+    for joint in list(robot.model.joints)[1:]:
+        index, nq, nv = int(joint.idx_q), int(joint.nq), int(joint.nv)
+        slides = joint.shortname().startswith("JointModelP")
+        if nq == nv:
+            parts += [{"index": index + k, "size": 1, "slides": slides} for k in range(nq)]
+        else:  # positions, if there are such, come before what turns
+            turns = 2 if nv in (1, 3) and nq == nv + 1 and nq != 4 else 4
+            before = nq - turns
+            parts += [{"index": index + k, "size": 1, "slides": True} for k in range(before)]
+            parts.append({"index": index + before, "size": turns, "slides": False})
+    return parts
 
 
 def _joint_limits(robot: Robot) -> list[Json]:

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes
+from pm3dof_pin.chapter.kinematics import placement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -210,4 +213,27 @@ def test_singular_poses_are_announced(page: Any, tmp_path: Path) -> None:
     for angle in np.radians([20.0, 40.0, 60.0, 80.0, 88.0]):
         page.ask(f"pm3dof.slide(5, {angle})")
     assert any("singular" in line for line in page.warnings())
+    assert page.browser.errors == []
+
+
+def test_other_assemblies_are_those_of_the_closed_form(page: Any, tripod: Tripod, tmp_path: Path) -> None:
+    """Every way the page finds to assemble the tripod at given commands is one of all that the equations have."""
+    robot = Robot.load("pm3dof")
+    page.open(Viewer(robot).save_html(tmp_path / "page.html").as_uri())
+    commands = [0.25, 0.23, 0.245]
+    sets = page.ask("pm3dof.robot().data.sets.map(set => set.title)")
+    found = page.call(
+        "(k, values) => { const robot = pm3dof.robot(), [first] = robot.data.sets;"
+        " return robot.assemblies(robot.data.sets[k], values).map(pose => pose.values(first)); }",
+        sets.index("Commands"),
+        commands,
+    )
+    known = np.asarray(all_assembly_modes(tripod, commands))
+    assert len(found) >= 2
+    for coordinates in found:
+        assert np.abs(placement(known) - placement(coordinates)).max(axis=(-1, -2)).min() < 1e-7, coordinates
+    near = robot.forward(commands).coordinates
+    assert np.abs(np.array(found) - near).max(axis=1).min() < 1e-9
+    page.ask("(document.querySelectorAll('#sets button')[1].click(), pm3dof.showAssemblies())")
+    assert page.ask("document.querySelectorAll('#assemblies button').length") >= 2
     assert page.browser.errors == []

@@ -261,6 +261,11 @@ const pm3dof = (() => {
       button.setAttribute("aria-pressed", index === activeSet);
       button.addEventListener("click", () => { activeSet = index; showSliders(); });
     });
+    const others = element(sets, "button", "others", "Assemblies");
+    Object.assign(others, { type: "button", title: "other ways to assemble the machine at these numbers" });
+    others.addEventListener("click", showAssemblies);
+    others.hidden = !robot.data.has_closures;
+    document.getElementById("assemblies").textContent = "";
     const back = element(sets, "button", "home", "Home");
     back.type = "button";
     back.addEventListener("click", home);
@@ -277,6 +282,22 @@ const pm3dof = (() => {
       });
       element(row, "span", "unit", unit);
     });
+  }
+
+  // Buttons for the other ways to assemble the machine at the same numbers of the active set.
+  function showAssemblies() {
+    const row = document.getElementById("assemblies"), set = robot.data.sets[activeSet];
+    const found = robot.assemblies(set, pose.values(set));
+    row.textContent = "";
+    element(row, "span", "", found.length > 1 ? `${found.length} ways found:` : "no other way found");
+    if (found.length > 1) {
+      found.slice(0, 12).forEach((other, index) => {
+        const broken = other.brokenLimits().length, button = element(row, "button", broken ? "outside" : "", String(index + 1));
+        Object.assign(button, { type: "button", title: broken ? "outside the limits" : "within the limits" });
+        button.addEventListener("click", () => show(other));
+      });
+    }
+    return found.length;
   }
 
   // Put the sliders where the pose is; but not one that is being moved.
@@ -453,5 +474,5 @@ const pm3dof = (() => {
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
   const drawing = { viewer, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
-  return { ...drawing, ...state, on, tell, flip, slide, home, show, setPose, followAll, lineOf, receive, start };
+  return { ...drawing, ...state, on, tell, flip, slide, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

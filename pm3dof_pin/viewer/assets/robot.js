@@ -13,6 +13,7 @@ const Robot = (() => {
   const JUMP = 0.5; // longest way of a joint in one go [rad, characteristic lengths]
   const NEARLY_CLOSED = 1e-8; // from here one quadratic step ends in rounding [m, rad]
   const STEPS = 8;
+  const FAR_STEPS = 60;
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
   const PULL_DAMPING = 0.02; // characteristic lengths: what a point gives way near singular poses
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that is its share
@@ -231,6 +232,58 @@ const Robot = (() => {
         }
       }
       return new Pose(this, q);
+    }
+
+    // All poses at values of a set's numbers that damped steps from random starts find: other assembly modes of the same
+    // machine. None is promised to be found; what is found is closed.
+    assemblies(set, values, starts = 150) {
+      const found = [];
+      for (let start = 0; start < starts; start++) {
+        const q = this.settled(this.randomPose(), set, values);
+        if (!q) continue;
+        const pose = new Pose(this, q), places = pose.numbers.subarray(0, 12 * this.data.placements);
+        const same = ({ numbers }) => places.every((entry, k) => Math.abs(entry - numbers[k]) < 1e-5 * (this.data.length + 1));
+        if (pose.residual < NEARLY_CLOSED && !found.some(same)) found.push(pose);
+      }
+      return found.sort((a, b) => a.brokenLimits().length - b.brokenLimits().length);
+    }
+
+    // Joint positions at random, within the limits where there are such.
+    randomPose() {
+      const q = Float64Array.from(this.data.home);
+      this.data.joints.forEach(({ index, size, slides }) => {
+        const limit = this.data.limits.joints.find((each) => each.index === index);
+        const [low, high] = limit ? [limit.lower, limit.upper] : slides ? [q[index] - this.data.length, q[index] + this.data.length] : [-Math.PI, Math.PI];
+        if (size === 1) q[index] = low + Math.random() * (high - low);
+        else for (let k = 0; k < size; k++) q[index + k] = Math.random() * 2 - 1;
+      });
+      return this.normalised(q);
+    }
+
+    // Pairs (cos, sin) and quaternions of length 1.
+    normalised(q) {
+      this.data.joints.filter(({ size }) => size > 1).forEach(({ index, size }) => {
+        const part = q.subarray(index, index + size), length = norm([...part]) || 1;
+        part.forEach((entry, k) => { part[k] = entry / length; });
+      });
+      return q;
+    }
+
+    // Newton's method with steps cut short, from far away; null if it does not settle.
+    settled(start, set, values) {
+      const close = this.programs[set.program], n = start.length;
+      const given = set.order.map((k) => (values[k] - set.numbers[k].offset) / set.numbers[k].scale);
+      const output = new Float64Array(n + 3);
+      let q = start;
+      for (let step = 0; step < FAR_STEPS; step++) {
+        close(Float64Array.from([...q, 1, 0, ...given]), output);
+        const jump = output[n + 1], residual = output[n + 2];
+        if (!Number.isFinite(jump)) return null;
+        const part = step ? Math.min(1, JUMP / jump) : 1; // the first step brings the given joints to their places
+        q = this.normalised(q.map((entry, k) => entry + part * (output[k] - entry)));
+        if (step && residual < NEARLY_CLOSED && jump < NEARLY_CLOSED) return q;
+      }
+      return null;
     }
 
     // Newton's method with a set's numbers given: joint positions, and on which side of singular poses they are.
