@@ -233,12 +233,13 @@ def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options:
 
 def _warn_of_gaps(identification: Identification) -> None:
     names = identification.errors.names
-    if identification.residuals.size < len(names):
+    equations = int(identification.measurements.seen.sum())
+    if equations < len(names):
         logger.warning(
             "%d measurements give %d equations for %d parameters: too few; %d combinations are identified, the rest "
             "keeps its nominal value as far as the tolerances allow",
             len(identification.measurements),
-            identification.residuals.size,
+            equations,
             len(names),
             identification.identifiability.rank,
         )

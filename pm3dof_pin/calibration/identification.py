@@ -29,7 +29,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Indices
 
 Loss = Literal["squares", "huber", "tukey"]
 
@@ -316,17 +316,17 @@ class _Linearised:
         self._wanted = self.residuals / measurements.sigmas + self.rows @ x  # rows x = wanted - residual
         self._sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names)), nuisances.sigmas])
         self._precisions = 1.0 / self._sigmas**2
-        self._count, self.dimension = self._wanted.shape
+        self.dimensions = measurements.seen.sum(axis=1)
 
     def robust(self, loss: Loss) -> _Fit:
-        weights, factor = np.ones(self._count), 1.0
+        weights, factor = np.ones(len(self._wanted)), 1.0
         x = self._solve(weights, factor)
         for kind in {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]:
             for _ in range(_REWEIGHTINGS):
                 last, last_factor = weights, factor
                 squares = self.squares(x)
                 factor = self.noise_factor(squares)
-                weights = _weights(squares / factor**2, self.dimension, kind)
+                weights = _weights(squares / factor**2, self.dimensions, kind)
                 x = self._solve(weights, factor)
                 if max(np.abs(weights - last).max(), abs(factor - last_factor)) < _SETTLED:
                     break
@@ -338,8 +338,9 @@ class _Linearised:
 
     def noise_factor(self, squares: Array) -> float:
         """Return how much the residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
-        median = np.median(squares) / _chi_square_quantile(0.5, self.dimension)
-        freedom = max(_LEAST_FREEDOM, 1.0 - self._used / (self._count * self.dimension))
+        seen = self.dimensions > 0
+        median = np.median(squares[seen] / _chi_square_quantile(0.5, self.dimensions[seen]))
+        freedom = max(_LEAST_FREEDOM, 1.0 - self._used / self.dimensions.sum())
         return float(max(1.0, np.sqrt(median / freedom)))
 
     def information(self, weights: Array, factor: float) -> Array:
@@ -364,7 +365,7 @@ class _Linearised:
     @cached_property
     def _used(self) -> float:
         """How many degrees of freedom the parameters take from the measurements."""
-        relative = self.rows.reshape(self._count * self.dimension, -1) * np.minimum(self._sigmas, _UNKNOWN)
+        relative = self.rows.reshape(-1, self.rows.shape[2]) * np.minimum(self._sigmas, _UNKNOWN)
         s = np.linalg.svd(relative, compute_uv=False)
         if np.isinf(self.prior):
             return float(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
@@ -405,7 +406,7 @@ def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Po
 def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
     """Return what a fit says, given the problem linearised at its solution."""
     errors, measurements, count = linear.errors, linear.measurements, len(linear.errors)
-    bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimension) * fit.noise_factor**2
+    bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimensions) * fit.noise_factor**2
     values = np.split(fit.x * linear.units, linear.ends)
     covariance = linear.covariance(fit.weights, fit.noise_factor)
     machine = int(linear.ends[1])
@@ -433,15 +434,15 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
     )
 
 
-def _weights(squares: Array, dimension: int, loss: str) -> Array:
+def _weights(squares: Array, dimensions: Indices, loss: str) -> Array:
     """Return the weights of squared normalised residuals, shape=(n,)."""
     if loss == "squares":
         return np.ones_like(squares)
-    bend = _chi_square_quantile(_HUBER, dimension)
+    bend = _chi_square_quantile(_HUBER, dimensions)
     if loss == "huber":
         return np.asarray(np.sqrt(bend / np.maximum(squares, bend)))
     return np.asarray(np.clip(1.0 - squares / (_TUKEY**2 * bend), 0.0, None) ** 2)
 
 
-def _chi_square_quantile(probability: float, dimension: int) -> float:
-    return float(2.0 * scipy.special.gammaincinv(0.5 * dimension, probability))
+def _chi_square_quantile(probability: float, dimensions: Indices) -> Array:
+    return np.asarray(2.0 * scipy.special.gammaincinv(0.5 * np.maximum(dimensions, 1), probability))

@@ -33,7 +33,7 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     poses = int(found.measurements.pose_numbers.max()) + 1
     if poses < 2:
         reasons.append("one pose is measured, which says nothing of others")
-    unknowns, equations = found.rows.shape[2], found.residuals.size
+    unknowns, equations = found.rows.shape[2], int(found.measurements.seen.sum())
     if calibration.options.identifies and equations < unknowns:
         reasons.append(f"{len(found.measurements)} rows give {equations} equations for {unknowns} unknowns")
     left = _misfit(calibration)

@@ -250,7 +250,10 @@ def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
         "poses": int(measurements.pose_numbers.max()) + 1,
         "measured": measurements.measured,
         "conditions": list(measurements.conditions),
-        "median_sigma_m_rad": [float(sigma) for sigma in np.median(measurements.sigmas, axis=0)],
+        "median_sigma_m_rad": [
+            float(np.median(column[np.isfinite(column)])) if np.isfinite(column).any() else None
+            for column in measurements.sigmas.T
+        ],
         "warnings": list(measurements.warnings),
     }
     if measurements.registration is not None:

@@ -22,7 +22,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +31,8 @@ POSITION_COLUMNS = ("x_m", "y_m", "z_m")
 QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in (*POSITION_COLUMNS, *QUATERNION_COLUMNS))
 POINT_COLUMNS = ("px_m", "py_m", "pz_m")
+DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN = "distance_m", "sigma_distance_m"
+ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
 SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 
 _TIME_COLUMN = "time_s"
@@ -55,6 +57,11 @@ def _approach_columns(robot: Robot) -> tuple[str, ...]:
     return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
 
 
+def _start_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the commands of the pose at which a distance begins: from_u1_m ..."""
+    return tuple(f"from_{name}" for name in command_columns(robot))
+
+
 def _measurements_as_text(measurements: Measurements, robot: Robot) -> str:
     """Return measurements as CSV, every digit kept; see :func:`read_measurements`."""
     columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
@@ -64,6 +71,16 @@ def _measurements_as_text(measurements: Measurements, robot: Robot) -> str:
     if measurements.points.any():
         columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
     columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T, strict=False)
+    if measurements.distances is not None and measurements.origins is not None and measurements.partners is not None:
+        far = np.isfinite(measurements.distances)
+        fixed = (far & (measurements.partners < 0))[:, None]
+        begun = (far & (measurements.partners >= 0))[:, None]
+        columns |= {DISTANCE_COLUMN: measurements.distances}
+        columns |= {DISTANCE_SIGMA_COLUMN: np.where(far, measurements.sigmas[:, 0], np.nan)}
+        columns |= {SIGMA_COLUMNS[0]: np.where(far, np.inf, measurements.sigmas[:, 0])}
+        columns |= zip(ORIGIN_COLUMNS, np.where(fixed, measurements.origins, np.nan).T, strict=True)
+        starts = np.where(begun, measurements.commands[measurements.partners], np.nan)
+        columns |= zip(_start_columns(robot), starts.T, strict=True)
     return _columns_as_text(columns | measurements.conditions)
 
 
@@ -76,7 +93,8 @@ def _columns_as_text(columns: Mapping[str, Array]) -> str:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(map(repr, row) for row in np.column_stack(list(columns.values())).tolist())
+    rows = np.column_stack(list(columns.values())).tolist()
+    writer.writerows(["" if number != number else repr(number) for number in row] for row in rows)
     return text.getvalue()
 
 
@@ -198,11 +216,21 @@ class _Reader:
         commands = self.commands()
         rotations = self._rotations()
         points = self._columns(POINT_COLUMNS) if POINT_COLUMNS[0] in table else np.zeros((len(commands), 3))
-        positions = self._columns(POSITION_COLUMNS)
         sigmas = self._sigmas(instrument, rotations is not None)
         nominal = self._nominal_poses(commands)
         expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
+        seen = self._seen[:, : sigmas.shape[1]]
+        # what was not measured is where the machine is by its description, and has no weight
+        positions = np.column_stack(
+            [np.where(seen[:, k], table.get(name, 0.0), expected[:, k]) for k, name in enumerate(POSITION_COLUMNS)]
+        )
+        if rotations is not None:
+            seen_at_all = np.asarray(seen[:, 3:].any(axis=1))
+            rotations = np.where(seen_at_all[:, None, None], rotations, nominal.rotations)
+        sigmas = np.where(seen, sigmas, np.inf)
         registration = None
+        if own_frame and not self._seen[:, : sigmas.shape[1]].all():
+            raise MeasurementError(self._path, "an instrument with its own frame has to see positions or whole poses")
         if own_frame:
             self._check_extent(expected, positions)
             registration = register(positions, expected, rotations, nominal.rotations)
@@ -212,7 +240,7 @@ class _Reader:
         if rotations is not None:
             self._check_rotations(nominal, rotations)
         conditions = {name: values for name, values in table.items() if name.startswith(_CONDITIONS)}
-        return Measurements(
+        found = Measurements(
             commands,
             positions,
             rotations,
@@ -224,6 +252,47 @@ class _Reader:
             registration,
             times=self._table.get(_TIME_COLUMN),
             approaches=self._approaches(commands),
+        )
+        return self._with_distances(found, instrument) if self._seen[:, 6].any() else found
+
+    def _with_distances(self, found: Measurements, instrument: Instrument) -> Measurements:
+        """Return measurements with their distances; poses at which some begin are rows where nothing was seen."""
+        count, table, far = len(found), self._table, self._seen[:, 6]
+        both = far & self._seen[:, :6].any(axis=1)
+        if both.any():
+            problem = f"a row has {DISTANCE_COLUMN} and other measurements, expected a row for each"
+            raise MeasurementError(self._path, problem, self._lines_where(both))
+        nothing = np.full((count, 3), np.nan)
+        origins = self._columns(ORIGIN_COLUMNS) if ORIGIN_COLUMNS[0] in table else nothing
+        columns = _start_columns(self._robot)
+        starts = self._columns(columns) if columns[0] in table else np.full(found.commands.shape, np.nan)
+        fixed, begun = (np.isfinite(values).all(axis=1) for values in (origins, starts))
+        unclear = far & (fixed == begun)
+        if unclear.any():
+            problem = f"from where is {DISTANCE_COLUMN}? Expected {','.join(ORIGIN_COLUMNS)} or {','.join(columns)}"
+            raise MeasurementError(self._path, problem, self._lines_where(unclear))
+        sigmas = found.sigmas.copy()
+        given = table.get(DISTANCE_SIGMA_COLUMN, np.full(count, instrument.position_sigma))
+        sigmas[far] = np.inf
+        sigmas[far, 0] = given[far]
+        if not (given[far] > 0.0).all():
+            raise MeasurementError(self._path, f"{DISTANCE_SIGMA_COLUMN} is not positive", self._lines_where(far))
+        begins = np.flatnonzero(far & begun)
+        rows = np.concatenate([np.arange(count), begins])
+        whole = replace(found, sigmas=sigmas)[rows]
+        partners = np.full(len(rows), -1)
+        partners[begins] = count + np.arange(len(begins))
+        commands, unseen = whole.commands.copy(), whole.sigmas.copy()
+        commands[count:] = starts[begins]
+        unseen[count:] = np.inf
+        distances = np.where(far, table[DISTANCE_COLUMN], np.nan)
+        return replace(
+            whole,
+            commands=commands,
+            sigmas=unseen,
+            distances=np.concatenate([distances, np.full(len(begins), np.nan)]),
+            origins=np.nan_to_num(origins[rows]),
+            partners=partners,
         )
 
     def _approaches(self, commands: Array) -> Array | None:
@@ -281,8 +350,15 @@ class _Reader:
             )
         wanted = [*self._own]
         if not self._commands_only:
-            wanted += POSITION_COLUMNS
-            optional = (QUATERNION_COLUMNS, POINT_COLUMNS, SIGMA_COLUMNS[:3], SIGMA_COLUMNS[3:], (_TIME_COLUMN,))
+            measured = self._measured_columns(header)
+            wanted += measured
+            positions = tuple(f"sigma_{name}" for name in POSITION_COLUMNS if name in measured)
+            optional: tuple[tuple[str, ...], ...] = (
+                ORIGIN_COLUMNS,
+                _start_columns(self._robot),
+                (DISTANCE_SIGMA_COLUMN,),
+            )
+            optional += (QUATERNION_COLUMNS, POINT_COLUMNS, positions, SIGMA_COLUMNS[3:], (_TIME_COLUMN,))
             for group in (*optional, _approach_columns(self._robot)):
                 if set(group) & set(header):
                     wanted += group
@@ -300,15 +376,72 @@ class _Reader:
         if unknown and not self._commands_only:
             self._warn(f"columns {', '.join(unknown)} are not used")
 
+    def _measured_columns(self, header: Sequence[str]) -> tuple[str, ...]:
+        """Return which columns of what was measured the file has to have: of positions alone, some will do."""
+        positions = tuple(name for name in POSITION_COLUMNS if name in header)
+        if DISTANCE_COLUMN in header:
+            return (*positions, DISTANCE_COLUMN)
+        used = {
+            *self._own,
+            *positions,
+            *POINT_COLUMNS,
+            *SIGMA_COLUMNS[:3],
+            _TIME_COLUMN,
+            *_approach_columns(self._robot),
+        }
+        alone = positions and all(name in used or name.startswith(_CONDITIONS) for name in header)
+        return positions if alone else POSITION_COLUMNS
+
+    def _settle_what_was_measured(self) -> None:
+        """Make whole columns of what was measured, and say which of it was: the flags of x, y, z, angles, distance.
+
+        Not measured is a coordinate without a column or with an infinite sigma, and a position, an orientation or a
+        distance of which every cell of a row is empty.
+        """
+        count = len(self._lines)
+        groups = (POSITION_COLUMNS, QUATERNION_COLUMNS, (DISTANCE_COLUMN,))
+        infinite = np.column_stack([np.isposinf(self._table.get(name, np.zeros(count))) for name in SIGMA_COLUMNS])
+        self._seen = np.zeros((count, 7), dtype=bool)
+        self._broken = np.zeros(count, dtype=bool)
+        for group, places in zip(groups, ((0, 1, 2), (3, 4, 5), (6,)), strict=True):
+            present = [name for name in group if name in self._table]
+            if not present:
+                continue
+            cells = self._columns(present)
+            there: Mask = np.asarray(~np.isnan(cells).all(axis=1))
+            if group is POSITION_COLUMNS:
+                for name, place in zip(group, places, strict=True):
+                    column = self._table.get(name)
+                    needed = there & ~infinite[:, place]
+                    if column is not None:
+                        self._broken |= needed & ~np.isfinite(column)
+                        self._seen[:, place] = needed
+            elif group is QUATERNION_COLUMNS:
+                self._broken |= there & ~np.isfinite(cells).all(axis=1)
+                self._seen[:, 3:6] = there[:, None] & ~infinite[:, 3:]
+                self._table |= dict(zip(group, np.where(there[:, None], cells, [1.0, 0.0, 0.0, 0.0]).T, strict=True))
+            else:
+                self._broken |= there & ~np.isfinite(cells).all(axis=1)
+                self._seen[:, 6] = there
+        self._broken |= ~self._seen.any(axis=1)
+
     def _leave_out_incomplete_rows(self) -> None:
-        read = self._own if self._commands_only else list(self._table)
+        read = self._own if self._commands_only else [name for name in self._table if name not in self._may_be_empty()]
         whole = np.isfinite(self._columns(read)).all(axis=1)
+        if not self._commands_only:
+            self._settle_what_was_measured()
+            whole &= ~self._broken
+            self._seen = self._seen[whole]
         if not whole.all():
             self._warn("numbers are missing or not finite; left out", self._lines_where(~whole))
         if not whole.any():
             raise MeasurementError(self._path, "no complete row of numbers, expected one for each pose")
         self._table = {name: values[whole] for name, values in self._table.items()}
         self._lines = self._lines_where(whole)
+
+    def _may_be_empty(self) -> set[str]:
+        measured = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *SIGMA_COLUMNS, DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN}
+        return measured | {*ORIGIN_COLUMNS, *_start_columns(self._robot)}
 
     def _warn_of_copies(self) -> None:
         rows = np.column_stack(list(self._table.values()))
@@ -433,15 +566,17 @@ class _Reader:
         for k, name in enumerate(names):
             if name in self._table:
                 sigmas[:, k] = self._table[name]
+        sigmas = np.where(np.isnan(sigmas), usual[:count], sigmas)
         bad = ~(sigmas > 0.0).all(axis=1)
         if bad.any():
             lines = self._lines_where(bad)
             raise MeasurementError(self._path, "a sigma is not positive", lines)
         for k, name in enumerate(names):
             unit = name.rsplit("_", 1)[1]
-            if np.median(sigmas[:, k]) > _LARGE_SIGMA[unit]:
+            finite = sigmas[np.isfinite(sigmas[:, k]), k]
+            if finite.size and np.median(finite) > _LARGE_SIGMA[unit]:
                 other = "millimetres" if unit == "m" else "degrees"
-                self._warn(f"{name} is {np.median(sigmas[:, k]):.3g} {unit} (median), a great deal: {other}?")
+                self._warn(f"{name} is {np.median(finite):.3g} {unit} (median), a great deal: {other}?")
         return sigmas
 
     def _lines_where(self, flags: Any) -> list[int]:

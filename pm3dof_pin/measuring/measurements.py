@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,17 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import Registration
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.typing import Array, Indices, Mask
 
 _SAME = 1e-9  # [m, rad], commands that differ by less are one pose
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Commands and the poses, positions or points that were seen, row after row.
+    """Commands and what was seen of the tool, row after row: poses, points, single coordinates, distances.
+
+    A coordinate that was not measured has an infinite sigma; its number is of no matter. A row with a distance has that
+    alone, as its first column: of the point seen from a fixed one, or from where another row has it.
 
     Example:
         >>> import numpy as np
@@ -33,7 +37,8 @@ class Measurements:
         commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
         positions: what was seen of the tool point, or of `points`, in the world, shape=(n, 3) [m].
         rotations: orientation of the tool, shape=(n, 3, 3); None if positions only were measured.
-        sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3) [m, rad].
+        sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3) [m, rad];
+            infinite where it was not measured. That of a distance is the first.
         points: the points seen, in the tool's axes from the tool point, shape=(n, 3) [m]; zeros for the tool point.
         conditions: temperatures and loads by the name of their column, shape=(n,) each.
         lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
@@ -45,6 +50,9 @@ class Measurements:
         times: when each row was measured, shape=(n,) [s]; None if that is not known.
         approaches: direction from which each drive came, +1 or -1, 0 for unknown, shape=(n, number of commands); None
             if that is not known.
+        distances: the distance measured, NaN in rows without one, shape=(n,) [m]; None if there are none.
+        origins: the fixed points, in the world, from which distances are, shape=(n, 3) [m].
+        partners: the rows at whose points distances begin instead, shape=(n,); -1 for a fixed point.
     """
 
     commands: Array
@@ -60,6 +68,9 @@ class Measurements:
     tool_point_sigma: float = 0.0
     times: Array | None = None
     approaches: Array | None = None
+    distances: Array | None = None
+    origins: Array | None = None
+    partners: Indices | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and numbers.
@@ -85,10 +96,15 @@ class Measurements:
         if self.approaches is not None:
             shapes["approaches"] = (self.approaches, self.commands.shape)
         for name, (array, shape) in shapes.items():
-            if array.shape != shape or not np.isfinite(array).all():
+            finite = np.isfinite(array) | (np.isposinf(array) if name == "sigmas" else False)
+            if array.shape != shape or not np.all(finite):
                 raise InvalidValueError(
                     name, f"an array of shape {array.shape}", f"finite numbers of shape {shape}, one row a measurement"
                 )
+        if self.distances is not None and (
+            self.origins is None or self.partners is None or self.origins.shape != (n, 3) or len(self.distances) != n
+        ):
+            raise InvalidValueError("distances", f"of {len(self.distances)} rows", f"{n}, with origins and partners")
         if not np.all(self.sigmas > 0.0):
             raise InvalidValueError("sigmas", float(self.sigmas.min()), "positive numbers")
         for name in ("target_sigma", "tool_point_sigma"):
@@ -103,18 +119,47 @@ class Measurements:
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp] | Sequence[int] | slice) -> Measurements:
         """Return some of the rows."""
         chosen = np.arange(len(self))[rows]
+        distances = self._distances_of(chosen)
         return replace(
             self,
+            **distances,
             commands=self.commands[chosen],
             positions=self.positions[chosen],
             rotations=None if self.rotations is None else self.rotations[chosen],
-            sigmas=self.sigmas[chosen],
             points=self.points[chosen],
             conditions={name: values[chosen] for name, values in self.conditions.items()},
             lines=tuple(self.lines[k] for k in chosen),
             times=None if self.times is None else self.times[chosen],
             approaches=None if self.approaches is None else self.approaches[chosen],
         )
+
+    def _distances_of(self, chosen: Indices) -> dict[str, Any]:
+        """Return sigmas and distances of some rows; a distance the other end of which is not among them is lost."""
+        sigmas = self.sigmas[chosen]
+        if self.distances is None or self.origins is None or self.partners is None:
+            return {"sigmas": sigmas}
+        places = np.full(len(self) + 1, -2)
+        places[chosen] = np.arange(len(chosen))
+        places[-1] = -1
+        partners, distances = places[self.partners[chosen]], self.distances[chosen]
+        lost = partners == -2
+        sigmas[lost] = np.inf
+        return {
+            "sigmas": sigmas,
+            "distances": np.where(lost, np.nan, distances),
+            "origins": self.origins[chosen],
+            "partners": np.where(lost, -1, partners),
+        }
+
+    @property
+    def seen(self) -> Mask:
+        """Which coordinates were measured, shape=(n, 3) or (n, 6)."""
+        return np.isfinite(self.sigmas)
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether of some row less than a position, or a pose, was measured."""
+        return not self.seen.all()
 
     @property
     def measured(self) -> Measured:
@@ -219,8 +264,12 @@ class Measurements:
         """
         offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
         turns = np.swapaxes(rotation_matrix(motions[:, 3:]), 1, 2)
+        distances = self.distances
+        if distances is not None:
+            distances = distances - self._along_distances(poses, motions[:, :3] + np.cross(motions[:, 3:], offsets))
         return replace(
             self,
+            distances=distances,
             positions=self.positions - motions[:, :3] - np.cross(motions[:, 3:], offsets),
             rotations=None if self.rotations is None else turns @ self.rotations,
         )
@@ -236,6 +285,10 @@ class Measurements:
         """
         offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
         positions = self.positions - poses.positions - offsets
+        if self.distances is not None:
+            size = np.linalg.norm(self._ways(poses), axis=1)
+            off = np.column_stack([self.distances - size, np.zeros((len(size), 2))])
+            positions = np.where(np.isnan(self.distances)[:, None], positions, off)
         if self.rotations is None:
             return np.asarray(positions)
         seen = np.tile(np.eye(4), (len(poses), 1, 1))
@@ -252,10 +305,32 @@ class Measurements:
         offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
         linear, angular = tool_motions[:, :3], tool_motions[:, 3:]
         points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
+        if self.distances is not None:
+            rows = np.zeros_like(points)
+            rows[:, 0] = self._along_distances(poses, points)
+            points = np.where(np.isnan(self.distances)[:, None, None], points, rows)
         if self.rotations is None:
             return np.asarray(points)
         rates = rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2))
         return np.concatenate([points, rates @ angular], axis=1)
+
+    def _ways(self, poses: Poses) -> Array:
+        """Return the ways from where distances begin to the points seen, on a machine, shape=(n, 3) [m]."""
+        points = poses.positions + np.einsum("nij,nj->ni", poses.rotations, self.points)
+        return np.asarray(points - np.where(self._fixed, self.origins, points[self.partners]))
+
+    def _along_distances(self, poses: Poses, motions: Array) -> Array:
+        """Return how distances grow with motions of the points seen, shape=(n, ...) of (n, 3, ...)."""
+        ways = self._ways(poses)
+        directions = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), _SAME)
+        fixed = self._fixed.reshape(-1, *[1] * (motions.ndim - 1))
+        relative = motions - np.where(fixed, 0.0, motions[self.partners])
+        return np.asarray(np.einsum("ni,ni...->n...", directions, relative))
+
+    @property
+    def _fixed(self) -> Mask:
+        assert self.partners is not None
+        return np.asarray(self.partners < 0)[:, None]
 
 
 def _numbered(rows: Array) -> Indices:

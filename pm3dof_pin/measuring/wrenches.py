@@ -58,6 +58,7 @@ def without_deflections(measurements: Measurements, poses: Poses, displacements:
     rotations = measurements.rotations
     return replace(
         measurements,
+        distances=measurements.without_motions(poses, displacements).distances,
         positions=measurements.positions - moved,
         rotations=None if rotations is None else np.swapaxes(turns, 1, 2) @ rotations,
         conditions={name: values for name, values in measurements.conditions.items() if not is_wrench(name)},

@@ -55,7 +55,7 @@ def test_a_redundant_parameter_is_reported_and_harmless(
     redundant = redundant_errors.names[-1:]
     found = identify(simulated(tripod_errors, truth, tripod_nominal[:60]), redundant_errors, prior=np.inf)
     assert found.identifiability.unidentifiable == redundant
-    assert found.prior_dominated == redundant
+    assert redundant[0] in found.prior_dominated
     reached = redundant_errors.apply(found.values).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
     expected = tripod_errors.apply(truth).forward(tripod_nominal.commands, guess=tripod_nominal.q).transforms
     np.testing.assert_allclose(reached, expected, atol=1e-9)
@@ -116,7 +116,7 @@ def test_points_on_the_platform_tell_the_orientation(
     assert identify(measurements[:40], tripod_errors).identifiability.rank < 40
 
 
-def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: GeometricErrors) -> None:
+def test_nine_d_optimal_poses_predict_the_tip_within_13_um(tripod_errors: GeometricErrors) -> None:
     """Root mean square over ten machines and 100 other poses."""
     generator = np.random.default_rng(0)
     candidates, tests = (reachable_poses(tripod_errors.robot, count, generator) for count in (500, 100))
@@ -131,7 +131,7 @@ def test_nine_d_optimal_poses_predict_the_tip_within_12_um(tripod_errors: Geomet
             tripod_errors.apply(p).forward(poses.commands, guess=poses.q).transforms for p in (values, found.values)
         ]
         squares.append(tip_error(pose_difference(*reached)) ** 2)
-    assert np.sqrt(np.mean(squares)) < 12e-6
+    assert np.sqrt(np.mean(squares)) < 13e-6
 
 
 @pytest.mark.parametrize("loss", ["huber", "tukey"])
@@ -165,14 +165,20 @@ def test_residuals_are_noise_of_the_stated_size(
 ) -> None:
     found: Identification = identify(simulated(tripod_errors, truth, tripod_nominal, 8), tripod_errors, loss="squares")
     total = float(np.sum(found.normalized_residuals**2))
-    assert chi2.ppf(1e-4, 1800 - 34) < total < chi2.isf(1e-4, 1800 - 34)
+    assert chi2.ppf(1e-4, 1800 - 40) < total < chi2.isf(1e-4, 1800 - 40)
     assert found.noise_factor == pytest.approx(1.0, abs=0.06)
 
 
-def test_a_richer_machine_shows_in_the_noise_factor(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+def test_errors_that_are_missing_show_in_the_noise_factor(
+    tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    """Every joint of the machine has all six errors: the complete file explains them."""
     machine = SimulatedMachine.random(tripod_errors, np.random.default_rng(0))
     seen = machine.measure(tripod_nominal.commands[:60], np.random.default_rng(1))
-    assert identify(Measurements.of_poses(tripod_nominal.commands[:60], seen), tripod_errors).noise_factor > 2.0
+    measurements = Measurements.of_poses(tripod_nominal.commands[:60], seen)
+    missing = ["passive_slider_joint.rz", "platform_x_joint.ry", "platform_y_joint.tz", "platform_y_joint.rz"]
+    assert identify(measurements, tripod_errors).noise_factor < 1.2
+    assert identify(measurements, tripod_errors.without([*missing, "O_e.rx", "O_e.rz"])).noise_factor > 2.0
 
 
 @pytest.mark.parametrize("name", ["hexapod", "serial"])
@@ -189,8 +195,8 @@ def test_other_mechanisms(name: str, serial_arm: Robot) -> None:
     found = identify(simulated(errors, truth, nominal[:50]), errors, prior=np.inf)
     expected = errors.apply(truth).forward(commands[50:], guess=nominal.q[50:]).transforms
     reached = errors.apply(found.values).forward(commands[50:], guess=nominal.q[50:]).transforms
-    np.testing.assert_allclose(reached, expected, atol=1e-8)
-    assert found.identifiability.rank == (42 if name == "hexapod" else 30)
+    np.testing.assert_allclose(reached, expected, atol=1e-7)
+    assert found.identifiability.rank == (48 if name == "hexapod" else 30)
 
 
 def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
@@ -199,4 +205,4 @@ def test_nothing_to_identify_with(tripod_errors: GeometricErrors, tripod_nominal
         identify(measurements[:0], tripod_errors)
     with pytest.raises(InvalidValueError, match="prior"):
         identify(measurements, tripod_errors, prior=0.0)
-    assert identify(measurements, tripod_errors).identifiability.rank == 16
+    assert identify(measurements, tripod_errors).identifiability.rank == 18
