@@ -96,7 +96,8 @@ def section_outline(
         directions: number of points of the outline.
 
     Returns:
-        A dataset like that of :func:`stiffness_section` along the dimension `point`, going round the level platform.
+        A dataset like that of :func:`stiffness_section` along the dimension `point`, going round the level platform,
+        and `at_grid_end`: where the grid ends before a limit does.
         None if there is no such single line: the reachable part is not star-shaped about the level platform, or the
         grid does not contain it.
     """
@@ -107,7 +108,10 @@ def section_outline(
         return None
     radii = np.minimum(section.radii, edge)
     tilts = radii[:, None] * np.stack([np.cos(section.azimuths), np.sin(section.azimuths)], axis=-1)
-    return stiffness_section(tripod, PointGrid(tilts), section.level)
+    outline = stiffness_section(tripod, PointGrid(tilts), section.level)
+    return outline.assign(
+        at_grid_end=("point", edge < section.radii, {"long_name": "the grid ends here, and no limit"})
+    )
 
 
 def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +22,7 @@ from pm3dof_pin.cli.map_options import (
 )
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
@@ -76,6 +78,7 @@ def atlas(
     ] = False,
     precision: Annotated[PrecisionName, typer.Option(help="Of the numbers on disk.")] = PrecisionName.SINGLE,
     pictures: Annotated[bool, typer.Option(help="Draw slices through every quantity but matrices.")] = True,
+    formats: Formats = None,
     threads: Threads = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the dask cluster of this scheduler.")
@@ -144,7 +147,8 @@ def atlas(
     except KeyboardInterrupt:
         message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
         raise
-    files = [path, *_draw(path)] if pictures else [path]
+    files = [path, *_draw(path, loaded, formats)] if pictures else [path]
+    remove_former(path.parent, rf"{re.escape(path.stem)}_(?:{'|'.join(QUANTITIES)})(?:_.+)?", files)
     result = {
         "files": [str(file) for file in files],
         "robot": loaded.name,
@@ -183,17 +187,16 @@ def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
     return declared_ranges(robot, robot.coordinates, wanted if len(wanted) == number else wanted * number)
 
 
-def _draw(path: Path) -> list[Path]:
+def _draw(path: Path, robot: Robot, formats: list[PictureFormat] | None) -> list[Path]:
     """Draw the pictures of a finished atlas beside it."""
     from pm3dof_pin.figures.atlas import atlas_pictures
-    from pm3dof_pin.figures.style import save_figure
     from pm3dof_pin.maps.atlas import open_atlas
 
-    with open_atlas(path) as dataset:
-        figures = atlas_pictures(dataset)
-    files = []
     with progress_bar("pictures") as progress:
-        for name, figure in figures.items():
-            files.append(save_figure(figure, path.with_name(f"{path.stem}_{name}.png")))
-            progress(len(files), len(figures))
+        with open_atlas(path) as dataset:
+            figures = atlas_pictures(dataset, robot)
+        files = []
+        for done, (name, figure) in enumerate(figures.items(), start=1):
+            files += save(figure, path.with_name(f"{path.stem}_{name}.png"), formats)
+            progress(done, len(figures))
     return files

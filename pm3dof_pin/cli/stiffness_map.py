@@ -12,6 +12,7 @@ from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Json, finite_number, load_tripod, tilt_angle
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from pm3dof_pin.chapter.tripod import Tripod
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Engine
 
 LEAST_TO_DRAW = 3
 PICTURES = {
@@ -30,6 +34,9 @@ PICTURES = {
 }
 _DEFAULT_TILT, _DEFAULT_POINTS = 40.0, 81
 _DEFAULT_COUNT = 41
+_STATISTICS = {"least": "minimum", "greatest": "maximum", "mean": "mean"}
+JOB_PICTURES = rf"stiffness_map_.+|{'|'.join(name.removesuffix('.png') for name in PICTURES)}"
+"""Of all pictures that the job may draw."""
 
 
 def stiffness_map(
@@ -57,6 +64,7 @@ def stiffness_map(
         int | None, typer.Option(min=2, help="Number of values of each tilt (81), or of each coordinate (41).")
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
+    formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
@@ -65,12 +73,12 @@ def stiffness_map(
 ) -> None:
     """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
 
-    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3. With --robot (pm3dof too): felt and principal
-    stiffness, condition number and first natural frequency over two coordinates; where the tool is rigid in some
-    direction, the stiffness of its free motions.
+    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3 beside them if it is its section. With --robot
+    (pm3dof too): felt and principal stiffness, condition number and first natural frequency over two coordinates; where
+    the tool is rigid in some direction, the stiffness of its free motions. Pictures of a former run are replaced.
     """
     if robot is None and not over and not values and tool_frame is None and engine is EngineName.PROGRAM:
-        _map_of_chapter(out, height, tilt or _DEFAULT_TILT, points or _DEFAULT_POINTS, pictures, as_json, config)
+        _map_of_chapter(out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, config)
         return
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
@@ -98,7 +106,8 @@ def stiffness_map(
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
         if pictures:
-            files += _draw(dataset, out, progress)
+            files += _draw(dataset, loaded, grid, out, progress, formats, engine.value)
+        remove_former(out, JOB_PICTURES, files)
     spans = _ranges(dataset)
     result = {
         "robot": loaded.name,
@@ -109,11 +118,8 @@ def stiffness_map(
         "poses_within_limits": inside,
         "ranges": spans,
     }
-    rows = [
-        [name, *(f"{entry[key]:.4e}" for key in ("least", "greatest")), entry["unit"]] for name, entry in spans.items()
-    ]
     lines = [
-        *table_lines(["quantity", "least", "greatest", "unit"], rows),
+        *_range_lines(spans),
         "",
         f"{grid.size:,} poses over {' and '.join(grid.dims)}, {inside:,} within every limit",
     ]
@@ -123,7 +129,7 @@ def stiffness_map(
 
 
 def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
-    """Return least and greatest finite value of every number of the map."""
+    """Return least, greatest and mean finite value of every number of the map."""
     import numpy as np
 
     from pm3dof_pin.maps.units import unit_of_entry
@@ -133,10 +139,22 @@ def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
         values = dataset[name].sel(dict.fromkeys(own, label)).values
         finite = values[np.isfinite(values)]
         if finite.size:
-            unit = unit_of_entry(dataset[name].attrs["units"], label)
-            ends = {"least": float(finite.min()), "greatest": float(finite.max()), "unit": unit}
-            ranges[f"{name}_{label}" if label else name] = ends
+            ranges[f"{name}_{label}" if label else name] = {
+                "least": float(finite.min()),
+                "greatest": float(finite.max()),
+                "mean": float(finite.mean()),
+                "unit": unit_of_entry(dataset[name].attrs["units"], label),
+            }
     return ranges
+
+
+def _range_lines(ranges: dict[str, dict[str, Any]]) -> list[str]:
+    """Lay out the numbers of a map."""
+    rows = [
+        [name, "" if entry["unit"] == "1" else entry["unit"], *(f"{entry[key]:.4e}" for key in _STATISTICS)]
+        for name, entry in ranges.items()
+    ]
+    return table_lines(["quantity", "unit", *_STATISTICS.values()], rows, words=2)
 
 
 def _entries(dataset: xr.Dataset) -> list[tuple[str, str, tuple[str, ...]]]:
@@ -150,25 +168,42 @@ def _entries(dataset: xr.Dataset) -> list[tuple[str, str, tuple[str, ...]]]:
     return entries
 
 
-def _draw(dataset: xr.Dataset, out: Path, progress: Any) -> list[Path]:
+def _draw(
+    dataset: xr.Dataset,
+    robot: Robot,
+    grid: Grid,
+    out: Path,
+    progress: Any,
+    formats: list[PictureFormat] | None,
+    engine: Engine,
+) -> list[Path]:
     """Draw a picture of every number of the map that has finite values."""
     import numpy as np
 
     from pm3dof_pin.figures.section_map import section_map
-    from pm3dof_pin.figures.style import save_figure
+    from pm3dof_pin.maps.limit_space import limits_over
 
+    broken = limits_over(robot, grid.dims, grid.fixed, engine=engine)
     entries = _entries(dataset)
     files = []
     for done, (name, label, own) in enumerate(entries, start=1):
         if np.isfinite(dataset[name].sel(dict.fromkeys(own, label)).values).sum() >= LEAST_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
-            files.append(save_figure(section_map(dataset, name, entry=label or None), path))
+            figure = section_map(dataset, name, entry=label or None, within=lambda points: broken(points) == 0)
+            files += save(figure, path, formats)
         progress(done, len(entries))
     return files
 
 
 def _map_of_chapter(
-    out: Path, height: float | None, tilt: float, points: int, pictures: bool, as_json: bool, config: Path | None
+    out: Path,
+    height: float | None,
+    tilt: float | None,
+    points: int,
+    pictures: bool,
+    formats: list[PictureFormat] | None,
+    as_json: bool,
+    config: Path | None,
 ) -> None:
     from pm3dof_pin.chapter.section import stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
@@ -176,7 +211,7 @@ def _map_of_chapter(
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
     tripod = load_tripod(config)
-    angle = math.radians(tilt)
+    angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []
     with progress_bar("stiffness map") as progress:
@@ -189,20 +224,27 @@ def _map_of_chapter(
         if names:
             from pm3dof_pin.chapter.section import section_outline
             from pm3dof_pin.figures.section_map import section_map
-            from pm3dof_pin.figures.style import save_figure
 
             outline = section_outline(tripod, grid, height)
-            for name in names:
-                files.append(save_figure(section_map(section, PICTURES[name], outline), out / name))
-                progress(len(files), 2 + len(names))
-    rows = table_8_3(tripod)
-    result = {"files": [str(file) for file in files], "z_e_m": z_e, "poses": points**2, "poses_within_limits": inside}
-    lines = [] if height is None else [f"Table 8.3, at its own height of {tripod.middle_height:.6f} m", ""]
-    lines += [
-        *rows_as_lines(rows),
+            for done, name in enumerate(names, start=3):
+                files += save(section_map(section, PICTURES[name], outline), out / name, formats)
+                progress(done, 2 + len(names))
+        remove_former(out, JOB_PICTURES, files)
+    rows, statistics = table_8_3(tripod), _ranges(section)
+    result = {
+        "files": [str(file) for file in files],
+        "z_e_m": z_e,
+        "poses": points**2,
+        "poses_within_limits": inside,
+        "ranges": statistics,
+    }
+    lines = [
+        *_range_lines(statistics),
         "",
         f"{points**2:,} poses at z_e = {z_e:.6f} m, {inside:,} within every joint limit",
     ]
+    if height is None and tilt is None and config is None:
+        lines += ["", "Table 8.3, on its own grid", *rows_as_lines(rows)]
     print_result(result | {"rows": rows_as_data(rows)}, lines, as_json=as_json)
     for file in files:
         message(f"wrote {file}")
@@ -215,7 +257,7 @@ def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | Non
     if inside == 0:
         hint = "try other ranges, or --at"
         if tripod is not None:
-            hint = f"the level platform goes from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
+            hint = f"--height: the level platform goes from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
         raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
     if drawn and inside < LEAST_TO_DRAW:
         raise UnreachablePoseError(

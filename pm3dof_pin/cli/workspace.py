@@ -11,6 +11,7 @@ from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import CoordinateValue, EngineName, EngineOption, Values, robot_grid
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, load_tripod
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, remove_former, save
 from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
@@ -53,6 +54,7 @@ def workspace(
         int | None, typer.Option(min=8, help="Number of boundary points a section (360; 120 with --robot).")
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
@@ -85,11 +87,11 @@ def workspace(
         files = [write_netcdf(boundary, out / "workspace.nc"), write_csv(boundary, out / "workspace.csv")]
         progress(3, 4 if picture else 3)
         if picture:
-            from pm3dof_pin.figures.style import save_figure
             from pm3dof_pin.figures.workspace import workspace_figure
 
             name = "figure_8_2_workspace.png" if tripod else "workspace.png"
-            files.append(save_figure(workspace_figure(found, _printed(tripod)), out / name))
+            files += save(workspace_figure(found, _printed(tripod)), out / name, formats)
+        remove_former(out, "figure_8_2_workspace|workspace", files)
     result = _result(found)
     if tripod is not None:
         from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges

@@ -2,38 +2,91 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, MaxNLocator
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.labels import axis_label, drawn, in_words
-from pm3dof_pin.figures.style import COLORMAP, house_style, new_figure
+from pm3dof_pin.figures.color_scale import ColorScale, color_scale
+from pm3dof_pin.figures.labels import (
+    axis_label,
+    display_unit,
+    drawn,
+    entry_words,
+    in_brackets,
+    in_words,
+    typeset,
+)
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, outlined_mesh
+from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
+from pm3dof_pin.maps.limit_space import limits_over
 from pm3dof_pin.maps.units import unit_of_entry
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.maps.limit_space import Flags
+
+LimitsOver: TypeAlias = "Callable[[tuple[str, ...], dict[str, float]], Callable[[Array], Flags]]"
 
 SECTIONS = 4
-_LEVELS = 16
-_LOGARITHMIC_FROM = 30.0  # ratio of the largest to the least value from which the colours are logarithmic
+_STEPS = [1, 2, 5, 10]
+_LONGEST_LABEL = 48  # letters beside the bar of colours
 
 
-def _atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
+@dataclass(eq=False)
+class _Outlines:
+    """Outlines of the planes that are drawn, found once for all quantities.
+
+    Attributes:
+        limits: the limits of the robot over two coordinates, the others fixed; without them planes end at the last
+            poses within.
+        beyond: whether values beyond joint limits are drawn, so that only the reach ends a plane.
+        found: meshes by plane and what is inside.
+    """
+
+    limits: LimitsOver | None
+    beyond: bool
+    found: dict[tuple[Any, ...], OutlinedMesh] = field(default_factory=dict)
+
+    def mesh(self, plane: xr.DataArray, flags: xr.DataArray, inside: Mask) -> OutlinedMesh:
+        """Return the triangles of a plane."""
+        dims = tuple(map(str, plane.dims))
+        fixed = {str(c): float(plane[c]) for c in plane.coords if plane[c].ndim == 0 and "units" in plane[c].attrs}
+        key = (dims, *fixed.items(), inside.tobytes())
+        if key not in self.found:
+            within: Within | None = None
+            if self.limits is not None:
+                broken, mask = self.limits(dims, fixed), np.uint32(1 if self.beyond else 0xFFFFFFFF)
+                within = lambda points: (broken(points) & mask) == 0  # noqa: E731
+            excluded = (flags.transpose(*dims).values.astype(np.uint32) & (1 if self.beyond else 0xFFFFFFFF)) != 0
+            self.found[key] = outlined_mesh(plane[dims[0]].values, plane[dims[1]].values, inside, within, excluded)
+        return self.found[key]
+
+
+def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: str, outlines: _Outlines) -> Figure:
     """Draw one quantity of an atlas.
 
     Of more than three dimensions the last three are drawn, the others standing at the middle of their values.
 
     Args:
         values: over dimensions with coordinates that have a unit; NaN where a pose is excluded.
+        flags: the limits that poses break.
         name: of the quantity, for the title.
         unit: its unit, for the colour bar.
+        outlines: of its planes.
 
     Raises:
         InvalidValueError: no value to draw, or a dimension without a unit.
@@ -41,54 +94,92 @@ def _atlas_slices(values: xr.DataArray, name: str, unit: str) -> Figure:
     for dim in values.dims:
         if "units" not in values[dim].attrs:
             raise InvalidValueError("values", f"dimensions {values.dims}", "coordinates of a robot, one entry a pose")
-    finite = values.values[np.isfinite(values.values)]
-    if finite.size == 0:
+    if not np.isfinite(values.values).any():
         raise InvalidValueError("values", "no finite number", "at least one pose within the limits")
-    field, stands = _last_three(values)
+    shown, stands = _last_three(values)
+    limits, _ = _last_three(flags)
     title = f"{name[:1].upper()}{name[1:]}{f': {stands}' if stands else ''}"
-    norm, levels = _scale(float(finite.min()), float(finite.max()))
+    factor, written = display_unit(values.values, unit)
+    label = in_brackets(name if len(name) <= _LONGEST_LABEL or not written else "", written).strip()
     with house_style():
-        figure = new_figure(*((9.6, 5.4) if field.ndim == 3 else (5.4, 4.2)))
+        width, height = (TWO_COLUMNS, 4.6) if shown.ndim == 3 else (ONE_COLUMN, 2.9)
+        figure = new_figure(width, height)
         figure.set_layout_engine("constrained")
-        figure.suptitle(title)
-        if field.ndim == 1:
-            _draw_line(figure.add_subplot(), field, f"[{unit}]")
+        if shown.ndim == 1:
+            figure.suptitle(title, wrap=True)
+            _draw_line(figure.add_subplot(), shown / factor, label)
             return figure
-        filled, axes = (_draw_three if field.ndim == 3 else _draw_two)(figure, field, norm, levels)
-        bar = figure.colorbar(filled, ax=axes, pad=0.015, aspect=32)
-        bar.set_label(f"[{unit}]")  # the title says what it is
-        if isinstance(norm, LogNorm):
-            bar.set_ticks(list(levels[::2]))
-            bar.ax.yaxis.set_major_formatter(FormatStrFormatter("%.3g"))
-            bar.ax.minorticks_off()
-        bar.outline.set_linewidth(0.7)
+        planes = _planes(figure, shown, limits)
+        meshes = [outlines.mesh(plane, flag, np.isfinite(plane.values)) for _, plane, flag, _ in planes]
+        heights = [
+            mesh.values(plane.values) / factor if len(mesh.triangles) else np.empty(0)
+            for mesh, (_, plane, _, _) in zip(meshes, planes, strict=True)
+        ]
+        scale = color_scale(values.values / factor, np.concatenate(heights))
+        figure.suptitle(f"{title}\n{scale.note}" if scale.note else title)
+        for (axes, plane, _, equal), mesh, numbers in zip(planes, meshes, heights, strict=True):
+            _draw_plane(axes, plane, mesh, numbers, scale, equal=equal)
+        _share_labels([axes for axes, *_ in planes])
+        filled = ScalarMappable(scale.norm(), COLORMAP)
+        bar = figure.colorbar(
+            filled,
+            ax=[axes for axes, *_ in planes],
+            pad=0.015,
+            aspect=36 if shown.ndim == 3 else 24,
+            extend=scale.extend,
+        )
+        bar.set_label(label)
+        scale.label(bar)
+        lines = (("joint limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
+        handles = [
+            Line2D([], [], label=text, **style)
+            for text, kind, style in lines
+            if any(np.linalg.norm(np.ptp(line, axis=0)) > 0.0 for mesh in meshes for line in getattr(mesh, kind)[1:])
+        ]
+        if handles:
+            figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
-def atlas_pictures(dataset: xr.Dataset) -> dict[str, Figure]:
+def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:
     """Draw every quantity of an atlas that has one number, or one list of numbers, at a pose; matrices are left out.
 
     Args:
         dataset: result of :func:`~pm3dof_pin.maps.atlas.open_atlas`.
+        robot: the robot of the atlas: with it, the planes end where its limits do, found to 1e-6 of a cell, and values
+            between the last pose within and there are extrapolated; without it, they end at the last poses within.
 
     Returns:
         Figures by `<quantity>` or `<quantity>_<entry>`; none for a quantity without a finite value.
     """
     figures = {}
+    flags = dataset[BROKEN_LIMITS].load()
+    outlines = _Outlines(None if robot is None else partial(limits_over, robot), _keeps_values_beyond(dataset, flags))
     for name, variable in dataset.data_vars.items():
-        own = [str(dim) for dim in variable.dims if dim not in dataset[BROKEN_LIMITS].dims]
+        own = [str(dim) for dim in variable.dims if dim not in flags.dims]
         if "flag_masks" in variable.attrs or len(own) > 1:
             continue
-        words, unit = str(variable.attrs["long_name"]), str(variable.attrs["units"])
+        words, unit = typeset(str(variable.attrs["long_name"])), str(variable.attrs["units"])
         entries = (
             {f"_{label}": variable.sel({own[0]: label}) for label in variable[own[0]].values} if own else {"": variable}
         )
         for suffix, values in entries.items():
             if np.isfinite(values.values).any():
                 entry = suffix.removeprefix("_")
-                title = f"{words}: {entry}" if suffix else words
-                figures[f"{name}{suffix}"] = _atlas_slices(values.load(), title, unit_of_entry(unit, entry))
+                title = f"{words}: {entry_words(entry)}" if suffix else words
+                figures[f"{name}{suffix}"] = _atlas_slices(
+                    values.load(), flags, title, unit_of_entry(unit, entry), outlines
+                )
     return figures
+
+
+def _keeps_values_beyond(dataset: xr.Dataset, flags: xr.DataArray) -> bool:
+    """Whether there are values at poses that break a limit."""
+    for variable in dataset.data_vars.values():
+        if "flag_masks" not in variable.attrs and variable.dims[: flags.ndim] == flags.dims:
+            finite = np.isfinite(variable.values).reshape(*flags.shape, -1).any(axis=-1)
+            return bool(np.any(finite & (flags.values != 0)))
+    return False
 
 
 def _last_three(values: xr.DataArray) -> tuple[xr.DataArray, str]:
@@ -99,21 +190,6 @@ def _last_three(values: xr.DataArray) -> tuple[xr.DataArray, str]:
     return field, ", ".join(words)
 
 
-def _scale(least: float, greatest: float) -> tuple[Normalize, Array]:
-    """Return the colours' scale and round levels that cover the values."""
-    if least > 0.0 and greatest > _LOGARITHMIC_FROM * least:
-        levels = 10.0 ** _round_levels(float(np.log10(least)), float(np.log10(greatest)))
-        return LogNorm(levels[0], levels[-1]), levels
-    if greatest <= least:  # a constant: any interval round it
-        least, greatest = least - 0.5 * abs(least) - 0.5, greatest + 0.5 * abs(greatest) + 0.5
-    levels = _round_levels(least, greatest)
-    return Normalize(levels[0], levels[-1]), levels
-
-
-def _round_levels(least: float, greatest: float) -> Array:
-    return np.asarray(MaxNLocator(_LEVELS, steps=[1, 2, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
-
-
 def _draw_line(axes: Any, field: xr.DataArray, label: str) -> None:
     (dim,) = field.dims
     unit = field[dim].attrs["units"]
@@ -121,23 +197,36 @@ def _draw_line(axes: Any, field: xr.DataArray, label: str) -> None:
     axes.set(xlabel=axis_label(str(dim), unit), ylabel=label)
 
 
-def _draw_two(figure: Figure, field: xr.DataArray, norm: Normalize, levels: Array) -> tuple[Any, list[Any]]:
-    axes = figure.add_subplot()
-    return _draw_plane(axes, field, norm, levels), [axes]
+def _planes(
+    figure: Figure, shown: xr.DataArray, flags: xr.DataArray
+) -> list[tuple[Any, xr.DataArray, xr.DataArray, bool]]:
+    """Return axes, values and limits of every plane, and whether it may be drawn to one scale.
 
-
-def _draw_three(figure: Figure, field: xr.DataArray, norm: Normalize, levels: Array) -> tuple[Any, list[Any]]:
-    """Draw sections at several values of the first dimension, and planes through the middle of the others."""
-    stacked, first, second = map(str, field.dims)
+    Of three dimensions these are sections at several values of the first, and planes through the middle of the others.
+    """
+    if shown.ndim == 2:
+        return [(figure.add_subplot(), shown, flags, True)]
+    stacked, first, second = map(str, shown.dims)
     axes: dict[str, Any] = figure.subplot_mosaic(
         [["0", "1", "2", "3"], ["x", "x", "y", "y"]], height_ratios=[1.0, 1.15]
     )
-    for place, index in enumerate(_section_indices(field)):
-        filled = _draw_plane(axes[str(place)], field.isel({stacked: index}), norm, levels)
+    planes = []
+    for place, index in enumerate(_section_indices(shown)):
+        at = {stacked: index}
+        planes.append((axes[str(place)], shown.isel(at), flags.isel(at), True))
     for panel, dim in (("x", second), ("y", first)):
-        plane = field.isel({dim: _middle(field[dim].values)})
-        _draw_plane(axes[panel], plane.transpose(..., stacked), norm, levels, equal=False)
-    return filled, list(axes.values())
+        across = {dim: _middle(shown[dim].values)}
+        plane = shown.isel(across).transpose(..., stacked)
+        planes.append((axes[panel], plane, flags.isel(across), False))
+    return planes
+
+
+def _share_labels(panels: list[Any]) -> None:
+    """Leave out labels that the panel to the left of it has."""
+    labels = [axes.get_ylabel() for axes in panels]
+    for place, axes in enumerate(panels[1:], start=1):
+        if labels[place] == labels[place - 1]:
+            axes.set_ylabel("")
 
 
 def _middle(values: Array) -> int:
@@ -155,19 +244,35 @@ def _section_indices(field: xr.DataArray) -> list[int]:
     return [int(place) for place in places]
 
 
-def _draw_plane(axes: Any, plane: xr.DataArray, norm: Normalize, levels: Array, *, equal: bool = True) -> Any:
+def _draw_plane(
+    axes: Any, plane: xr.DataArray, mesh: OutlinedMesh, values: Array, scale: ColorScale, *, equal: bool
+) -> None:
     across, up = map(str, plane.dims)
     units = [str(plane[dim].attrs["units"]) for dim in (across, up)]
-    numbers = [drawn(plane[dim].values, unit) for dim, unit in zip((across, up), units, strict=True)]
-    values = np.where(np.isfinite(plane.values), plane.values, np.nan).T
-    filled = None
-    if min(values.shape) > 1:
-        filled = axes.contourf(*numbers, values, levels=levels, norm=norm, cmap=COLORMAP)
+    if len(mesh.triangles):
+        columns = [drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True)]
+        axes.tricontourf(
+            Triangulation(*columns, mesh.triangles),
+            values,
+            levels=scale.levels,
+            norm=scale.norm(),
+            cmap=COLORMAP,
+            extend=scale.extend,
+        )
+    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
+        pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
+        collected = {f"{name}s": value for name, value in (style | {"linewidth": 0.8}).items()}
+        axes.add_collection(LineCollection(pieces, **collected))
+    ends = [drawn(plane[dim].values[[0, -1]], unit) for dim, unit in zip((across, up), units, strict=True)]
+    margins = [0.02 * float(np.ptp(pair)) for pair in ends]
+    axes.set(xlim=(ends[0][0] - margins[0], ends[0][1] + margins[0]))
+    axes.set(ylim=(ends[1][0] - margins[1], ends[1][1] + margins[1]))
     stands = [name for name in map(str, plane.coords) if plane[name].ndim == 0 and "units" in plane[name].attrs]
     words = [in_words(name, float(plane[name]), plane[name].attrs["units"], 3) for name in stands]
     axes.set_title(words[-1] if words else "")
     if equal and units[0] == units[1]:
         axes.set_aspect("equal")
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
     axes.set_xlabel(axis_label(across, units[0]))
     axes.set_ylabel(axis_label(up, units[1]))
-    return filled

@@ -1,7 +1,8 @@
-"""How coordinates are written on pictures: angles in degrees, lengths in metres, names in italics."""
+"""How coordinates and quantities are written on pictures: names in italics, units that leave numbers readable."""
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -9,6 +10,22 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.typing import Array
 
+_PREFIXES = {
+    "m": ((0.1, 1.0, "m"), (1e-3, 1e-3, "mm"), (1e-7, 1e-6, "µm"), (0.0, 1e-9, "nm")),
+    "rad": ((1.0, 1.0, "rad"), (1e-3, 1e-3, "mrad"), (0.0, 1e-6, "µrad")),
+    "N/m": ((1e9, 1e9, "kN/µm"), (1e5, 1e6, "N/µm"), (1e2, 1e3, "N/mm"), (0.0, 1.0, "N/m")),
+    "N m/rad": ((1e9, 1e9, "GN m/rad"), (1e6, 1e6, "MN m/rad"), (1e3, 1e3, "kN m/rad"), (0.0, 1.0, "N m/rad")),
+    "m/N": ((1e-3, 1.0, "m/N"), (1e-7, 1e-6, "µm/N"), (0.0, 1e-9, "nm/N")),
+    "rad/(N m)": (
+        (1e-1, 1.0, "rad/(N m)"),
+        (1e-4, 1e-3, "mrad/(N m)"),
+        (1e-7, 1e-6, "µrad/(N m)"),
+        (0.0, 1e-9, "nrad/(N m)"),
+    ),
+}
+"""Of each unit: from which size of the greatest number on, in what, and how that is written."""
+_PLAIN = range(-2, 5)  # powers of ten of numbers that are written out
+_DIRECTIONS = {"t": "along", "r": "about"}
 _ANGLE = re.compile(r"(theta)_([xyz])")
 _LETTERS = re.compile(r"([xyzruq])_?([xyze]|\d*)")
 
@@ -38,3 +55,62 @@ def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
     if unit == "rad":
         return f"{symbol(name)} = {np.degrees(value) + 0.0:.1f} deg"
     return f"{symbol(name)} = {value + 0.0:.{digits}f} {unit}"
+
+
+def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:
+    """Return in what numbers are drawn, and how that is written: 1e-6 and "µm" for errors of some 1e-4 m.
+
+    Args:
+        values: the numbers in the unit; what is not finite does not count.
+        unit: of SI, "1", "mixed", or any other.
+
+    Returns:
+        What to divide by, and the unit; "" for plain numbers.
+    """
+    sizes = np.abs(np.asarray(values, dtype=float))
+    greatest = float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
+    for least, factor, name in _PREFIXES.get(unit, ()):
+        if greatest >= least:
+            return factor, name
+    words = {"1": "", "mixed": "mixed units"}.get(unit, unit)
+    exponent = math.floor(math.log10(greatest)) if greatest > 0.0 else 0
+    if exponent in _PLAIN:
+        return 1.0, words
+    return 10.0**exponent, f"$10^{{{exponent}}}$ {words}".strip()
+
+
+def in_brackets(words: str, unit: str) -> str:
+    """Return words followed by their unit in brackets, if there is one."""
+    return f"{words} [{unit}]" if unit else words
+
+
+def typeset(text: str) -> str:
+    """Set angles and axes within words in italics."""
+    return re.sub(r"along ([xyz])\b", r"along $\1$", re.sub(r"theta_([xyz])", r"$\\theta_\1$", text))
+
+
+def parameter_words(name: str) -> str:
+    """Return the name of an error parameter as words: slider1_joint.tx as slider 1, along $x$.
+
+    Names of another form stay as they are.
+    """
+    place, dot, motion = name.rpartition(".")
+    found = re.fullmatch(r"([tr])_?([xyz]|across\d)", motion)
+    if not dot or not found:
+        return name
+    axis = f"${found[2]}$" if len(found[2]) == 1 else f"axis {found[2][-1]} across"
+    part = re.sub(r"(?<=[a-z])(?=\d)", " ", place.removesuffix("_joint")).replace("_", " ")
+    part = re.sub(r" ([xyz])$", r" $\1$", part)
+    point = re.fullmatch(r"([A-Z])_?([a-z0-9]*)", place)
+    if point:
+        part = f"${point[1]}_{{{point[2]}}}$" if point[2] else f"${point[1]}$"
+    return f"{part}, {_DIRECTIONS[found[1]]} {axis}"
+
+
+def entry_words(entry: str) -> str:
+    """Return the label of an entry as words: x as along $x$, rx as about $x$; others with their symbols."""
+    if re.fullmatch(r"[xyz]", entry):
+        return f"along ${entry}$"
+    if re.fullmatch(r"r[xyz]", entry):
+        return f"about ${entry[1]}$"
+    return symbol(entry) if symbol(entry) != entry else entry.replace("_", " ")

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.colors import Normalize
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.path import Path
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from matplotlib.tri import Triangulation
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.labels import axis_label, drawn, in_words
+from pm3dof_pin.figures.color_scale import ColorScale, color_scale, number
+from pm3dof_pin.figures.labels import axis_label, display_unit, drawn, entry_words, in_brackets, in_words, typeset
+from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
 from pm3dof_pin.figures.space import towards_viewer
-from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
+from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
 from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array
@@ -31,20 +33,23 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-_LEVELS = 20
 _ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 0.72])  # its sides
-_LINE = 0.2  # height of one of the title [inch]
-_PLAIN = range(-1, 4)  # powers of ten of numbers that are written out
-_LONGEST_LABEL = 42  # letters beside the picture
-_LONGEST_TITLE = 110  # letters in one line
+_HEIGHT, _LINE = 3.2, 0.17  # of the picture and of a line of its title [inch]
+_LONGEST_LABEL = 32  # letters beside the picture
+_LONGEST_TITLE = 100  # letters in one line
 _LINES = 9  # lines of the grid that are drawn on the surface, along each of its dimensions
 
 
 def section_map(
-    section: xr.Dataset, variable: str, outline: xr.Dataset | None = None, *, entry: str | None = None
+    section: xr.Dataset,
+    variable: str,
+    outline: xr.Dataset | None = None,
+    *,
+    entry: str | None = None,
+    within: Within | None = None,
 ) -> Figure:
-    """Draw one variable of a section as a surface and as filled contours.
+    """Draw one variable of a section as a surface and as filled contours, as wide as two columns of a journal.
 
     Shown are the values at the poses of the section and along its outline, with flat triangles between them.
 
@@ -53,34 +58,40 @@ def section_map(
             coordinates stand in the title.
         variable: name of the variable, for example "stiffness_theta_x".
         outline: the same variables along a closed line, which gives the map its smooth edge; without it the map ends at
-            the last poses within the limits.
+            the last poses within the limits. Where its `at_grid_end` is true the grid ends there and no limit.
         entry: label along the variable's own dimension, if it has one; of a matrix an entry of the diagonal.
+        within: in place of an outline, the limits over the section: its outline is then found, and the values there are
+            extrapolated from the last poses within.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
     """
-    sheet = _sheet(section, variable, outline, entry)
+    sheet = _sheet(section, variable, outline, entry, within)
     with house_style():
-        height = 4.0 + _LINE * sheet.title.count("\n")
-        figure = new_figure(9.0, height)
-        figure.suptitle(sheet.title)
+        height = _HEIGHT + _LINE * sheet.title.count("\n")
+        figure = new_figure(TWO_COLUMNS, height)
+        figure.suptitle(sheet.title, y=1.0 - 0.09 / height, va="top")
         # placed by hand: no layout engine knows the size of labels in space
-        part = 4.0 / height
-        _draw_surface(figure.add_axes((-0.025, 0.0, 0.48, 0.95 * part), projection="3d"), sheet)
-        filled = _draw_contours(figure.add_axes((0.545, 0.125 * part, 0.343, 0.77 * part)), sheet)
-        figure.colorbar(filled, cax=figure.add_axes((0.905, 0.125 * part, 0.016, 0.77 * part)), label=sheet.label)
+        part = _HEIGHT / height
+        _draw_surface(figure.add_axes((-0.03, 0.02, 0.48, 0.93 * part), projection="3d"), sheet)
+        contours = figure.add_axes((0.555, 0.19 * part, 0.325, 0.67 * part))
+        filled = _draw_contours(contours, sheet)
+        bar = figure.colorbar(filled, cax=figure.add_axes((0.9, 0.19 * part, 0.016, 0.67 * part)), label=sheet.label)
+        sheet.scale.label(bar)
+        _add_legend(figure, sheet)
     return figure
 
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """What is drawn: (first, second coordinate, value scaled by a power of ten) at every point, and the words.
+    """What is drawn: (first, second coordinate, value in the drawn unit) at every point, and the words.
 
     Attributes:
         grid: points in the order of the grid, NaN where a limit excludes the pose, shape=(n, m, 3).
-        edge: points along the outline, if there is one, shape=(k, 3).
         points: all points that are drawn, shape=(p, 3).
         triangles: triangles between them, indices, shape=(t, 3).
+        limit_lines: lines where a limit ends the map, each shape=(k, 3).
+        end_lines: lines where the grid ends it.
         axes: words on the axes of the coordinates.
         same_unit: whether both coordinates have one unit.
         title: words over the figure.
@@ -88,9 +99,10 @@ class _Sheet:
     """
 
     grid: Array
-    edge: Array | None
     points: Array
     triangles: NDArray[np.int32]
+    limit_lines: list[Array]
+    end_lines: list[Array]
     axes: tuple[str, str]
     same_unit: bool
     title: str
@@ -108,16 +120,15 @@ class _Sheet:
         middle, half = 0.5 * (low + high), 0.5 * (high - low).max()
         return np.stack([middle - half, middle + half], axis=-1)
 
-    @property
-    def levels(self) -> Array:
-        """Round values between which the colours step."""
-        low, high = float(self.points[:, 2].min()), float(self.points[:, 2].max())
-        if high - low < 1e-9 * abs(high):  # constant over the section: one colour, not the noise of rounding
-            low, high = low - 0.01 * abs(low), high + 0.01 * abs(high)
-        return np.array(MaxNLocator(_LEVELS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    @cached_property
+    def scale(self) -> ColorScale:
+        """Values between which the colours step."""
+        return color_scale(self.points[:, 2])
 
 
-def _sheet(section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: str | None) -> _Sheet:
+def _sheet(
+    section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: str | None, within: Within | None
+) -> _Sheet:
     if name not in section.data_vars:
         raise InvalidValueError("variable", name, f"one of {', '.join(map(str, section.data_vars))}")
     variable = section[name]
@@ -129,57 +140,75 @@ def _sheet(section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: st
     values, attributes = np.where(np.isfinite(variable.values), variable.values, np.nan), variable.attrs
     if np.isfinite(values).sum() < 3:
         raise InvalidValueError(name, f"{np.isfinite(values).sum()} values", "at least three poses to draw")
-    exponent = math.floor(math.log10(np.nanmax(np.abs(values)) or 1.0))
-    exponent = exponent if exponent not in _PLAIN else 0
+    factor, unit = display_unit(values, unit_of_entry(attributes["units"], entry or ""))
     across = [str(c) for c in section.coords if section[c].dims == variable.dims] or [str(dim) for dim in variable.dims]
     units = [str(section[coordinate].attrs["units"]) for coordinate in across]
-    grid = _points(section, variable, across, exponent)
-    edge = None if outline is None else _points(outline, outline[name], across, exponent)
-    what = _typeset(attributes["long_name"].split(",")[0])
-    unit = unit_of_entry(attributes["units"], entry or "").replace("mixed", "mixed units")
-    points, triangles = _triangulated(grid, edge, units[0] == units[1])
+    grid = _points(section, variable, across, factor)
+    limit_lines: list[Array] = []
+    end_lines: list[Array] = []
+    if within is not None and outline is None:
+        excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
+        axes = [section[coordinate].values for coordinate in across]
+        mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
+        heights = mesh.values(values) / factor
+        points = np.column_stack([*(drawn(c, u) for c, u in zip(mesh.points.T, units, strict=True)), heights])
+        triangles = mesh.triangles.astype(np.int32)
+        keys = {place.tobytes(): value for place, value in zip(mesh.points, heights, strict=True)}
+        for lines, found in ((limit_lines, mesh.limit_lines), (end_lines, mesh.end_lines)):
+            for line in found:
+                columns = [drawn(c, u) for c, u in zip(line.T, units, strict=True)]
+                lines.append(np.column_stack([*columns, [keys[place.tobytes()] for place in line]]))
+    else:
+        edge = None if outline is None else _points(outline, outline[name], across, factor)
+        points, triangles = _triangulated(grid, edge, units[0] == units[1])
+        if edge is not None and outline is not None:
+            cut = outline["at_grid_end"].values if "at_grid_end" in outline else np.zeros(len(edge), dtype=bool)
+            limit_lines, end_lines = _pieces(edge, cut)
+    what = typeset(attributes["long_name"].split(",")[0])
     stands = [
         in_words(str(c), float(section[c]), section[c].attrs["units"])
         for c in section.coords
         if section[c].ndim == 0 and "units" in section[c].attrs
     ]
     machine = f"{section.attrs['machine']}, {section.attrs['model']} model"
-    title = f"{what[0].upper()}{what[1:]}{f', {entry}' if entry else ''}: {machine}"
+    words = f"{what}{f', {entry_words(entry)}' if entry else ''}"
+    title = f"{words[0].upper()}{words[1:]}: {machine}"
     section_of = f"section {', '.join(stands)}"
     separator = ", " if len(title) + len(section_of) < _LONGEST_TITLE else "\n"
     return _Sheet(
         grid,
-        edge,
         points,
         triangles,
+        limit_lines,
+        end_lines,
         axes=(axis_label(across[0], units[0]), axis_label(across[1], units[1])),
         same_unit=units[0] == units[1],
         title=f"{title}{separator}{section_of}" if stands else title,
-        label=_label(f"{what}{f', {entry}' if entry else ''}", exponent, unit),
+        # the title has the words too, so long ones are left out here
+        label=in_brackets(words if len(words) <= _LONGEST_LABEL or not unit else "", unit).strip(),
     )
 
 
-def _label(words: str, exponent: int, unit: str) -> str:
-    """Return the words on the axis of the values; the title has them too, so long ones are left out here."""
-    parts = [f"$10^{{{exponent}}}$"] if exponent else []
-    parts += [unit] if unit != "1" else []
-    bracket = f"[{' '.join(parts)}]" if parts else ""
-    return " ".join(filter(None, [words if len(words) <= _LONGEST_LABEL or not bracket else "", bracket]))
+def _pieces(edge: Array, cut: NDArray[np.bool_]) -> tuple[list[Array], list[Array]]:
+    """Divide a closed line into those pieces that a limit makes and those that the end of the grid makes."""
+    changes = np.flatnonzero(cut != np.roll(cut, 1))
+    if not changes.size:
+        closed = np.concatenate([edge, edge[:1]])
+        return ([], [closed]) if cut.all() else ([closed], [])
+    pieces: tuple[list[Array], list[Array]] = ([], [])
+    for start, stop in zip(changes, [*changes[1:], changes[0] + len(edge)], strict=True):
+        pieces[int(cut[start])].append(edge[np.arange(start, stop + 1) % len(edge)])
+    return pieces
 
 
-def _points(dataset: xr.Dataset, values: xr.DataArray, across: Sequence[str], exponent: int) -> Array:
-    """(first, second coordinate as drawn, value / 10^exponent) over the dimensions of the values."""
+def _points(dataset: xr.Dataset, values: xr.DataArray, across: Sequence[str], factor: float) -> Array:
+    """(first, second coordinate as drawn, value / factor) over the dimensions of the values."""
     coordinates = [
         drawn(dataset[name].broadcast_like(values).transpose(*values.dims).values, dataset[name].attrs["units"])
         for name in across
     ]
     finite = np.where(np.isfinite(values.values), values.values, np.nan)
-    return np.stack([*coordinates, finite / 10.0**exponent], axis=-1)
-
-
-def _typeset(text: str) -> str:
-    """Set angles and axes in italics."""
-    return re.sub(r"along ([xyz])", r"along $\1$", re.sub(r"theta_([xyz])", r"$\\theta_\1$", text))
+    return np.stack([*coordinates, finite / factor], axis=-1)
 
 
 def _triangulated(grid: Array, edge: Array | None, same_unit: bool) -> tuple[Array, NDArray[np.int32]]:
@@ -207,14 +236,18 @@ def _longest_diagonal(places: Array) -> float:
 
 
 def _draw_surface(axes: Any, sheet: _Sheet) -> None:
-    levels = sheet.levels
-    norm, colormap = Normalize(levels[0], levels[-1]), colormaps[COLORMAP]
-    faces = sheet.points[sheet.triangles]
-    face_colors = colormap(norm(faces[..., 2].mean(axis=1)))
-    limits = np.vstack([sheet.extent, [levels[0], levels[-1]]])
+    scale = sheet.scale
+    heights: Callable[[Array], Array] = np.log10 if scale.logarithmic else np.asarray
+    points = np.column_stack([sheet.points[:, :2], heights(sheet.points[:, 2])])
+    faces = points[sheet.triangles]
+    means = sheet.points[sheet.triangles, 2].mean(axis=1)
+    face_colors = colormaps[COLORMAP](scale.smooth_norm()(means))
+    ends = heights(np.array([min(scale.levels[0], means.min()), max(scale.levels[-1], means.max())]))
+    limits = np.vstack([sheet.extent, ends])
     # Lines and triangles stand in one collection, so that they hide each other by their depth; the lines are drawn
     # a little nearer, out of the triangles they lie in.
-    segments = _grid_segments(sheet.grid) + 0.01 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
+    lifted = np.concatenate([sheet.grid[..., :2], heights(sheet.grid[..., 2:])], axis=-1)
+    segments = _grid_segments(lifted) + 0.01 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
     line_colors = np.tile([0.0, 0.0, 0.0, 0.6], (len(segments), 1))
     axes.add_collection3d(
         Poly3DCollection(
@@ -224,18 +257,28 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
             linewidths=0.35,
         )
     )
-    if sheet.edge is not None:
-        closed = np.concatenate([sheet.edge, sheet.edge[:1]])
-        axes.plot(*closed.T, color=INK, linewidth=0.9)
+    for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
+        raised = [np.column_stack([line[:, :2], heights(line[:, 2])]) for line in lines]
+        if raised:
+            axes.add_collection3d(Line3DCollection(raised, **_collected(style)))
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_xlabel(sheet.axes[0])
-    axes.set_ylabel(sheet.axes[1])
-    axes.set_zlabel(sheet.label, labelpad=7)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel(sheet.axes[0], labelpad=-3)
+    axes.set_ylabel(sheet.axes[1], labelpad=-3)
+    axes.set_zlabel(sheet.label, labelpad=2)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.zaxis.set_major_locator(MaxNLocator(6))
+    if scale.logarithmic:
+        axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
+        axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))
+    axes.tick_params(pad=-1)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.84)
+
+
+def _collected(style: dict[str, Any]) -> dict[str, Any]:
+    """Return the style of a line as that of a collection of lines."""
+    return {f"{name}s": value for name, value in style.items()}
 
 
 def _grid_segments(grid: Array) -> Array:
@@ -251,14 +294,27 @@ def _grid_segments(grid: Array) -> Array:
 
 def _draw_contours(axes: Any, sheet: _Sheet) -> Any:
     first, second, values = sheet.points.T
+    scale = sheet.scale
     triangulation = Triangulation(first, second, sheet.triangles)
-    filled = axes.tricontourf(triangulation, values, levels=sheet.levels, cmap=COLORMAP)
-    axes.tricontour(triangulation, values, levels=sheet.levels, colors="white", linewidths=0.3, alpha=0.7)
-    if sheet.edge is not None:
-        closed = np.concatenate([sheet.edge, sheet.edge[:1]])
-        axes.plot(closed[:, 0], closed[:, 1], color=INK, linewidth=1.0)
+    filled = axes.tricontourf(
+        triangulation, values, levels=scale.levels, cmap=COLORMAP, norm=scale.norm(), extend=scale.extend
+    )
+    axes.tricontour(triangulation, values, levels=scale.levels, colors="white", linewidths=0.3, alpha=0.7)
+    for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
+        axes.add_collection(LineCollection([line[:, :2] for line in lines], **_collected(style)), autolim=False)
+    if scale.note:
+        axes.set_title(scale.note, fontsize=7.0, style="italic", pad=3.0)
     axes.set(xlabel=sheet.axes[0], ylabel=sheet.axes[1], aspect="equal" if sheet.same_unit else "auto")
     margin = 0.025 * np.ptp(sheet.extent, axis=1)
     low, high = sheet.extent[:, 0] - margin, sheet.extent[:, 1] + margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     return filled
+
+
+def _add_legend(figure: Figure, sheet: _Sheet) -> None:
+    kinds = (("joint limit", sheet.limit_lines, LIMIT_LINE), ("end of the grid", sheet.end_lines, END_LINE))
+    handles = [Line2D([], [], label=text, **style) for text, lines, style in kinds if lines]
+    if handles:
+        figure.legend(handles=handles, loc="lower right", ncols=2, bbox_to_anchor=(0.9, 0.0), borderaxespad=0.2)

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,7 +15,8 @@ from matplotlib.figure import Figure
 from pm3dof_pin.files import write_atomically
 
 COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
-DPI = 200
+DPI = 300
+ONE_COLUMN, TWO_COLUMNS = 88.0 / 25.4, 180.0 / 25.4  # widths of pictures in journals: 88 and 180 mm [inch]
 INK = "#222222"
 
 # Okabe and Ito's colours, told apart by all kinds of colour vision.
@@ -39,9 +41,12 @@ _OTHER_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that pictures are the same everywhere
     "mathtext.fontset": "dejavusans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "figure.titlesize": 11.0,
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "figure.titlesize": 9.0,
+    "legend.fontsize": 7.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "text.color": INK,
@@ -59,6 +64,11 @@ _STYLE = {
     "pdf.fonttype": 42,  # letters stay letters
     "svg.hashsalt": "pm3dof",
 }
+LIMIT_LINE: dict[str, Any] = {"color": INK, "linewidth": 1.0}
+END_LINE: dict[str, Any] = {"color": "#777777", "linewidth": 1.0, "linestyle": (0, (3.0, 2.0))}
+"""Edges of a map: a joint limit, and the end of the grid behind which the robot could go on."""
+
+FORMATS = ("png", "pdf", "svg")
 _UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a file would say of its time and maker
 
 
@@ -116,3 +126,22 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
     with house_style(), write_atomically(path) as temporary:
         figure.savefig(temporary, format=kind, dpi=DPI, metadata={_UNDATED[kind]: None})
     return Path(path)
+
+
+def save_pictures(figure: Figure, path: Path | str, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write a figure in several formats; files of its name in others, of a former run, are removed.
+
+    Args:
+        figure: what to write.
+        path: file to write, with any suffix.
+        formats: of :data:`FORMATS`.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    target = Path(path)
+    written = [save_figure(figure, target.with_suffix(f".{kind}")) for kind in formats]
+    for kind in FORMATS:
+        if kind not in formats:
+            target.with_suffix(f".{kind}").unlink(missing_ok=True)
+    return written

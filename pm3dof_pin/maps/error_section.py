@@ -113,5 +113,6 @@ def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, dire
     attributes = section.attrs
     result = error_map(errors, poses, eta=attributes["eta_m_per_rad"], distribution=attributes["distribution"])
     variables = {name: ("point", getattr(result, name), section[name].attrs) for name in QUANTITIES}
+    variables["at_grid_end"] = ("point", shares < 1.0, {"long_name": "the grid ends here, and no limit"})
     coordinates = {name: ("point", column, section[name].attrs) for name, column in zip(names, points.T, strict=True)}
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)

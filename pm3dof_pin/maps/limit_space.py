@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -110,18 +110,7 @@ def robot_space(
     coordinates = [robot.coordinate(name) for name in chosen]
     places = [robot.coordinates.index(coordinate) for coordinate in coordinates]
     home = np.array(robot.home_coordinates)
-    for name, value in (fixed or {}).items():
-        home[robot.coordinates.index(robot.coordinate(name))] = value
-
-    def broken(values: Array) -> Flags:
-        rows = values.reshape(-1, len(places))
-        flags = np.empty(len(rows), dtype=np.uint32)
-        for first in range(0, len(rows), _BATCH):
-            part = slice(first, first + _BATCH)
-            targets = np.tile(home, (len(rows[part]), 1))
-            targets[:, places] = rows[part]
-            flags[part] = robot.solve(targets, on_failure="nan", engine=engine).broken_limits
-        return flags.reshape(values.shape[:-1])
+    broken = limits_over(robot, chosen, fixed, engine=engine)
 
     ends = []
     for coordinate, place in zip(coordinates, places, strict=True):
@@ -146,6 +135,35 @@ def robot_space(
         level_step=half_level / _SAMPLES,
     )
     return _wide_enough(space, level, half_level)
+
+
+def limits_over(
+    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, *, engine: Engine = "program"
+) -> Callable[[Array], Flags]:
+    """Return the limits of a robot over some of its coordinates, see :attr:`LimitSpace.broken_limits`.
+
+    Args:
+        robot: the robot.
+        names: of the coordinates.
+        fixed: values of others; home by default [m, rad].
+        engine: what closes the loops.
+    """
+    places = [robot.coordinates.index(robot.coordinate(name)) for name in names]
+    home = np.array(robot.home_coordinates)
+    for name, value in (fixed or {}).items():
+        home[robot.coordinates.index(robot.coordinate(name))] = value
+
+    def broken(values: Array) -> Flags:
+        rows = values.reshape(-1, len(places))
+        flags = np.empty(len(rows), dtype=np.uint32)
+        for first in range(0, len(rows), _BATCH):
+            part = slice(first, first + _BATCH)
+            targets = np.tile(home, (len(rows[part]), 1))
+            targets[:, places] = rows[part]
+            flags[part] = robot.solve(targets, on_failure="nan", engine=engine).broken_limits
+        return flags.reshape(values.shape[:-1])
+
+    return broken
 
 
 def _default_names(robot: Robot) -> tuple[str, ...]:

@@ -16,8 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.cli.pictures import remove_former
+from pm3dof_pin.cli.stiffness_map import JOB_PICTURES
 
 Run = Callable[..., Any]
 Answer = Callable[..., dict[str, Any]]
@@ -25,7 +28,7 @@ Answer = Callable[..., dict[str, Any]]
 
 def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run `pm3dof` in a process of its own."""
-    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", *arguments]
+    command = [sys.executable, "-m", "pm3dof_pin", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -189,6 +192,20 @@ def test_main_job_with_another_section(answer: Answer, tmp_path: Path) -> None:
     assert result["z_e_m"] == 0.5
     assert result["poses"] == result["poses_within_limits"] == 441
     assert sorted(Path(file).name for file in result["files"]) == ["stiffness_map.csv", "stiffness_map.nc"]
+    with xr.open_dataset(tmp_path / "a" / "b" / "stiffness_map.nc") as section:
+        for name, entry in result["ranges"].items():
+            values = section[name].values
+            expected = (values.min(), values.max(), values.mean())
+            assert (entry["least"], entry["greatest"], entry["mean"]) == pytest.approx(expected)
+
+
+def test_pictures_of_a_former_run_do_not_stay(tmp_path: Path) -> None:
+    mine, former = tmp_path / "figure_8_4_global.pdf", tmp_path / "stiffness_map_condition_number.png"
+    others = [tmp_path / "stiffness_map.nc", tmp_path / "workspace.png", tmp_path / "figure_8_4_global.txt"]
+    for path in (mine, former, *others):
+        path.write_text("")
+    remove_former(tmp_path, JOB_PICTURES, [mine])
+    assert sorted(tmp_path.iterdir()) == sorted([mine, *others])
 
 
 def test_workspace(answer: Answer, tmp_path: Path, tripod: Tripod) -> None:

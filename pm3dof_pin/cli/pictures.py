@@ -1,0 +1,57 @@
+"""In which formats a command draws, and the pictures of its former runs, which must not stay beside new data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pm3dof_pin.cli.output import message
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class PictureFormat(StrEnum):
+    """Formats of pictures: dots at 300 dpi, or lines and letters."""
+
+    PNG = "png"
+    PDF = "pdf"
+    SVG = "svg"
+
+
+Formats = Annotated[
+    list[PictureFormat] | None,
+    typer.Option("--format", help="Format of the pictures, 180 mm wide; may be repeated (png)."),
+]
+
+
+def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) -> list[Path]:
+    """Write a picture in the formats of `--format`; the suffix of the path does not matter."""
+    from pm3dof_pin.figures.style import save_pictures
+
+    return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.PNG,)])
+
+
+def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:
+    """Remove the pictures of a former run of the same job, and say so.
+
+    Args:
+        folder: where they are.
+        names: a regular expression of all names, without suffix, that the job's pictures may have.
+        written: files of this run.
+    """
+    if not folder.is_dir():
+        return
+    kept = {file.name for file in written}
+    suffixes = "|".join(PictureFormat)
+    former = [file for file in sorted(folder.iterdir()) if re.fullmatch(rf"(?:{names})\.(?:{suffixes})", file.name)]
+    removed = [file for file in former if file.name not in kept]
+    for file in removed:
+        file.unlink()
+    if removed:
+        message(f"removed {len(removed)} pictures of a former run from {folder}: {', '.join(f.name for f in removed)}")

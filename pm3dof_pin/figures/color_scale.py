@@ -1,0 +1,142 @@
+"""The scale of colours of a map: steps between round values, logarithmic where the values spread, and what it hides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
+
+from pm3dof_pin.typing import Array
+
+_LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
+_NEARLY_CONSTANT = 0.1  # variation, as a part of the mean, below which the picture says so
+TAIL = 1.0  # of the values at either end [%], which may lie beyond the colours ...
+_TAIL_SPAN = 3.0  # ... if all of them would stretch the scale so many times
+_STEPS = {1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0), 2: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), 4: (1.0, 2.0, 5.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class ColorScale:
+    """Values at which the colours step.
+
+    Attributes:
+        levels: growing.
+        logarithmic: whether equal steps of colour are equal ratios.
+        extend: on which sides values lie beyond the levels.
+        note: what a reader has to be told, or "".
+    """
+
+    levels: Array
+    logarithmic: bool
+    extend: Literal["neither", "min", "max", "both"]
+    note: str
+
+    def smooth_norm(self) -> Normalize:
+        """Return the scale without steps, for shaded surfaces."""
+        return (LogNorm if self.logarithmic else Normalize)(self.levels[0], self.levels[-1], clip=True)
+
+    def norm(self) -> BoundaryNorm:
+        """Return the scale in steps for matplotlib's 256 colours."""
+        return BoundaryNorm(self.levels, 256, extend=self.extend)
+
+    @property
+    def ticks(self) -> list[float]:
+        """Round values beside the bar of colours."""
+        if not self.logarithmic:
+            every = max(1, math.ceil(len(self.levels) / 9))
+            return [float(level) for level in self.levels[::every]]
+        decades = math.log10(self.levels[-1] / self.levels[0])
+        heads = (1, 2, 5) if decades < 4 else (1,)
+        found = [
+            level
+            for level in self.levels
+            if round(level / 10.0 ** math.floor(math.log10(level) + 1e-9)) in heads
+            and math.isclose(level, float(f"{level:.0e}"))
+        ]
+        return [float(level) for level in found]
+
+    def label(self, bar: Any) -> None:
+        """Write the ticks of a bar of colours."""
+        axis = bar.ax.yaxis if bar.orientation == "vertical" else bar.ax.xaxis
+        axis.set_major_locator(FixedLocator(self.ticks))
+        decimals = 0 if self.logarithmic else max((_decimals(tick) for tick in self.ticks), default=0)
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, decimals)))
+        bar.ax.minorticks_off()
+        bar.outline.set_linewidth(0.7)
+
+
+def color_scale(values: Array, also: Array | None = None, count: int = 16) -> ColorScale:
+    """Return the scale for values that are drawn, all panels of a picture together.
+
+    Args:
+        values: of any shape; what is not finite does not count.
+        also: values that are drawn too but do not count where the bulk of them is looked for.
+        count: of steps, about.
+    """
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    every = finite if also is None else np.concatenate([finite, np.ravel(also)])
+    least, greatest = float(every.min()), float(every.max())
+    mean = float(np.abs(finite).mean())
+    if greatest - least <= 1e-9 * mean or greatest == least:  # constant: one colour, not the noise of rounding
+        half = 0.05 * abs(least) or 1.0
+        return ColorScale(np.array([least - half, least + half]), False, "neither", "the same everywhere")
+    low, high = least, greatest
+    bulk = np.percentile(finite, [TAIL, 100.0 - TAIL])
+    marks = np.array([low, *bulk, high])
+    scaled = np.log(marks) if low > 0.0 else marks
+    if 0.0 < _TAIL_SPAN * (scaled[2] - scaled[1]) < scaled[3] - scaled[0]:
+        low, high = float(bulk[0]), float(bulk[1])
+    logarithmic = low > 0.0 and high > _LOGARITHMIC_FROM * low
+    levels = _decade_levels(low, high) if logarithmic else _round_levels(low, high, count)
+    slack = 1e-9 * abs(levels[-1] - levels[0])
+    below, above = least < levels[0] - slack, greatest > levels[-1] + slack
+    extend: Literal["neither", "min", "max", "both"] = (
+        "both" if below and above else "min" if below else "max" if above else "neither"
+    )
+    note = ""
+    if greatest - least < _NEARLY_CONSTANT * mean:
+        note = f"varies by {100.0 * (greatest - least) / mean:.2g} % of its mean"
+    elif extend != "neither":
+        note = f"values from {number(float(f'{least:.3g}'))} to {number(float(f'{greatest:.3g}'))}"
+    return ColorScale(levels, logarithmic, extend, note)
+
+
+def number(value: float, decimals: int = 0) -> str:
+    """Return a number as it is written beside an axis: 0.05, 1500, or a power of ten.
+
+    Args:
+        value: the number.
+        decimals: how many it has at least, so that numbers above each other are aligned.
+    """
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{max(decimals, _decimals(value))}f}".replace("-", "\N{MINUS SIGN}")
+    exponent = math.floor(math.log10(abs(value)) + 1e-9)
+    head = value / 10.0**exponent
+    power = f"10^{{{exponent}}}"
+    return f"${power}$" if math.isclose(head, 1.0) else rf"${head:.3g} \cdot {power}$"
+
+
+def _decimals(value: float) -> int:
+    """Return the number of decimals that six digits of a number need."""
+    _, _, behind = f"{value:.6g}".partition(".")
+    return 0 if "e" in behind else len(behind)
+
+
+def _round_levels(least: float, greatest: float, count: int) -> Array:
+    return np.asarray(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
+
+
+def _decade_levels(least: float, greatest: float) -> Array:
+    decades = math.log10(greatest / least)
+    heads = next((steps for most, steps in _STEPS.items() if decades <= most), (1.0,) if decades > 8 else (1.0, 3.0))
+    first, last = math.floor(math.log10(least)), math.ceil(math.log10(greatest))
+    steps = np.array([head * 10.0**power for power in range(first, last + 1) for head in heads])
+    start = max(int(np.searchsorted(steps, least * (1 + 1e-12), side="right")) - 1, 0)
+    stop = int(np.searchsorted(steps, greatest * (1 - 1e-12)))
+    levels: Array = steps[start : stop + 1]
+    return levels
