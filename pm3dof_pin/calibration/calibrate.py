@@ -27,6 +27,7 @@ Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 _HARDLY_SHOWN = 0.1  # of the poses
+_BEYOND_CHANCE = 2.0  # standard deviations of a variance from so many errors
 
 LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
@@ -164,8 +165,10 @@ def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
         covariances: what is known of them, shape=(n, 6, 6) [m^2].
         shown: projections on the directions they were seen in, shape=(n, 6, 6).
     """
-    values, axes = np.linalg.eigh((errors.T @ errors - covariances.sum(axis=0)) / len(errors))
-    scatter = (axes * np.maximum(values, 0.0)) @ axes.T
+    count, known = len(errors), covariances.mean(axis=0)
+    values, axes = np.linalg.eigh(errors.T @ errors / count - known)
+    chance = _BEYOND_CHANCE * np.sqrt(2.0 / count) * np.einsum("ij,ik,kj->j", axes, known, axes)
+    scatter = (axes * np.where(values > chance, values, 0.0)) @ axes.T
     parts, directions = np.linalg.eigh(shown.mean(axis=0))
     hidden = directions[:, parts < _HARDLY_SHOWN]
     mean = float(np.trace(scatter)) / max(1.0, float(parts.sum()))

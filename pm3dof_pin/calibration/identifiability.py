@@ -18,12 +18,15 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
 RANK_TOLERANCE = 1e-11
@@ -45,9 +48,40 @@ def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrume
         InvalidValueError: the loops cannot close with an error, or a noise is not positive.
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
-    sigmas = (instrument or Instrument()).sigmas
-    rows = sensitivities(errors, poses).errors[:, : len(sigmas)]
-    return np.asarray(rows / sigmas[:, None] * errors.tolerances)
+    return stacked_regressor(errors, poses, instrument)[0]
+
+
+def stacked_regressor(
+    errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None
+) -> tuple[Array, Array, Nuisances]:
+    """Return the rows that each pose adds, by the parameters and by what the measurements depend on besides.
+
+    Args:
+        errors: the parameters, with their tolerances.
+        poses: poses of the robot as described.
+        instrument: what is measured; full poses by default.
+
+    Returns:
+        As :func:`scaled_regressor`; the same by nuisance parameters in their scales, shape=(n, rows of a pose, k); and
+        these.
+
+    Raises:
+        InvalidValueError: see there.
+        SingularConfigurationError: see there.
+    """
+    measurements = Measurements.of_poses(poses.commands, poses.transforms, instrument)
+    rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
+    nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
+    found = sensitivities(errors, poses)
+    drives = (found.commands * np.abs(command_scales(poses)))[rows]
+    at_rows, of_a_pose = poses[rows], measurements.sigmas.size // len(poses)
+
+    def scaled(motions: Array, scales: Array) -> Array:
+        derivatives = measurements.derivatives(at_rows, motions) / measurements.sigmas[:, :, None] * scales
+        return np.asarray(derivatives.reshape(len(poses), of_a_pose, derivatives.shape[2]))
+
+    by_errors = scaled(found.errors[rows], errors.tolerances)
+    return by_errors, scaled(nuisances.motions(measurements, at_rows, drives), nuisances.scales), nuisances
 
 
 class Unknowns(Protocol):
@@ -131,8 +165,9 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
         expected = f"finite numbers of shape (n, rows, {len(names)})"
         raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
     matrix = blocks.reshape(-1, len(names))
-    if nuisances is not None:
-        matrix = _beside(matrix, np.asarray(nuisances, dtype=float).reshape(len(matrix), -1))
+    others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
+    if others.size:
+        matrix = _beside(matrix, others.reshape(len(matrix), others.shape[2]))
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
@@ -149,21 +184,26 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
     )
 
 
-def rank_growth(regressor: ArrayLike) -> NDArray[np.intp]:
+def rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
     """Return the rank after the first pose, the first two, and so on, shape=(n,).
 
     Args:
         regressor: rows of each pose, shape=(n, rows of a pose, number of parameters).
+        nuisances: see :func:`identifiability`.
     """
     blocks = np.asarray(regressor, dtype=float)
+    others = None if nuisances is None else np.asarray(nuisances, dtype=float)
     ranks = []
     for count in range(1, len(blocks) + 1):
-        values = np.linalg.svd(blocks[:count].reshape(-1, blocks.shape[2]), compute_uv=False)
+        matrix = blocks[:count].reshape(-1, blocks.shape[2])
+        if others is not None and others.shape[2]:
+            matrix = _beside(matrix, others[:count].reshape(len(matrix), others.shape[2]))
+        values = np.linalg.svd(matrix, compute_uv=False)
         ranks.append(int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0))))
     return np.array(ranks, dtype=np.intp)
 
 
-def minimum_poses(regressor: ArrayLike) -> int:
+def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> int:
     """Return the least number of poses that identify all that these poses identify together.
 
     Of poses in general position any will do: counted are the first ones, until they have the rank of all.
@@ -171,8 +211,9 @@ def minimum_poses(regressor: ArrayLike) -> int:
     Args:
         regressor: rows of poses in general position, more than are needed, shape=(n, rows of a pose, number of
             parameters).
+        nuisances: see :func:`identifiability`.
     """
-    growth = rank_growth(regressor)
+    growth = rank_growth(regressor, nuisances)
     return int(np.argmax(growth == growth[-1])) + 1
 
 

@@ -33,9 +33,9 @@ class HeldOut:
         after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
         noise: tip error that the measurements' noise amounts to, root mean square, shape=(visits,) [m].
-        excess: by how much the corrected commands miss the best ones, root mean square over the drives' joints, without
-            the share that the measurements' noise has in it on the whole, shape=(visits,) [m, rad].
-        excess_noise: that share, root mean square over the visits [m, rad].
+        excess: by how much the corrected commands are to be expected to miss the best ones, root mean square over the
+            drives' joints, shape=(visits,) [m, rad]. As seen it would have the measurements' noise in it; its size is
+            that of what is uncertain about parameters and learned parts, and of the scatter beyond the noise.
         scatter: covariance of what the corrected machine misses beyond what is known to be uncertain, tip-weighted,
             shape=(6, 6) [m^2].
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
@@ -48,7 +48,6 @@ class HeldOut:
     floor: Array
     noise: Array
     excess: Array
-    excess_noise: float
     scatter: Array
     within: float
     energies: Array
@@ -86,7 +85,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
         )
         compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
         part = measurements[hidden]
-        parts.append(_judged(compensation, found.settle(part)))
+        parts.append(_judged(compensation, found.settle(part), calibration.compensation))
         starts.append(hidden[np.unique(part.visit_numbers, return_index=True)[1]])
     return _together(rows, _Scores.joined(parts, np.argsort(np.concatenate(starts))))
 
@@ -100,8 +99,9 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
             is the one identified, where both were registered.
     """
     settled = calibration.identification.settle(measurements)
-    scores = _judged(calibration.compensation, settled)
-    return _together(np.arange(len(measurements)), scores, calibration.compensation.scatter)
+    compensation = calibration.compensation
+    scores = _judged(compensation, settled, compensation)
+    return _together(np.arange(len(measurements)), scores, compensation.scatter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,28 +109,32 @@ class _Scores:
     """Of each visit what it is judged by.
 
     Attributes:
-        sizes: before, after, floor, noise, squared excess, its share of noise, E of the first three, shape=(9, visits).
+        sizes: before, after, floor, noise, squared excess as seen, E of the first three, shape=(8, visits).
         missed: what predicted poses miss, tip-weighted, shape=(visits, 6) [m].
         covariances: what is known to be uncertain of that, shape=(visits, 6, 6) [m^2].
         shown: the directions that are shown, shape=(visits, 6, 6).
+        gains: what the drives' joints make of tip-weighted errors, shape=(visits, drives, 6).
+        uncertain: of poses that the calibration from all measurements predicts, shape=(visits, 6, 6) [m^2].
     """
 
     sizes: Array
     missed: Array
     covariances: Array
     shown: Array
+    gains: Array
+    uncertain: Array
 
     @classmethod
     def joined(cls, parts: Sequence[_Scores], order: Indices) -> _Scores:
         sizes = np.concatenate([part.sizes for part in parts], axis=1)[:, order]
         others = (
             np.concatenate([getattr(part, name) for part in parts])[order]
-            for name in ("missed", "covariances", "shown")
+            for name in ("missed", "covariances", "shown", "gains", "uncertain")
         )
         return cls(sizes, *others)
 
 
-def _judged(compensation: Compensation, measurements: Measurements) -> _Scores:
+def _judged(compensation: Compensation, measurements: Measurements, final: Compensation) -> _Scores:
     if compensation.values is not None:
         measurements = compensation.without_loads(measurements)
     visits, eta = measurements.visits, compensation.eta
@@ -142,43 +146,34 @@ def _judged(compensation: Compensation, measurements: Measurements) -> _Scores:
     missed = np.einsum("nij,nj->ni", true.control, (true.deviations - predicted) / command_scales(nominal))
     gain = control_inverse(true.control)
     excess = np.einsum("nij,nj->ni", gain, missed)  # what is not seen is not judged
-    noise = np.einsum("nij,njk,nik->n", gain, true.seen.covariances, gain) / gain.shape[1]
     judged = (true.before, seen_errors(measurements, reached, eta).errors, best)
     sizes = np.array(
         [
             *(np.linalg.norm(errors, axis=1) for errors in judged),
             np.sqrt(np.einsum("nii->n", true.seen.covariances)),
             np.mean(excess**2, axis=1),
-            noise,
             *map(weighted_energy, judged),
         ]
     )
     model = compensation.poses(nominal, visits.conditions)
     left = seen_errors(measurements, model, eta)
     uncertain = compensation.covariances(model, visits.conditions)
-    return _Scores(sizes, left.errors, left.covariances + left.shown @ uncertain @ left.shown, left.shown)
+    known = left.covariances + left.shown @ uncertain @ left.shown
+    of_all = final.covariances(final.model_poses(nominal), visits.conditions)
+    return _Scores(sizes, left.errors, known, left.shown, gain, of_all)
 
 
 def _together(rows: Indices, scores: _Scores, scatter: Array | None = None) -> HeldOut:
-    before, after, floor, noise, excess, share, *energies = scores.sizes
-    # of a mean square the noise is a part that is known; what is left keeps the shape of its distribution
-    left = max(0.0, float(excess.mean() - share.mean())) / max(float(excess.mean()), np.finfo(float).tiny)
+    before, after, floor, noise, excess, *energies = scores.sizes
     if scatter is None:
         scatter = scatter_of(scores.missed, scores.covariances, scores.shown)
+    gains = scores.gains
+    expected = np.einsum("nij,njk,nik->n", gains, scores.uncertain + scatter, gains) / gains.shape[1]
+    part = float(expected.mean()) / max(float(excess.mean()), np.finfo(float).tiny)
     spread = scores.covariances + scores.shown @ scatter @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
-    return HeldOut(
-        rows,
-        before,
-        after,
-        floor,
-        noise,
-        np.sqrt(left * excess),
-        float(np.sqrt(share.mean())),
-        scatter,
-        float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds)),
-        np.array(energies),
-    )
+    within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
+    return HeldOut(rows, before, after, floor, noise, np.sqrt(part * excess), scatter, within, np.array(energies))
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -24,15 +24,16 @@ from pm3dof_pin.calibration.identifiability import (
     Identifiability,
     ObservabilityIndices,
     identifiability,
-    scaled_regressor,
+    stacked_regressor,
 )
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices
 
 Strategy = Literal["d-optimal", "tip-optimal", "least-sensitive", "random"]
@@ -118,15 +119,21 @@ class PlanningProblem:
         if not min_distance >= 0.0:
             raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
         self.errors, self.candidates = errors, candidates
-        self.regressor = scaled_regressor(errors, candidates, instrument)
+        self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(errors, candidates, instrument)
+        self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
         self._map = error_map(errors, candidates, eta=eta)
         tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
-        effects = (tests.weighted * errors.tolerances).reshape(-1, len(errors))
+        # base and tool are where the measurements have them
+        datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
+        by_machine = tests.weighted * errors.tolerances
+        effects = np.concatenate([by_machine, datum * tip_weights(eta)[:, None]], axis=2).reshape(
+            -1, self._rows.shape[2]
+        )
         self._tip = effects.T @ effects / len(tests.poses)
         lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
         self._min_distance = min_distance
-        self._prior = np.eye(len(errors)) / prior**2
+        self._prior = np.diag(np.concatenate([np.full(len(errors), prior), self.nuisances.sigmas]) ** -2.0)
 
     @property
     def sensitivity_map(self) -> ErrorMap:
@@ -161,12 +168,12 @@ class PlanningProblem:
             chosen,
             self.candidates[chosen],
             self.predicted_tip_rms(chosen),
-            identifiability(self.errors, self.regressor[chosen]),
+            identifiability(self.errors, self.regressor[chosen], self.nuisance_regressor[chosen]),
         )
 
     def information(self, indices: ArrayLike) -> Array:
-        """Return M of some candidates, in units of the tolerances, shape=(parameters, parameters)."""
-        rows = self.regressor[np.asarray(indices, dtype=np.intp)].reshape(-1, len(self.errors))
+        """Return M of some candidates, in units of the tolerances, shape=(parameters and nuisances, same)."""
+        rows = self._rows[np.asarray(indices, dtype=np.intp)].reshape(-1, self._rows.shape[2])
         return np.asarray(self._prior + rows.T @ rows)
 
     def predicted_tip_rms(self, indices: ArrayLike) -> float:
@@ -174,7 +181,8 @@ class PlanningProblem:
 
         Without any it is that of a machine of which nothing but the prior is known.
         """
-        return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip))))
+        known = slice(None) if np.size(indices) else slice(len(self.errors))  # without any, base and tool are given
+        return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
     def accuracy_curve(
         self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int], *, restarts: int = 1
@@ -253,15 +261,15 @@ class PlanningProblem:
         for _ in range(_MAX_PASSES):
             swapped = False
             for place in range(len(chosen)):
-                block = self.regressor[chosen[place]]
+                block = self._rows[chosen[place]]
                 without = information - block.T @ block
-                gains = criterion.gains(without, self.regressor)
+                gains = criterion.gains(without, self._rows)
                 others = np.delete(near, place, axis=0).any(axis=0)
                 gains[others] = -np.inf
                 winner = int(np.argmax(gains))
                 if gains[winner] > gains[chosen[place]] + _LEAST_GAIN * abs(gains[chosen[place]]):
                     chosen[place], near[place] = winner, self._near(winner)
-                    information = without + self.regressor[winner].T @ self.regressor[winner]
+                    information = without + self._rows[winner].T @ self._rows[winner]
                     swapped = True
             if not swapped:
                 break

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pm3dof_pin.cli.calibrate import TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
@@ -44,6 +45,19 @@ def calibration_plan(
     positions: Annotated[
         bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
     ] = False,
+    own_frame: Annotated[
+        bool, typer.Option("--own-frame", help="The instrument has a frame of its own, found from the measurements.")
+    ] = False,
+    targets: Annotated[
+        int | None,
+        typer.Option(min=1, help="See so many targets one by one, on a circle of 0.15 m about the tool point."),
+    ] = None,
+    target_offsets: Annotated[
+        TargetOffsets, typer.Option(help="Where targets sit is estimated, or known and fixed.")
+    ] = TargetOffsets.ESTIMATE,
+    target_sigma: Annotated[
+        float, typer.Option(min=1e-9, help="How well it is known where targets sit, each coordinate [m].")
+    ] = 1e-3,
     candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
@@ -64,12 +78,14 @@ def calibration_plan(
     as_json: Json = False,
 ) -> None:
     """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
+    from dataclasses import replace
+
     import numpy as np
 
     from pm3dof_pin.calibration.identifiability import minimum_poses
     from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-    from pm3dof_pin.measuring.instrument import Instrument
+    from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
     from pm3dof_pin.measuring.measurement_file import write_plan
 
     errors = load_errors(robot, tool_frame, package_path)
@@ -78,14 +94,20 @@ def calibration_plan(
         choices = reachable_poses(errors.robot, candidates, generator, margin=margin)
         tests = reachable_poses(errors.robot, min(candidates, 300), generator)
         fitting = closing_errors(errors, choices[:20])
-        instrument = Instrument("position" if positions else "pose")
+        instrument = replace(Instrument("position" if positions else "pose"), own_frame=own_frame)
+        if targets is not None:
+            sigma = target_sigma if target_offsets is TargetOffsets.ESTIMATE else 0.0
+            around = 2.0 * np.pi * np.arange(targets) / targets
+            points = TARGET_RADIUS * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
+            circle = tuple((float(x), float(y), float(z)) for x, y, z in points)
+            instrument = replace(instrument, targets=circle, target_sigma=sigma, position_sigma=TARGET_SIGMA)
         problem = PlanningProblem(fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior)
         progress(1, 3)
         plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
         progress(2, 3)
         others = {name: _predicted(problem, plan, poses, name, seed) for name in STRATEGIES}
         files = [write_plan(plan.poses, out)]
-        minimum = minimum_poses(problem.regressor[: 2 * len(errors)])
+        minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
         if picture is not None:
             files.append(_draw(problem, minimum, picture))
     result = _result(problem, plan, minimum, others) | {"files": [str(file) for file in files]}
@@ -130,6 +152,7 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "predicted_tip_rms_by_strategy_m": predicted,
         "parameters": len(problem.errors),
         "identifiable": known.rank,
+        "estimated_beside_them": list(dict.fromkeys(part.kind for part in problem.nuisances.parts)),
         "rank_gap": known.decision.gap,
         "better_known_than_tolerances": known.better_than_tolerance,
         "not_identifiable": known.unidentifiable,
@@ -143,8 +166,10 @@ def _lines(result: dict[str, Any]) -> list[str]:
     observability = ", ".join(f"{name} = {value:.3g}" for name, value in result["observability"].items())
     predicted = result["predicted_tip_rms_by_strategy_m"].items()
     rows = [[name, "too few poses" if math.isnan(value) else f"{1e6 * value:.1f}"] for name, value in predicted]
+    beside = result["estimated_beside_them"]
     return [
-        f"{result['robot']}: {result['poses']} poses, {result['strategy']}",
+        f"{result['robot']}: {result['poses']} poses, {result['strategy']}"
+        + (f"; estimated beside the machine: {', '.join(beside)}" if beside else ""),
         f"{result['identifiable']} of {result['parameters']} parameters identified, "
         f"{result['better_known_than_tolerances']} combinations better than their tolerances; "
         f"at least {result['least_number_of_poses']} poses identify all that can be",

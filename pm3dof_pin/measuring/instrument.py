@@ -27,11 +27,17 @@ class Instrument:
         measured: "pose", or "position" for the tool point alone.
         position_sigma: noise of each coordinate [m].
         angle_sigma: noise about each axis [rad]; of no matter for positions.
+        own_frame: whether it measures in a frame of its own, of which nothing is known beforehand.
+        targets: points that are seen one after the other instead of the tool point, in its axes [m].
+        target_sigma: how well these are known, standard deviation of each coordinate [m]; 0 for exactly.
     """
 
     measured: Measured = "pose"
     position_sigma: float = TARGET_SIGMA / 2.0
     angle_sigma: float = TARGET_SIGMA / (TARGET_RADIUS * np.sqrt(2.0))
+    own_frame: bool = False
+    targets: tuple[tuple[float, float, float], ...] = ()
+    target_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the noise.

@@ -13,7 +13,7 @@ from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, rotat
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument, Measured
-from pm3dof_pin.measuring.registration import Registration
+from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _SAME = 1e-9  # [m, rad], commands that differ by less are one pose
@@ -177,12 +177,29 @@ class Measurements:
         """
         seen_by = instrument or Instrument()
         poses = np.asarray(transforms, dtype=float)
+        if seen_by.targets:
+            return cls._of_targets(np.asarray(commands, dtype=float), poses, seen_by)
         return cls(
             np.array(commands, dtype=float),
             poses[:, :3, 3],
             poses[:, :3, :3] if seen_by.measured == "pose" else None,
             np.tile(seen_by.sigmas, (len(poses), 1)),
             np.zeros((len(poses), 3)),
+            registration=AT_THE_BASE if seen_by.own_frame else None,
+        )
+
+    @classmethod
+    def _of_targets(cls, commands: Array, poses: Array, instrument: Instrument) -> Measurements:
+        points = np.array(instrument.targets)
+        seen = poses[:, None, :3, 3] + np.einsum("nij,kj->nki", poses[:, :3, :3], points)
+        return cls(
+            np.repeat(commands, len(points), axis=0),
+            seen.reshape(-1, 3),
+            None,
+            np.full((len(poses) * len(points), 3), instrument.position_sigma),
+            np.tile(points, (len(poses), 1)),
+            registration=AT_THE_BASE if instrument.own_frame else None,
+            target_sigma=instrument.target_sigma,
         )
 
     @property

@@ -69,6 +69,10 @@ class Registration:
         return np.sqrt(triples**2 @ (self.rotation**2).T).reshape(seen.shape)
 
 
+AT_THE_BASE = Registration(np.eye(3), np.zeros(3), 0.0)
+"""That of an instrument whose frame is the base's, as far as is known."""
+
+
 def register(
     seen: Array,
     expected: Array,
