@@ -145,6 +145,8 @@ const pm3dof = (() => {
   // Zero has no sign.
   const fixed = (number, digits) => number.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
 
+  const untorn = (text) => text.replaceAll("N m", "N\u00a0m");
+
   function element(parent, tag, name, text) {
     const made = parent.appendChild(document.createElement(tag));
     if (name) made.className = name;
@@ -197,8 +199,8 @@ const pm3dof = (() => {
     });
     if (entry.colour) element(label, "span", "swatch").style.background = entry.colour;
     element(label, "span", "title", entry.title);
-    element(made, "div", "values", entry.values || "");
-    entry.lines.forEach((line) => element(made, "div", "line", line.replaceAll("N m", "N\u00a0m"))); // not torn apart
+    element(made, "div", "values", untorn(entry.values || ""));
+    entry.lines.forEach((line) => element(made, "div", "line", untorn(line)));
     if (entry.bar) {
       element(made, "div", "bar").style.background = `linear-gradient(to right, ${entry.bar.colours.join(", ")})`;
       const ends = element(made, "div", "ends");
@@ -213,7 +215,7 @@ const pm3dof = (() => {
   }
 
   function setValues(entry, text) {
-    lineOf(entry, "values").textContent = text;
+    lineOf(entry, "values").textContent = untorn(text);
   }
 
   // Show, hide or paint what an entry of the legend stands for.
@@ -261,8 +263,8 @@ const pm3dof = (() => {
       button.setAttribute("aria-pressed", index === activeSet);
       button.addEventListener("click", () => { activeSet = index; showSliders(); });
     });
-    const others = element(sets, "button", "others", "Assemblies");
-    Object.assign(others, { type: "button", title: "other ways to assemble the machine at these numbers" });
+    const others = element(sets, "button", "others", "Modes");
+    Object.assign(others, { type: "button", title: "assembly modes: other ways to assemble the machine at these numbers" });
     others.addEventListener("click", showAssemblies);
     others.hidden = !robot.data.has_closures;
     document.getElementById("assemblies").textContent = "";
