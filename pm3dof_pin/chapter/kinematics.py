@@ -275,18 +275,7 @@ def slider_jacobian(
 ) -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9).
 
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-        on_failure: "raise", or "nan" for poses out of reach.
-
-    Returns:
-        shape=(..., n, 3) [m/rad, m/rad, 1].
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
-        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
+    Arguments, shape and errors as for :func:`link_jacobian`.
     """
     legs = _legs(tripod, poses, assembly_mode, on_failure)
     return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]

@@ -40,7 +40,7 @@ def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
         wrench: W, [f; m] at the tool, shape=(..., 6) [N, N m].
 
     Returns:
-        shape=(..., s), adding up to 1; NaN where the contributions are NaN.
+        shape=(..., s), adding up to 1; NaN where the contributions are NaN, and where no spring gives.
 
     Raises:
         InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.

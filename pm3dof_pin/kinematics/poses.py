@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE, Configuration
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 REACH = 1
 """Bit of :attr:`Poses.broken_limits` for a pose that was not solved; the k-th limit group has bit k + 1."""
 
-_LIMIT_TOLERANCE = 1e-9
 _KNOWN = ("residual", "broken_limits", "transforms")  # what the solver may have found besides q
 
 
@@ -157,7 +156,7 @@ class Poses:
         """Which limits a pose breaks: a sum of :data:`REACH` and the bits of the robot's limit groups, shape=(...)."""
         robot = self.robot
         flags = np.where(self.solved, 0, REACH).astype(np.uint32)
-        outside = (self.q < robot.lower_limits - _LIMIT_TOLERANCE) | (self.q > robot.upper_limits + _LIMIT_TOLERANCE)
+        outside = (self.q < robot.lower_limits - LIMIT_TOLERANCE) | (self.q > robot.upper_limits + LIMIT_TOLERANCE)
         for bit, group in enumerate(robot.limit_groups, start=1):
             for name in group.joints:
                 joint = robot.model.joints[robot.model.getJointId(name)]
@@ -178,7 +177,7 @@ class Poses:
         if limit is None:
             raise InvalidValueError("limit group", self.robot.closures[closure], "a closure with a swing limit")
         for index in map(tuple, np.argwhere(self.solved)):
-            beyond[index] = self.configuration(index).swing(closure) > limit + _LIMIT_TOLERANCE
+            beyond[index] = self.configuration(index).swing(closure) > limit + LIMIT_TOLERANCE
         return beyond
 
     def _mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Poses:

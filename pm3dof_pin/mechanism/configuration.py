@@ -14,6 +14,9 @@ from pm3dof_pin.arrays import frozen
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
+LIMIT_TOLERANCE = 1e-9
+"""Excess over a limit that still counts as inside, for rounding [m, rad]."""
+
 
 @dataclass(frozen=True)
 class LimitViolation:
@@ -174,14 +177,10 @@ class Configuration:
         x, y, z = self.frame_placement(loop.frame_a).actInv(self.frame_placement(loop.frame_b)).rotation[:, 2]
         return math.atan2(math.hypot(x, y), z)
 
-    def violated_limits(self, *, tolerance: float = 1e-9) -> tuple[LimitViolation, ...]:
-        """Return the joints outside their limits and the closures beyond their swing, in the model's order.
-
-        Args:
-            tolerance: excess that still counts as inside, for rounding [m, rad].
-        """
+    def violated_limits(self) -> tuple[LimitViolation, ...]:
+        """Return the joints outside their limits and the closures beyond their swing, in the model's order."""
         mechanism, q = self._mechanism, self._q
-        outside = (q < mechanism.lower_limits - tolerance) | (q > mechanism.upper_limits + tolerance)
+        outside = (q < mechanism.lower_limits - LIMIT_TOLERANCE) | (q > mechanism.upper_limits + LIMIT_TOLERANCE)
         violations = [
             LimitViolation(
                 mechanism.q_names[k],
@@ -193,7 +192,7 @@ class Configuration:
             for k in np.flatnonzero(outside)
         ]
         for index, loop in enumerate(mechanism.closures):
-            if loop.swing_limit is not None and (swing := self.swing(index)) > loop.swing_limit + tolerance:
+            if loop.swing_limit is not None and (swing := self.swing(index)) > loop.swing_limit + LIMIT_TOLERANCE:
                 violations.append(
                     LimitViolation(f"{loop.frame_a}-{loop.frame_b}", "swing", swing, 0.0, loop.swing_limit)
                 )

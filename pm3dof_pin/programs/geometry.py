@@ -19,12 +19,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.graph import Graph, Number
 from pm3dof_pin.typing import Objects
-
-LIMIT_TOLERANCE = 1e-9
-"""Excess over a limit that still counts as inside, for rounding [m, rad]."""
 
 _ROUNDING = 1e-15
 _CONSTANTS = np.array([0.0, 1.0, -1.0])

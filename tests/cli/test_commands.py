@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import xarray as xr
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.cli.pictures import remove_former
 from pm3dof_pin.cli.stiffness_map import JOB_PICTURES
+from pm3dof_pin.maps import atlas
 
 Run = Callable[..., Any]
 Answer = Callable[..., dict[str, Any]]
@@ -226,18 +226,26 @@ def test_atlas(answer: Answer, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {Path(file).name for file in result["files"]} == expected
 
 
-def test_atlas_says_how_it_goes_on_after_an_interrupt(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "atlas", "-q", "slider_travel"]
+def test_atlas_says_how_it_goes_on_after_an_interrupt(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C as Python raises it, between two blocks; tests/maps sends signals to a real run."""
+    compute, calls = atlas.compute_block, itertools.count()
+
+    def interrupted_at_the_second(*arguments: Any) -> Any:
+        if next(calls) == 1:
+            raise KeyboardInterrupt
+        return compute(*arguments)
+
+    monkeypatch.setattr(atlas, "compute_block", interrupted_at_the_second)
+    monkeypatch.setattr(atlas, "_BLOCK_POSES", 200)
     target = tmp_path / "atlas.zarr"
-    process = subprocess.Popen(
-        [*command, "--points", "201", "201", "201", "--out", str(target)], stderr=subprocess.PIPE, text=True
-    )
-    while process.poll() is None and not list((tmp_path / "atlas.zarr.parts" / "broken_limits").rglob("0")):
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    assert f"finished blocks are kept in {target}.parts, and the same command goes on" in process.communicate()[1]
-    assert process.returncode == 130
+    words = ("atlas", "-q", "slider_travel", "--points", "9", "9", "9", "--threads", "1", "--out", str(target))
+    result = run(*words)
+    assert f"finished blocks are kept in {target}.parts, and the same command goes on" in result.stderr
+    assert result.returncode == 130
     assert not target.exists()
+    assert list((tmp_path / "atlas.zarr.parts" / "broken_limits").rglob("0"))
 
 
 @pytest.mark.parametrize("command", ["ik", "stiffness"])
