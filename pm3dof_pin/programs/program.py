@@ -93,7 +93,8 @@ class Program:
     def split(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Return views of flat outputs, shape=(..., number of outputs), by group: shape=(..., *shape of the group)."""
         return {
-            name: flat[..., self.slices[name]].reshape((*flat.shape[:-1], *shape)) for name, shape in self.outputs.items()
+            name: flat[..., self.slices[name]].reshape((*flat.shape[:-1], *shape))
+            for name, shape in self.outputs.items()
         }
 
     @cached_property
