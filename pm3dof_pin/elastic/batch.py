@@ -134,7 +134,7 @@ def evaluate(
     q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
     if q.shape[-1:] != (elastic.rigid.model.nq,):
         raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {elastic.rigid.model.nq})")
-    rows = q.reshape(-1, q.shape[-1])
+    rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
     values: Array | None = None
     doubtful = np.arange(len(rows))
     if engine == "program":

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.elastic.bow import Bow
 from pm3dof_pin.elastic.springs import (
     AxialSpring,
     CantileverSpring,
@@ -38,6 +39,7 @@ class SpringBlock:
         coefficients: shape=(n, n).
         exponents: powers of the length, shape=(n, n); zero where it has no length that changes.
         length: the joint that changes its length, or None.
+        bows: by what it gets shorter as it bends, element by element; none if it is rigid along its axis, or no beam.
     """
 
     name: str
@@ -45,6 +47,7 @@ class SpringBlock:
     coefficients: Matrix
     exponents: NDArray[np.int64]
     length: JointLength | None
+    bows: tuple[Bow, ...] = ()
 
     def stiffness(self, length: float) -> Matrix:
         """Return the stiffness at a length [m], shape=(n, n) [N/m, N, N m/rad]."""
@@ -222,7 +225,8 @@ class ElasticModel:
     def energy_derivatives(self, configuration: Configuration, deflections: Vector) -> tuple[Vector, Matrix]:
         """Return the first and second derivatives of the springs' energy U = d^T K_q(q) d / 2.
 
-        A length that a joint changes loads that joint as well: with d held, U depends on q through K_q.
+        A beam that gives along its axis gets shorter as it bends as well, see :class:`~pm3dof_pin.elastic.bow.Bow`. A
+        length that a joint changes loads that joint as well: with d held, U depends on q through K_q.
 
         Args:
             configuration: a configuration of :attr:`mechanism`.
@@ -238,9 +242,14 @@ class ElasticModel:
             stiffness = block.stiffness(length)
             gradient[block.indices] += stiffness @ d
             hessian[np.ix_(block.indices, block.indices)] += stiffness
-            if block.length is not None:
+            joint = None if block.length is None else self.mechanism.single_joint(block.length.joint).v_index
+            over = block.indices if joint is None else np.append(block.indices, joint)
+            for bow in block.bows:
+                slope, curvature = bow.energy_derivatives(d, bow.length or length)
+                gradient[over] += slope[: len(over)]
+                hessian[np.ix_(over, over)] += curvature[: len(over), : len(over)]
+            if joint is not None:
                 first, second = block.stiffness_derivatives(length)
-                joint = self.mechanism.single_joint(block.length.joint).v_index
                 gradient[joint] += 0.5 * d @ first @ d
                 hessian[joint, joint] += 0.5 * d @ second @ d
                 hessian[joint, block.indices] += first @ d
@@ -308,7 +317,8 @@ def _block(mechanism: Robot, spring: Spring, joints: tuple[str, ...] | None) -> 
     if isinstance(spring, JointSpring):
         joints = (spring.joint,)
     assert joints is not None
-    length = None
+    length: JointLength | None = None
+    bows: tuple[Bow, ...] = ()
     if isinstance(spring, (JointSpring, AxialSpring)):
         coefficients = np.array([[spring.stiffness]])
         exponents = np.zeros((1, 1), dtype=np.int64)
@@ -317,11 +327,24 @@ def _block(mechanism: Robot, spring: Spring, joints: tuple[str, ...] | None) -> 
         if isinstance(spring.length, JointLength):
             length = spring.length
         else:
-            coefficients, exponents = coefficients * spring.length**exponents, np.zeros_like(exponents)
+            element = coefficients * (spring.length / spring.elements) ** exponents
+            coefficients = np.kron(np.eye(spring.elements), element)
+            exponents = np.zeros(coefficients.shape, dtype=np.int64)
+        bows = _bows(spring)
     else:
         coefficients, exponents = np.array(spring.matrix), np.zeros(spring.matrix.shape, dtype=np.int64)
     indices = mechanism.velocity_indices(joints)
-    return SpringBlock(spring.name, indices, frozen(coefficients), frozen(exponents), length)
+    return SpringBlock(spring.name, indices, frozen(coefficients), frozen(exponents), length, bows)
+
+
+def _bows(spring: CantileverSpring) -> tuple[Bow, ...]:
+    if spring.axial_stiffness is None:
+        return ()
+    length = None if isinstance(spring.length, JointLength) else spring.length / spring.elements
+    return tuple(
+        Bow(start + 2, frozen(start + np.array([0, 4, 1, 3])), spring.axial_stiffness, length)
+        for start in range(0, 6 * spring.elements, 6)
+    )
 
 
 def _cantilever(spring: CantileverSpring) -> tuple[Matrix, NDArray[np.int64]]:

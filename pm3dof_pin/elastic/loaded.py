@@ -14,9 +14,11 @@ the compliance is J dq/dw. On the motions Z of :mod:`pm3dof_pin.elastic.motions`
 plus the stiffness that the loads add or take away; where its least eigenvalue comes down to zero the mechanism buckles.
 Motions that no spring holds but a load does, as gravity does a pendulum, take part.
 
-Deflections within one beam or cantilever spring are to be small: its stiffness is that of its tip, and bending does not
-shorten it. Cut a slender beam into several where an axial force comes near its own E I / L^2; the error of a column's
-buckling load then falls with the square of their number.
+Deflections within one beam or cantilever spring are to be small: its stiffness is that of its tip. A cantilever that
+gives along its axis gets shorter as it bends (:mod:`pm3dof_pin.elastic.bow`), so that one alone buckles within 1 % of
+Euler's load. One that is rigid along its axis, and a beam given by a matrix, keep their length: cut such a one into
+several elements where an axial force comes near its own E I / L^2; the error of a column's buckling load then falls
+with the square of their number.
 
 H is symmetric if the loads have a potential. A moment that keeps its direction in the world has none, unless the body
 turns about one axis only: the tangent stiffness is not symmetric then (J. Kovecses and J. Angeles, Multibody System

@@ -6,7 +6,7 @@ An entry is a mapping with a `name`, a `type` and the keys of that type:
 - axial: give along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
 - cantilever: the tip of an Euler-Bernoulli cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness`
   (G J), `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N],
-  its E A.
+  its E A; `elements`, the number of equal pieces it is cut into, 1 if not given.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
 - closure: a loop closure that is not rigid; `closure`, its position in the list of closures, counted from 0; `matrix`,
   3 x 3 or 6 x 6.
@@ -32,6 +32,9 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Matrix
 
 JointSpringUnit = Literal["N/m", "N m/rad"]
+
+MOST_ELEMENTS = 100
+"""Largest number of pieces of one cantilever."""
 
 _SYMMETRY = 1e-9
 _DEFINITENESS = 1e-12
@@ -110,6 +113,7 @@ class CantileverSpring:
         torsional_stiffness: G J [N m^2].
         length: L [m], or the joint that changes it.
         axial_stiffness: E A [N]; None for a beam that is rigid (or held by something else) along its axis.
+        elements: number of equal pieces in a row that it is cut into, for large deflections and for buckling.
     """
 
     name: str
@@ -119,6 +123,7 @@ class CantileverSpring:
     torsional_stiffness: float
     length: float | JointLength
     axial_stiffness: float | None = None
+    elements: int = 1
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -129,6 +134,10 @@ class CantileverSpring:
             _require_positive("axial_stiffness", self.axial_stiffness)
         if not isinstance(self.length, JointLength):
             _require_positive("length", self.length)
+        if not 1 <= self.elements <= MOST_ELEMENTS:
+            raise InvalidValueError("elements", self.elements, f"a number from 1 to {MOST_ELEMENTS}")
+        if self.elements > 1 and isinstance(self.length, JointLength):
+            raise InvalidValueError("elements", self.elements, "1, as a joint changes the length")
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +220,14 @@ class _Cantilever(_Entry):
     length: PositiveLength | _Length
     unit: Literal["N m^2"]
     axial_stiffness: Stiffness | None = None
+    elements: int = 1
 
     def spring(self) -> Spring:
         length = (
             JointLength(self.length.joint, self.length.at_zero) if isinstance(self.length, _Length) else self.length
         )
         stiffness = (self.bending_stiffness, self.torsional_stiffness)
-        return CantileverSpring(self.name, self.at, self.axis, *stiffness, length, self.axial_stiffness)
+        return CantileverSpring(self.name, self.at, self.axis, *stiffness, length, self.axial_stiffness, self.elements)
 
 
 class _Beam(_Entry):

@@ -16,7 +16,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
+from pm3dof_pin.elastic.springs import (
+    AxialSpring,
+    BeamSpring,
+    CantileverSpring,
+    ClosureSpring,
+    JointLength,
+    JointSpring,
+    Spring,
+)
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -78,14 +86,18 @@ def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> Virtua
         DescriptionError: a spring stands at the root of the world, at a closure that does not exist or has another
             size, at a closure that gives already, or has the name of a frame or joint.
     """
-    chains = [_chain(mechanism, spring) for spring in springs if not isinstance(spring, JointSpring)]
-    return _Builder(mechanism, chains).result()
+    bodies = (spring for spring in springs if not isinstance(spring, JointSpring))
+    return _Builder(mechanism, [chain for spring in bodies for chain in _chains(mechanism, spring)]).result()
 
 
 @dataclass(frozen=True, eq=False)
 class _Chain:
-    """The virtual joints of one spring: before the frame or joint `place`, or from that frame to a closure's anchor."""
+    """The virtual joints of one spring: before the frame or joint `place`, or from that frame to a closure's anchor.
 
+    They stand at `axes` in the place. A beam cut into elements has a chain for each, named `<spring>.<number>`.
+    """
+
+    spring: str
     name: str
     place: str
     motions: tuple[str, ...]
@@ -101,15 +113,21 @@ class _Chain:
         return f"{self.name}.anchor"
 
 
-def _chain(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSpring | ClosureSpring) -> _Chain:
+def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSpring | ClosureSpring) -> list[_Chain]:
+    name = spring.name
     if isinstance(spring, AxialSpring):
-        return _Chain(spring.name, spring.at, ("z",), _axes_with_z_along(spring.axis))
+        return [_Chain(name, name, spring.at, ("z",), _axes_with_z_along(spring.axis))]
     if isinstance(spring, CantileverSpring):
         rigid = () if spring.axial_stiffness is not None else ("z",)
         motions = tuple(motion for motion in MOTIONS if motion not in rigid)
-        return _Chain(spring.name, spring.at, motions, _axes_with_z_along(spring.axis))
+        axes, count = _axes_with_z_along(spring.axis), spring.elements
+        if count == 1 or isinstance(spring.length, JointLength):
+            return [_Chain(name, name, spring.at, motions, axes)]
+        ends = -spring.length * (1.0 - np.arange(1, count + 1) / count)  # along the beam, from its tip
+        places = [axes * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])) for end in ends]
+        return [_Chain(name, f"{name}.{k}", spring.at, motions, place) for k, place in enumerate(places, start=1)]
     if isinstance(spring, BeamSpring):
-        return _Chain(spring.name, spring.at, MOTIONS, pin.SE3.Identity())
+        return [_Chain(name, name, spring.at, MOTIONS, pin.SE3.Identity())]
     if spring.closure >= len(mechanism.closures):
         count = len(mechanism.closures)
         raise DescriptionError(
@@ -123,7 +141,7 @@ def _chain(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSpring
             f"spring '{spring.name}': matrix",
             f"expected {size} x {size} for a {closure.type} closure",
         )
-    return _Chain(spring.name, closure.frame_a, MOTIONS[:size], pin.SE3.Identity(), spring.closure)
+    return [_Chain(name, name, closure.frame_a, MOTIONS[:size], pin.SE3.Identity(), spring.closure)]
 
 
 def _axes_with_z_along(axis: tuple[float, float, float]) -> pin.SE3:
@@ -173,9 +191,10 @@ class _Builder:
         self._grow(self._bodies[0])
         self._copy_frames()
         q_indices, v_indices = self._copy_constants()
-        return VirtualJoints(
-            self._mechanism_of_new_tree(), {chain.name: chain.joints for chain in self._chains}, q_indices, v_indices
-        )
+        joints: dict[str, tuple[str, ...]] = {}
+        for chain in self._chains:
+            joints[chain.spring] = joints.get(chain.spring, ()) + chain.joints
+        return VirtualJoints(self._mechanism_of_new_tree(), joints, q_indices, v_indices)
 
     def _check_names(self) -> None:
         closures = [chain.closure for chain in self._chains if chain.closure is not None]
@@ -208,7 +227,7 @@ class _Builder:
         except FrameNotFoundError as error:
             if self._old.existJointName(chain.place):
                 return None
-            element = f"{self._mechanism.source}: spring '{chain.name}'"
+            element = f"{self._mechanism.source}: spring '{chain.spring}'"
             raise FrameNotFoundError(chain.place, element, error.known) from error
         frame, above = self._old.frames[index], self._frame_above(index)
         if frame.type == pin.FrameType.JOINT:
@@ -361,4 +380,4 @@ class _Builder:
         return rigid.replace(model=self._new, closures=closures, springs=())
 
     def _error(self, chain: _Chain, expected: str) -> DescriptionError:
-        return DescriptionError(self._mechanism.source, f"spring '{chain.name}'", expected)
+        return DescriptionError(self._mechanism.source, f"spring '{chain.spring}'", expected)

@@ -430,6 +430,8 @@ class Robot(Mechanism):
         """Return what solves for these coordinates by programs, or why nothing does."""
         from pm3dof_pin.kinematics.continuation import Continuation  # one pose on Pinocchio needs no compiler
 
+        if self.model.nq == 0:
+            return "nothing moves in it but what gives"
         if coordinates not in self._solvers:
             try:
                 self._solvers[coordinates] = Continuation(self, coordinates)

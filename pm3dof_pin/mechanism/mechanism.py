@@ -30,6 +30,7 @@ from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidV
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
 from pm3dof_pin.typing import Vector
 
+_MEETING = 1e-9  # m, rad
 _NORM_TOLERANCE = 1e-9
 
 
@@ -366,11 +367,12 @@ class Mechanism:
     ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
         element = f"{self._source}: closed_loop[{index}]"
         frame_a, frame_b = (self.model.frames[self._frame_id(name, element)] for name in (loop.frame_a, loop.frame_b))
-        if frame_a.parentJoint == frame_b.parentJoint:
+        if frame_a.parentJoint == frame_b.parentJoint and not (self.springs and _meet(frame_a, frame_b, loop.type)):
             raise DescriptionError(
                 self._source,
                 f"closed_loop[{index}]",
-                f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two",
+                f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two, or in one place "
+                "with springs between them",
             )
         anchor = pin.PointAnchorConstraintModel if loop.type == "3d" else pin.FrameAnchorConstraintModel
         return anchor(self.model, frame_a.parentJoint, frame_a.placement, frame_b.parentJoint, frame_b.placement)
@@ -443,6 +445,13 @@ class Mechanism:
         for rows in self.loop_kinematics.rows:
             scale[rows.start : rows.start + 3] = self.characteristic_length
         return scale
+
+
+def _meet(frame_a: pin.Frame, frame_b: pin.Frame, kind: str) -> bool:
+    """Tell whether two frames of one body are where a closure wants them."""
+    apart = frame_a.placement.actInv(frame_b.placement)
+    rows = pin.log6(apart).vector if kind == "6d" else apart.translation
+    return bool(np.abs(rows).max() < _MEETING)
 
 
 def _rebuild(

@@ -358,17 +358,12 @@ def column(rigid_tree: RigidTree, count: int) -> tuple[ElasticModel, float]:
 
 
 def test_a_column_buckles_at_the_load_of_euler(rigid_tree: RigidTree) -> None:
-    """A cantilever column cut into beams: the error falls with the square of their number."""
-    factors = {}
-    for count in (4, 8, 16):
+    """A cantilever column cut into beams, each of which gets shorter as it bends; see also test_flexures."""
+    for count in (4, 8):
         model, exact = column(rigid_tree, count)
         found = buckling_load(model, [], Loads({model.rigid.tool_frame: [0, 0, -1.0, 0, 0, 0]}))
         assert found is not None
-        factors[count] = found.factor / exact
-    errors = {count: abs(factor - 1.0) for count, factor in factors.items()}
-    assert errors[4] / errors[8] == pytest.approx(4.0, rel=0.1)
-    assert errors[8] / errors[16] == pytest.approx(4.0, rel=0.1)
-    assert (4.0 * factors[16] - factors[8]) / 3.0 == pytest.approx(1.0, abs=1e-4)
+        assert found.factor == pytest.approx(exact, rel=1e-4)
 
 
 def test_a_column_in_tension_gets_stiffer(rigid_tree: RigidTree) -> None:

@@ -37,8 +37,8 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(atlas_module, "_BLOCK_POSES", 20)
 
 
-def make(robot: Robot, path: Path, count: int = 9) -> Atlas:
-    return Atlas(robot, robot.grid(x=(-0.01, 0.01, count), y=(-0.01, 0.01, 9)), QUANTITIES, path)
+def make(robot: Robot, path: Path) -> Atlas:
+    return Atlas(robot, robot.grid(x=(-0.01, 0.01, 9), y=(-0.01, 0.01, 9)), QUANTITIES, path)
 
 
 def digest(path: Path) -> dict[str, str]:
@@ -112,7 +112,7 @@ def test_damage_is_noticed_and_repaired_to_the_byte(
     job = make(robot, tmp_path / "broken" / f"atlas{suffix}")
     interrupted(monkeypatch, job)
     shutil.copytree(job.parts, tmp_path / "sound")
-    for name, damage in DAMAGES.items():
+    for name, damage in DAMAGES.items() if suffix == ".zarr" else [*DAMAGES.items()][::4]:
         shutil.rmtree(tmp_path / "broken")
         shutil.copytree(tmp_path / "sound", job.parts)
         caplog.clear()
