@@ -47,9 +47,9 @@ class DescriptionError(PM3DofError):
 
     def __init__(self, path: Path | str, element: str, expected: str) -> None:
         self.path = Path(path)
-        self.element = element
-        self.expected = expected
-        super().__init__(f"{self.path}: {element}: {expected}")
+        self.element = " ".join(element.split())
+        self.expected = " ".join(expected.split())
+        super().__init__(f"{self.path}: {self.element}: {self.expected}")
 
 
 class FrameNotFoundError(PM3DofError):

@@ -39,6 +39,11 @@ COMPENSATION = "compensation.json"
 MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
 
+_GREATEST = 1e12
+_GREATEST_ERROR = 1.0  # of a geometric parameter [m, rad]
+_GREATEST_LENGTH = 1e4  # that weighs a turn [m/rad]
+_ROUNDING = 1e-6
+_MOST_DEPTH = 12
 _FORMAT = 1
 
 
@@ -115,6 +120,7 @@ def read_compensation(directory: Path | str) -> Compensation:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DescriptionError(path, "JSON", f"expected the compensation of a calibration ({error})") from error
+    _require_plausible(path, data)
     try:
         return _compensation(data, Path(directory))
     except (KeyError, TypeError, ValueError) as error:
@@ -219,27 +225,61 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
 
 
 def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
+    path = directory / COMPENSATION
+    if Path(data["urdf"]).name != data["urdf"]:
+        raise DescriptionError(path, "urdf", f"expected the name of a file, not '{data['urdf']}'")
     described = GeometricErrors.load(directory / "nominal" / data["urdf"], tool_frame=data.get("tool_frame"))
     errors = described.select(data["parameters"])
+    values = None if data["values"] is None else errors.values(data["values"])
+    if values is not None and np.abs(values).max(initial=0.0) > _GREATEST_ERROR:
+        worst = int(np.abs(values).argmax())
+        expected = f"expected errors of at most {_GREATEST_ERROR:g} m or rad, not {values[worst]:g}"
+        raise DescriptionError(path, f"values of {errors.names[worst]}", expected)
+    covariance = None if data["covariance"] is None else _semidefinite(path, "covariance", data, len(errors))
+    if not 0.0 < float(data["eta_m_per_rad"]) <= _GREATEST_LENGTH:
+        expected = f"expected a length up to {_GREATEST_LENGTH:g}, not {data['eta_m_per_rad']}"
+        raise DescriptionError(path, "eta_m_per_rad", expected)
     scale, learned = data["inputs"], None
     if scale is not None:
         inputs = InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"]))
         learned = LearnedPart(learned_model_from_data(data["pseudo_error"]), inputs)
     return Compensation(
         errors,
-        None if data["values"] is None else errors.values(data["values"]),
-        None if data["covariance"] is None else np.array(data["covariance"], dtype=float),
+        values,
+        covariance,
         learned,
         float(data["eta_m_per_rad"]),
-        _scatter(data),
+        _scatter(path, data),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
     )
 
 
-def _scatter(data: Mapping[str, Any]) -> Array:
+def _require_plausible(path: Path, data: Any, place: str = "") -> None:
+    """Refuse numbers that are none, or beyond what any of them may be, and deep lists."""
+    if isinstance(data, (dict, list)):
+        if place.count(".") > _MOST_DEPTH:
+            raise DescriptionError(path, place, "expected fewer lists within each other")
+        for key, entry in data.items() if isinstance(data, dict) else enumerate(data):
+            _require_plausible(path, entry, f"{place}.{key}" if place else str(key))
+    elif isinstance(data, (int, float)) and not abs(data) <= _GREATEST:
+        raise DescriptionError(path, place, f"expected a number of at most {_GREATEST:g}, not {data}")
+
+
+def _semidefinite(path: Path, key: str, data: Mapping[str, Any], size: int) -> Array:
+    matrix = np.array(data[key], dtype=float)
+    if matrix.shape != (size, size):
+        raise DescriptionError(path, key, f"expected {size} x {size} numbers, not an array of shape {matrix.shape}")
+    scale = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
+    scaled = matrix / np.outer(scale, scale)
+    if size and (np.abs(scaled - scaled.T).max() > _ROUNDING or np.linalg.eigvalsh(scaled)[0] < -_ROUNDING * size):
+        raise DescriptionError(path, key, "expected a covariance: symmetric, without negative eigenvalues")
+    return matrix
+
+
+def _scatter(path: Path, data: Mapping[str, Any]) -> Array:
     """Return the scatter; of older files, which have its size alone, as one that is the same in all directions."""
     if "scatter_m2" in data:
-        return np.array(data["scatter_m2"], dtype=float)
+        return _semidefinite(path, "scatter_m2", data, 6)
     return np.asarray(np.eye(6) * float(data["unexplained_m"]) ** 2 / 6.0)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pm3dof_pin.calibration.identification import Identification, identify
+from pm3dof_pin.calibration.identification import Identification, _Linearised, identify
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -167,6 +168,31 @@ def test_residuals_are_noise_of_the_stated_size(
     total = float(np.sum(found.normalized_residuals**2))
     assert chi2.ppf(1e-4, 1800 - 40) < total < chi2.isf(1e-4, 1800 - 40)
     assert found.noise_factor == pytest.approx(1.0, abs=0.06)
+
+
+def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
+    """Of n numbers, p are used up by the parameters: squares of residuals are (n - p) / n of those of the noise."""
+    count, dimension, used = 1001, 6, 4000
+    places = (np.arange(count) + 0.5) / count
+    noise = 3.0**2 * chi2.ppf(places, dimension)
+    problem = SimpleNamespace(_count=count, dimension=dimension, _used=used)
+    left = (count * dimension - used) / (count * dimension)
+    assert _Linearised.noise_factor(problem, left * noise) == pytest.approx(3.0, rel=1e-9)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("weak", "told"), [(1e-13, True), (1e-16, False)])
+def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
+    """Information goes with the square of what is seen: so does the threshold, down to the rounding of its own sum."""
+    problem = SimpleNamespace(
+        information=lambda weights, factor: np.diag([1.0, weak]),
+        units=np.ones(2),
+        prior=np.inf,
+        _sigmas=np.full(2, np.inf),
+        _precisions=np.zeros(2),
+    )
+    covariance = _Linearised.covariance(problem, np.ones(1), 1.0)  # type: ignore[arg-type]
+    assert covariance[0, 0] == pytest.approx(1.0, rel=1e-12)
+    assert covariance[1, 1] == (pytest.approx(1.0 / weak, rel=1e-9) if told else np.inf)
 
 
 def test_errors_that_are_missing_show_in_the_noise_factor(

@@ -275,6 +275,33 @@ def test_a_robot_of_ones_own(
     assert abs(linkage.data.qvel).max() < 1e-4
 
 
+def test_frames_on_two_rotated_fixed_joints_are_where_the_urdf_has_them(tmp_path: Path) -> None:
+    """Turns about different axes do not commute: their order shows in a frame behind two of them."""
+    fixed = (
+        '<joint name="{0}" type="fixed"><parent link="{1}"/><child link="{2}"/><origin xyz="{3}" rpy="{4}"/></joint>'
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="base"/><link name="forearm"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<link name="wrist"/><link name="tool"/>'
+        '<joint name="elbow" type="continuous"><parent link="base"/><child link="forearm"/><axis xyz="0 0 1"/></joint>'
+        + fixed.format("to_wrist", "forearm", "wrist", "0.1 0.2 0.3", "0.4 -0.7 1.1")
+        + fixed.format("to_tool", "wrist", "tool", "-0.3 0.1 0.2", "-1.2 0.5 0.3")
+        + "</robot>",
+        encoding="utf-8",
+    )
+    path.with_suffix(".closures.yaml").write_text("tool_frame: tool", encoding="utf-8")
+    (file,) = export_robot(path, "mjcf", tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    expected = Robot.load(path).home.tool_placement
+    (site,) = [index for index in range(model.nsite) if "tool" in model.site(index).name]
+    np.testing.assert_allclose(data.site_xpos[site], expected.translation, atol=1e-12)
+    np.testing.assert_allclose(data.site_xmat[site].reshape(3, 3), expected.rotation, atol=1e-12)
+
+
 def test_what_moves_needs_mass(four_bar: Path) -> None:
     text = four_bar.read_text().replace('<mass value="0.3"/>', '<mass value="0"/>')
     four_bar.write_text(text)

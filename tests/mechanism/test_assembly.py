@@ -17,6 +17,7 @@ from pm3dof_pin.exceptions import (
     PM3DofError,
     UnreachablePoseError,
 )
+from pm3dof_pin.kinematics import assembly
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -123,6 +124,16 @@ def test_convergence_is_quadratic(problem: str, request: pytest.FixtureRequest) 
     assert len(pairs) >= 2
     for now, then in pairs:
         assert then < 5.0 * now**2
+
+
+def test_damping_that_is_far_too_great_is_forgotten(five_bar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Good steps make it ten times less: from a billion times too much, twenty steps are enough."""
+    guess = [0.0, 0.5, 2.2, -1.3, 0.9, 1.3]
+    usual = assemble(five_bar, guess)
+    monkeypatch.setattr(assembly, "_FIRST_DAMPING", 1e9 * assembly._FIRST_DAMPING)
+    slow = assemble(five_bar, guess, max_steps=usual.steps + 12)
+    assert slow.converged
+    assert slow.steps > usual.steps
 
 
 def test_converged_means_closed(five_bar: Robot) -> None:
