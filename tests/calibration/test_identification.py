@@ -175,7 +175,7 @@ def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
     count, dimension, used = 1001, 6, 4000
     places = (np.arange(count) + 0.5) / count
     noise = 3.0**2 * chi2.ppf(places, dimension)
-    problem = SimpleNamespace(_count=count, dimension=dimension, _used=used)
+    problem = SimpleNamespace(dimensions=np.full(count, dimension), _used=used)
     left = (count * dimension - used) / (count * dimension)
     assert _Linearised.noise_factor(problem, left * noise) == pytest.approx(3.0, rel=1e-9)  # type: ignore[arg-type]
 
