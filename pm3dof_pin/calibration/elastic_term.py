@@ -44,7 +44,16 @@ class ElasticTerm:
             robot: the robot as described.
             measurements: what was measured.
         """
-        wrenches = wrenches_of(measurements.conditions, robot, len(measurements))
+        return cls.under(robot, wrenches_of(measurements.conditions, robot, len(measurements)))
+
+    @classmethod
+    def under(cls, robot: Robot, wrenches: Array | None) -> ElasticTerm:
+        """Make the term of poses under wrenches; without any, or for a robot without springs, it adds nothing.
+
+        Args:
+            robot: the robot as described.
+            wrenches: on the tool, world axes, shape=(n, 6) [N, N m]; None for none.
+        """
         if wrenches is None or not wrenches.any() or not robot.springs:
             return cls()
         return cls(tuple(str(entry["name"]) for entry in robot.springs), wrenches)

@@ -18,6 +18,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -52,7 +53,10 @@ def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrume
 
 
 def stacked_regressor(
-    errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None
+    errors: GeometricErrors,
+    poses: Poses,
+    instrument: Instrument | None = None,
+    elastic: ElasticTerm | None = None,
 ) -> tuple[Array, Array, Nuisances]:
     """Return the rows that each pose adds, by the parameters and by what the measurements depend on besides.
 
@@ -60,10 +64,11 @@ def stacked_regressor(
         errors: the parameters, with their tolerances.
         poses: poses of the robot as described.
         instrument: what is measured; full poses by default.
+        elastic: known wrenches at these poses, under which springs of unknown stiffness give.
 
     Returns:
-        As :func:`scaled_regressor`; the same by nuisance parameters in their scales, shape=(n, rows of a pose, k); and
-        these.
+        As :func:`scaled_regressor`, the stiffness of springs after the parameters; the same by nuisance parameters in
+        their scales, shape=(n, rows of a pose, k); and these.
 
     Raises:
         InvalidValueError: see there.
@@ -80,7 +85,9 @@ def stacked_regressor(
         derivatives = measurements.derivatives(at_rows, motions) / measurements.sigmas[:, :, None] * scales
         return np.asarray(derivatives.reshape(len(poses), of_a_pose, derivatives.shape[2]))
 
-    by_errors = scaled(found.errors[rows], errors.tolerances)
+    springs = elastic or ElasticTerm()
+    motions = np.concatenate([found.errors, springs.derivatives(poses, np.zeros(len(springs.names)))], axis=2)
+    by_errors = scaled(motions[rows], np.concatenate([errors.tolerances, springs.sigmas]))
     return by_errors, scaled(nuisances.motions(measurements, at_rows, drives), nuisances.scales), nuisances
 
 

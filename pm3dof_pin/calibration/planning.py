@@ -20,8 +20,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
+    NamedUnknowns,
     ObservabilityIndices,
     identifiability,
     stacked_regressor,
@@ -97,6 +99,11 @@ class PlanningProblem:
         eta: weight of the orientation in the tip error [m/rad].
         min_distance: see :data:`MIN_DISTANCE`.
         prior: see :data:`PRIOR`.
+        wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them
+            the stiffness of the springs is unknown too, and the tip error predicted is that under such wrenches.
+
+    Attributes:
+        unknowns: the parameters, and the logarithms of the springs' stiffness where wrenches are given.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
@@ -113,27 +120,37 @@ class PlanningProblem:
         eta: float = TIP_LENGTH,
         min_distance: float = MIN_DISTANCE,
         prior: float = PRIOR,
+        wrenches: Array | None = None,
     ) -> None:
         if not (np.isfinite(prior) and prior > 0.0):
             raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
         if not min_distance >= 0.0:
             raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
         self.errors, self.candidates = errors, candidates
-        self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(errors, candidates, instrument)
+        elastic = ElasticTerm.under(errors.robot, wrenches)
+        self.unknowns = NamedUnknowns(
+            (*errors.names, *elastic.names), np.concatenate([errors.tolerances, elastic.sigmas])
+        )
+        self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(
+            errors, candidates, instrument, elastic
+        )
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
         self._map = error_map(errors, candidates, eta=eta)
         tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
         # base and tool are where the measurements have them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
+        alike = None if wrenches is None else np.resize(wrenches, (len(tests.poses), 6))
+        loaded = ElasticTerm.under(errors.robot, alike)
+        deflections = loaded.derivatives(tests.poses, np.zeros(len(loaded.names))) * loaded.sigmas
         by_machine = tests.weighted * errors.tolerances
-        effects = np.concatenate([by_machine, datum * tip_weights(eta)[:, None]], axis=2).reshape(
-            -1, self._rows.shape[2]
-        )
+        others = np.concatenate([deflections, datum], axis=2) * tip_weights(eta)[:, None]
+        effects = np.concatenate([by_machine, others], axis=2).reshape(-1, self._rows.shape[2])
         self._tip = effects.T @ effects / len(tests.poses)
         lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
         self._min_distance = min_distance
-        self._prior = np.diag(np.concatenate([np.full(len(errors), prior), self.nuisances.sigmas]) ** -2.0)
+        springs = np.ones(len(elastic.names))
+        self._prior = np.diag(np.concatenate([np.full(len(errors), prior), springs, self.nuisances.sigmas]) ** -2.0)
 
     @property
     def sensitivity_map(self) -> ErrorMap:
@@ -168,7 +185,7 @@ class PlanningProblem:
             chosen,
             self.candidates[chosen],
             self.predicted_tip_rms(chosen),
-            identifiability(self.errors, self.regressor[chosen], self.nuisance_regressor[chosen]),
+            identifiability(self.unknowns, self.regressor[chosen], self.nuisance_regressor[chosen]),
         )
 
     def information(self, indices: ArrayLike) -> Array:
@@ -176,12 +193,18 @@ class PlanningProblem:
         rows = self._rows[np.asarray(indices, dtype=np.intp)].reshape(-1, self._rows.shape[2])
         return np.asarray(self._prior + rows.T @ rows)
 
+    def predicted_sigmas(self, indices: ArrayLike) -> dict[str, float]:
+        """Return the standard deviation of each unknown after measuring some candidates, by name [m, rad, 1]."""
+        spread = np.sqrt(np.diag(np.linalg.inv(self.information(indices))))[: len(self.unknowns.names)]
+        return dict(zip(self.unknowns.names, (spread * self.unknowns.tolerances).tolist(), strict=True))
+
     def predicted_tip_rms(self, indices: ArrayLike) -> float:
         """Return the tip error that is left after measuring some candidates, over the test poses [m].
 
         Without any it is that of a machine of which nothing but the prior is known.
         """
-        known = slice(None) if np.size(indices) else slice(len(self.errors))  # without any, base and tool are given
+        # without any, base and tool are given
+        known = slice(None) if np.size(indices) else slice(len(self.unknowns.names))
         return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
     def accuracy_curve(

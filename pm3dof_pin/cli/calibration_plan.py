@@ -58,6 +58,21 @@ def calibration_plan(
     target_sigma: Annotated[
         float, typer.Option(min=1e-9, help="How well it is known where targets sit, each coordinate [m].")
     ] = 1e-3,
+    wrench: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        typer.Option(
+            metavar="FX FY FZ MX MY MZ",
+            help="Load the tool with known wrenches, each component between minus and plus so much [N, N m], and "
+            "identify the stiffness of the springs too.",
+        ),
+    ] = None,
+    among: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Choose among the commands of a file (CSV), such as the least_sensitive.csv of error-map --budget.",
+        ),
+    ] = None,
     candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
@@ -86,12 +101,17 @@ def calibration_plan(
     from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
-    from pm3dof_pin.measuring.measurement_file import write_plan
+    from pm3dof_pin.measuring.measurement_file import read_commands, write_plan
+    from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     errors = load_errors(robot, tool_frame, package_path)
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
-        choices = reachable_poses(errors.robot, candidates, generator, margin=margin)
+        choices = (
+            reachable_poses(errors.robot, candidates, generator, margin=margin)
+            if among is None
+            else errors.robot.forward(read_commands(among, errors.robot))
+        )
         tests = reachable_poses(errors.robot, min(candidates, 300), generator)
         fitting = closing_errors(errors, choices[:20])
         instrument = replace(Instrument("position" if positions else "pose"), own_frame=own_frame)
@@ -101,12 +121,21 @@ def calibration_plan(
             points = TARGET_RADIUS * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
             circle = tuple((float(x), float(y), float(z)) for x, y, z in points)
             instrument = replace(instrument, targets=circle, target_sigma=sigma, position_sigma=TARGET_SIGMA)
-        problem = PlanningProblem(fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior)
+        wrenches = None
+        if wrench is not None:
+            wrenches = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (len(choices), 6)) * wrench
+        problem = PlanningProblem(
+            fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior, wrenches=wrenches
+        )
         progress(1, 3)
         plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
         progress(2, 3)
         others = {name: _predicted(problem, plan, poses, name, seed) for name in STRATEGIES}
-        files = [write_plan(plan.poses, out)]
+        loads = {}
+        if wrenches is not None:
+            columns = zip(WRENCH_COLUMNS, wrenches[plan.indices].T, strict=True)
+            loads = {name: values for name, values in columns if values.any()}
+        files = [write_plan(plan.poses, out, loads)]
         minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
         if picture is not None:
             files.append(_draw(problem, minimum, picture))
@@ -150,7 +179,12 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "predicted_tip_rms_m": plan.predicted_tip_rms,
         "tip_rms_before_m": problem.predicted_tip_rms([]),
         "predicted_tip_rms_by_strategy_m": predicted,
-        "parameters": len(problem.errors),
+        "parameters": len(problem.unknowns.names),
+        "predicted_stiffness_sigma_of_logarithm": {
+            name.removesuffix(".ln_k"): sigma
+            for name, sigma in problem.predicted_sigmas(plan.indices).items()
+            if name not in problem.errors.names
+        },
         "identifiable": known.rank,
         "estimated_beside_them": list(dict.fromkeys(part.kind for part in problem.nuisances.parts)),
         "rank_gap": known.decision.gap,
@@ -174,8 +208,15 @@ def _lines(result: dict[str, Any]) -> list[str]:
         f"{result['better_known_than_tolerances']} combinations better than their tolerances; "
         f"at least {result['least_number_of_poses']} poses identify all that can be",
         f"not identified: {'; '.join(hidden[:3]) or 'nothing'}{f'; {len(hidden) - 3} more' if len(hidden) > 3 else ''}",
+        *_stiffness_lines(result["predicted_stiffness_sigma_of_logarithm"]),
         f"observability {observability}",
         f"before any measurement the tip is known to {1e6 * result['tip_rms_before_m']:.1f} µm, rms",
         "",
         *table_lines([f"after {result['poses']} poses", "tip error, rms [µm]"], rows),
     ]
+
+
+def _stiffness_lines(sigmas: dict[str, float]) -> list[str]:
+    if not sigmas:
+        return []
+    return [f"stiffness known to {', '.join(f'{name} {100.0 * sigma:.1f} %' for name, sigma in sigmas.items())}"]

@@ -69,13 +69,13 @@ def measure(
 
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import Instrument
-    from pm3dof_pin.measuring.measurement_file import read_commands, write_measurements
+    from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
     from pm3dof_pin.simulation.worlds import World
 
     errors = load_errors(robot, tool_frame, package_path)
     generator = np.random.default_rng(seed)
     sample = reachable_poses(errors.robot, poses, generator)
-    commands = sample.commands if plan is None else read_commands(plan, errors.robot)
+    commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)
     fitting = closing_errors(errors, sample[:20], quiet=True)
     truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(
         load, wrench or (0.0,) * 6, large=large
@@ -85,7 +85,7 @@ def measure(
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")
-    measurements = truth.measure(commands, generator, instrument)
+    measurements = truth.measure(commands, generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)
     result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
     print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world.value}'"], as_json=as_json)

@@ -112,7 +112,7 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
     return write_text_atomically(path, _measurements_as_text(measurements, robot))
 
 
-def write_plan(poses: Poses, path: Path | str) -> Path:
+def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
     """Write a plan of measurements as CSV, every digit kept: commands to drive to, and where the tool should then be.
 
     The nominal pose is that of the robot as described; its columns are no measurement, and named so.
@@ -120,13 +120,14 @@ def write_plan(poses: Poses, path: Path | str) -> Path:
     Args:
         poses: poses of the robot as described.
         path: file to write.
+        loads: loads to measure under, by the name of their column, shape=(n,) each.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
     columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
     seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
-    columns |= zip(NOMINAL_COLUMNS, seen.T, strict=True)
+    columns |= dict(zip(NOMINAL_COLUMNS, seen.T, strict=True)) | dict(loads or {})
     return write_text_atomically(path, _columns_as_text(columns))
 
 
@@ -194,6 +195,23 @@ def read_commands(path: Path | str, robot: Robot) -> Array:
     return _Reader(Path(path), robot, commands_only=True).commands()
 
 
+def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
+    """Read a plan of measurements: the commands, and the temperatures and loads at which to measure if there are such.
+
+    Args:
+        path: the file.
+        robot: the robot.
+
+    Returns:
+        Commands, shape=(n, number of commands) [m, rad]; conditions by the name of their column, shape=(n,) each.
+
+    Raises:
+        MeasurementError: see :func:`read_commands`; or a temperature or load is missing in a row.
+    """
+    reader = _Reader(Path(path), robot, commands_only=True)
+    return reader.commands(), reader.conditions()
+
+
 class _Reader:
     """One file on its way to Measurements."""
 
@@ -209,6 +227,13 @@ class _Reader:
         commands = self._columns(self._own)
         self._check_commands(commands)
         return commands
+
+    def conditions(self) -> dict[str, Array]:
+        found = {name: values for name, values in self._table.items() if name.startswith(_CONDITIONS)}
+        for name, values in found.items():
+            if not np.isfinite(values).all():
+                raise MeasurementError(self._path, f"{name} is missing", self._lines_where(~np.isfinite(values)))
+        return found
 
     def measurements(self, instrument: Instrument, own_frame: bool) -> Measurements:
         table = self._table
@@ -239,7 +264,7 @@ class _Reader:
         self._check_positions(expected, positions)
         if rotations is not None:
             self._check_rotations(nominal, rotations)
-        conditions = {name: values for name, values in table.items() if name.startswith(_CONDITIONS)}
+        conditions = self.conditions()
         found = Measurements(
             commands,
             positions,

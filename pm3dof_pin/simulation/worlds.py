@@ -17,7 +17,7 @@ from pm3dof_pin.errors.waviness import GuideWaviness
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, wrenches_of
+from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN, WRENCH_COLUMNS, is_wrench, wrenches_of
 from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, waves_that_close, with_all_parameters
 from pm3dof_pin.typing import Array
 
@@ -148,7 +148,11 @@ class World:
         return self.machine.poses(commands, self._surroundings(commands, conditions))
 
     def measure(
-        self, commands: Array, generator: np.random.Generator, instrument: Instrument | None = None
+        self,
+        commands: Array,
+        generator: np.random.Generator,
+        instrument: Instrument | None = None,
+        given: Mapping[str, Array] | None = None,
     ) -> Measurements:
         """Measure the machine at commands, each at its own temperature and load.
 
@@ -156,11 +160,15 @@ class World:
             commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             generator: source of the random numbers.
             instrument: what it is measured with.
+            given: temperatures and loads that are not drawn, by the name of their column, shape=(n,) each.
 
         Raises:
+            InvalidValueError: wrenches are given, and the machine has no springs.
             ConvergenceError: the loops do not close at a command.
         """
-        conditions = self.conditions(len(commands), generator)
+        if self.machine.elastic is None and any(map(is_wrench, given or ())):
+            raise InvalidValueError("loads", ", ".join(given or ()), "none: this machine has no springs to give way")
+        conditions = self.conditions(len(commands), generator) | dict(given or {})
         surroundings = self._surroundings(commands, conditions)
         seen = self.machine.measure(commands, generator, surroundings, instrument)
         return replace(Measurements.of_poses(commands, seen, instrument), conditions=conditions)
