@@ -123,7 +123,7 @@ def read_compensation(directory: Path | str) -> Compensation:
     _require_plausible(path, data)
     try:
         return _compensation(data, Path(directory))
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
         raise DescriptionError(path, "contents", f"expected those of format {_FORMAT} ({error!r})") from error
 
 
@@ -243,6 +243,7 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     if scale is not None:
         inputs = InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"]))
         learned = LearnedPart(learned_model_from_data(data["pseudo_error"]), inputs)
+        _require_answer(path, learned, errors)
     return Compensation(
         errors,
         values,
@@ -254,11 +255,25 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     )
 
 
+def _require_answer(path: Path, learned: LearnedPart, errors: GeometricErrors) -> None:
+    """Ask the learned part once, at home: what is damaged in it shows in its factorisation, or in its answer."""
+    try:
+        home, middle = errors.robot.home.commands[None], learned.inputs.middle()
+        answers = np.array([learned.deviations(home, middle), learned.uncertainties(home, middle)])
+    except (ArithmeticError, IndexError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+        raise DescriptionError(path, "pseudo_error", f"expected a model that can be evaluated ({error})") from error
+    if not np.abs(answers).max(initial=0.0) <= _GREATEST_ERROR:  # so for NaN
+        expected = f"expected corrections of at most {_GREATEST_ERROR:g} m or rad, not {answers.tolist()}"
+        raise DescriptionError(path, "pseudo_error", expected)
+
+
 def _require_plausible(path: Path, data: Any, place: str = "") -> None:
     """Refuse numbers that are none, or beyond what any of them may be, and deep lists."""
     if isinstance(data, (dict, list)):
         if place.count(".") > _MOST_DEPTH:
             raise DescriptionError(path, place, "expected fewer lists within each other")
+        if isinstance(data, list) and None in data:
+            raise DescriptionError(path, f"{place}.{data.index(None)}", "expected a number, not null")
         for key, entry in data.items() if isinstance(data, dict) else enumerate(data):
             _require_plausible(path, entry, f"{place}.{key}" if place else str(key))
     elif isinstance(data, (int, float)) and not abs(data) <= _GREATEST:

@@ -20,7 +20,7 @@ import os
 import sys
 from typing import Any
 
-_SECONDS = 15
+_SECONDS = 10
 _BYTES = 2 << 30
 _INTERPRETER = frozenset({
     "mro", "format", "format_map", "gi_frame", "gi_code", "gi_yieldfrom", "ag_frame", "ag_code", "cr_frame", "cr_code",
