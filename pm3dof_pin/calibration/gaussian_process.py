@@ -150,9 +150,20 @@ class _Kernel:
 def _kernel_between(first: Array, second: Array, drive: int, logarithms: Array) -> Array:
     c, s, o, _, *scales = np.exp(logarithms)
     a, b = first / scales[:-1], second / scales[:-1]
-    smooth = np.exp(a @ b.T - 0.5 * np.sum(a**2, axis=1)[:, None] - 0.5 * np.sum(b**2, axis=1))
-    own = np.exp(-0.5 * ((first[:, None, drive] - second[:, drive]) / scales[-1]) ** 2)
-    return np.asarray(c**2 * (1.0 + first @ second.T) + s**2 * smooth + o**2 * own)
+    smooth: Array = a @ b.T
+    smooth -= 0.5 * np.sum(a**2, axis=1)[:, None]
+    smooth -= 0.5 * np.sum(b**2, axis=1)
+    np.exp(smooth, out=smooth)
+    smooth *= s**2
+    own: Array = first[:, None, drive] / scales[-1] - second[:, drive] / scales[-1]
+    own *= own
+    own *= -0.5
+    np.exp(own, out=own)
+    own *= o**2
+    smooth += own
+    smooth += (c**2 * first) @ second.T
+    smooth += c**2
+    return smooth
 
 
 def _own_variance(inputs: Array, logarithms: Array) -> Array:

@@ -80,7 +80,7 @@ def compensate(
         file, many = read_poses(machine, chosen.file, placements=True, numbers=names)
         conditions = _completed(known, {**given, **file.numbers})
         with progress_bar("compensating") as progress:
-            answer = known.compensate(many, conditions, on_failure="nan", progress=progress)
+            answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
         columns = {
             **file.columns_as_written,
             **file.numbers,

@@ -15,11 +15,12 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.typing import Array, OnFailure
+from pm3dof_pin.typing import Array, Mask, OnFailure
 
 _CONTROL_TOLERANCE = 1e-9
+_SOUND = 1e6  # condition of normal equations, the square of that of a control matrix
 _STEPS = 3  # each leaves about a thousandth of the error
-_SHORTER = (0.25, 0.25, 0.25, 0.0, 1.0)  # what a step that leads away is multiplied by, one trial after the other
+_SHORTER = (0.25, 0.25, 0.25, 0.0)  # what a step that leads away is multiplied by, one trial after the other
 _ROUNDING = 1e-12  # [m]
 
 
@@ -47,7 +48,24 @@ def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_
     weights = tip_weights(eta)
     control = np.asarray(commands, dtype=float) * weights[:, None]
     wanted = np.asarray(differences, dtype=float) * weights
-    return np.asarray(-np.einsum("nij,nj->ni", np.linalg.pinv(control, rcond=_CONTROL_TOLERANCE), wanted))
+    change, sound = _normal_solution(control, wanted)
+    if not sound.all():
+        inverse = np.linalg.pinv(control[~sound], rcond=_CONTROL_TOLERANCE)
+        change[~sound] = np.einsum("nij,nj->ni", inverse, wanted[~sound])
+    return -change
+
+
+def _normal_solution(control: Array, wanted: Array) -> tuple[Array, Mask]:
+    """Solve least squares by the normal equations, quicker than by a pseudo-inverse, and say where that is sound."""
+    transposed = np.swapaxes(control, 1, 2)
+    normal = transposed @ control
+    try:
+        inverse = np.linalg.inv(normal)
+    except np.linalg.LinAlgError:  # some are singular
+        return np.zeros(normal.shape[:2]), np.zeros(len(control), dtype=bool)
+    change = np.einsum("nij,nj->ni", inverse, np.einsum("nij,nj->ni", transposed, wanted))
+    condition = np.linalg.norm(normal, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
+    return change, np.asarray(condition < _SOUND)
 
 
 def nearest_poses(poses: Poses, wanted: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
@@ -100,15 +118,18 @@ def descend(
     """
     deviations, left = np.zeros_like(commands), np.linalg.norm(residuals(poses), axis=1)
     for _ in range(_STEPS):
-        move = step(poses)
-        for factor in _SHORTER:
-            tried = poses.robot.forward(commands + deviations + move, guess=poses.q, on_failure=on_failure)
-            closed = tried.solved
-            trial = tried if closed.all() else poses.robot.at(np.where(closed[:, None], tried.q, poses.q))
+        move, q, closed = step(poses), np.array(poses.q), np.ones(len(commands), dtype=bool)
+        rows = np.arange(len(commands))
+        for factor in (1.0, *_SHORTER):
+            move[rows] *= factor
+            tried = (commands + deviations + move)[rows]
+            reached = poses.robot.forward(tried, guess=poses.q[rows], on_failure=on_failure)
+            closed[rows] = reached.solved
+            q[rows] = np.where(reached.solved[:, None], reached.q, poses.q[rows])
+            trial = reached if len(rows) == len(q) and closed.all() else poses.robot.at(q)
             found = np.where(closed, np.linalg.norm(residuals(trial), axis=1), np.inf)
-            farther = found > left + _ROUNDING
-            if not farther.any():
+            rows = np.flatnonzero(found > left + _ROUNDING)
+            if not rows.size:
                 break
-            move[farther] *= factor
         poses, left, deviations = trial, np.where(closed, found, left), deviations + move
     return deviations, poses
