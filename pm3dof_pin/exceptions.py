@@ -23,6 +23,16 @@ def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
 class PM3DofError(Exception):
     """Base class of every error this package raises on purpose."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle without calling the constructor again, whose arguments are not those of the message."""
+        return _remade, (type(self), self.args, self.__dict__)
+
+
+def _remade(kind: type[PM3DofError], arguments: tuple[object, ...], data: dict[str, object]) -> PM3DofError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(data)
+    return error
+
 
 class UnknownRobotError(PM3DofError):
     """A robot was asked for by a name or path that does not exist."""

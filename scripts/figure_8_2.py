@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
@@ -16,15 +17,18 @@ from pm3dof_pin.maps.workspace import workspace
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
-def main() -> None:
+def main(out: Path = RESULTS, sections: int = 241) -> None:
     tripod = Tripod.load()
-    reachable = workspace(tripod_space(tripod), levels=241)
+    reachable = workspace(tripod_space(tripod), levels=sections)
     figure = workspace_figure(reachable, PrintedRanges(printed_ranges(tripod)))
-    print(save_figure(figure, RESULTS / "figure_8_2.png"))
-    print(write_csv(workspace_boundary(reachable), RESULTS / "figure_8_2_boundary.csv"))
+    print(save_figure(figure, out / "figure_8_2.png"))
+    print(write_csv(workspace_boundary(reachable), out / "figure_8_2_boundary.csv"))
     for statement in compare_printed_ranges(tripod, reachable):
         print(f"- {statement.text}")
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
+    parser.add_argument("--sections", type=int, default=241, help="number of sections of the workspace")
+    main(**vars(parser.parse_args()))

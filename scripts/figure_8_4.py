@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 
@@ -10,16 +11,24 @@ from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.kinematics.robot import load
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the section on all sides
 
 
-def main() -> None:
-    tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (181, 181))
-    figure = section_map(stiffness_section(tripod, grid), "stiffness_global", section_outline(tripod, grid))
-    print(save_figure(figure, RESULTS / "figure_8_4.png"))
+def main(out: Path = RESULTS, engine: str = "program", points: int = 181) -> None:
+    tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (points, points))
+    robot = load("pm3dof") if engine == "pinocchio" else None
+    figure = section_map(
+        stiffness_section(tripod, grid, robot=robot), "stiffness_global", section_outline(tripod, grid, robot=robot)
+    )
+    print(save_figure(figure, out / "figure_8_4.png"))
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
+    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
+    parser.add_argument("--points", type=int, default=181, help="number of values of each tilt")
+    main(**vars(parser.parse_args()))

@@ -6,8 +6,10 @@ They are written under results/gallery/, or with --out docs/pictures where the d
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +19,10 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.browser import find_browser
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "gallery"
@@ -26,10 +30,8 @@ SIZE = {"width": 1000, "height": 750}
 KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the pictures")
-    folder = parser.parse_args().out
+def main(folder: Path = RESULTS) -> None:
+    require_browser_and_arm()
     folder.mkdir(parents=True, exist_ok=True)
 
     with tripod_at(10.0, -15.0, 0.5) as (viewer, model):
@@ -61,6 +63,16 @@ def main() -> None:
         draw_forces(viewer)
         viewer.colour_legs(model)
         print(viewer.save_picture(folder / "viewer_arm.png", **SIZE))
+
+
+def require_browser_and_arm() -> None:
+    """Say at once what is missing: a browser, or the serial arm of the last picture."""
+    try:
+        find_browser()
+    except PM3DofError as error:
+        sys.exit(f"the pictures are taken by a browser: {error}")
+    if find_spec("example_robot_data") is None:
+        sys.exit("the last picture shows an arm of example-robot-data: pip install 'pm3dof-pin[test]'")
 
 
 @contextmanager
@@ -100,4 +112,6 @@ def draw_forces(viewer: Viewer) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the pictures")
+    main(parser.parse_args().out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
 from pathlib import Path
@@ -9,19 +10,23 @@ from pathlib import Path
 from pm3dof_pin.chapter.table_8_3 import table_8_3
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.robot import load
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
-def main() -> None:
-    rows = table_8_3()
+def main(out: Path = RESULTS, engine: str = "program") -> None:
+    rows = table_8_3(robot=load("pm3dof") if engine == "pinocchio" else None)
     print("\n".join(rows_as_lines(rows)))
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(rows_as_data(rows)[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows_as_data(rows))
-    print(f"wrote {write_text_atomically(RESULTS / 'table_8_3.csv', text.getvalue())}")
+    print(f"wrote {write_text_atomically(out / 'table_8_3.csv', text.getvalue())}")
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
+    parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
+    main(**vars(parser.parse_args()))

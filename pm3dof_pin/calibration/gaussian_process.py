@@ -120,6 +120,20 @@ class GaussianProcess:
         return cls(*(np.array(data[name], dtype=float) for name in names))
 
 
+def typical_covariance(first: Array, second: Array, drive: int) -> Array:
+    """Return what the deviations of a drive have in common before anything is known of a machine, shape=(n, m).
+
+    The kernel at the amplitudes and scales that fitting starts from, in units of the deviations' own variance.
+
+    Args:
+        first: scaled inputs, shape=(n, number of inputs).
+        second: scaled inputs, shape=(m, number of inputs).
+        drive: which drive's.
+    """
+    scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
+    return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
+
+
 class _Kernel:
     """The kernel over one set of inputs, with derivatives by the logarithms."""
 

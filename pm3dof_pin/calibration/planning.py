@@ -1,4 +1,4 @@
-"""Which poses to measure: D-optimal, best for the tip, in the least sensitive region (the chapter's rule), or random.
+"""Which poses to measure: for parameters, for what is learned, in the least sensitive region (the chapter's rule).
 
 With the scaled regressor blocks A_j of the poses j measured, and parameters known beforehand to k times their
 tolerances,
@@ -9,18 +9,26 @@ is the information in units of the tolerances, regular for any number of poses, 
 k = 3 unless told otherwise: machines are found out of tolerance, and a plan should rest on what is measured. D-optimal
 poses make det M greatest (V. Fedorov, Theory of Optimal Experiments, 1972, here with a prior); tip-optimal ones make
 the predicted tip error over test poses least, the mean of tr(B M^-1 B^T) with B the tip's motion by the parameters.
+
+A correction that is learned, without parameters, wants other poses: it knows what is near to what it was shown.
+Space-filling poses are as far from each other as can be, one after the other (T. Gonzalez, 1985); those of least
+process variance make the variance that a Gaussian process has left over the test poses least, one after the other
+(J. Sacks et al., Design and analysis of computer experiments, 1989). Which strategy serves which method was found on
+simulated machines: docs/calibration_theory.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.calibration.calibrate import Method
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.calibration.gaussian_process import typical_covariance
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
     NamedUnknowns,
@@ -38,8 +46,17 @@ from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices
 
-Strategy = Literal["d-optimal", "tip-optimal", "least-sensitive", "random"]
-STRATEGIES: tuple[Strategy, ...] = ("d-optimal", "tip-optimal", "least-sensitive", "random")
+Strategy = Literal["d-optimal", "tip-optimal", "space-filling", "process-variance", "least-sensitive", "random"]
+STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
+
+STRATEGY_OF_METHOD: dict[Method, Strategy] = {
+    "lm": "d-optimal",
+    "nn": "space-filling",
+    "gp": "process-variance",
+    "lm+nn": "process-variance",
+    "lm+gp": "process-variance",
+}
+"""The strategy that each method of calibration is planned with."""
 
 MIN_DISTANCE = 0.05
 """Least distance between two poses of a plan: root mean square of their commands' differences over the ranges."""
@@ -49,6 +66,7 @@ LEAST_SENSITIVE_PART = 0.2
 PRIOR = 3.0
 """k: standard deviation of the parameters before any measurement, in units of their tolerances."""
 
+_PROCESS_NOISE = 0.05  # of a measured deviation, standard deviation over that of the deviations
 _MAX_PASSES = 50
 _LEAST_GAIN = 1e-9
 _SHUFFLES = 20
@@ -104,6 +122,12 @@ class PlanningProblem:
 
     Attributes:
         unknowns: the parameters, and the logarithms of the springs' stiffness where wrenches are given.
+        prior: see the argument.
+        instrument: what is measured.
+        regressor: what each candidate measures, scaled, shape=(candidates, rows of a pose, unknowns).
+        test_map: the error map over the test poses.
+        inputs: commands of the candidates, their ranges being -1 .. 1, shape=(candidates, number of commands).
+        test_inputs: the same of the test poses.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
@@ -127,16 +151,17 @@ class PlanningProblem:
         if not min_distance >= 0.0:
             raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
         self.errors, self.candidates = errors, candidates
+        self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
         self.unknowns = NamedUnknowns(
             (*errors.names, *elastic.names), np.concatenate([errors.tolerances, elastic.sigmas])
         )
         self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(
-            errors, candidates, instrument, elastic
+            errors, candidates, self.instrument, elastic
         )
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
         self._map = error_map(errors, candidates, eta=eta)
-        tests = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
+        tests = self.test_map = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
         # base and tool are where the measurements have them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
         alike = None if wrenches is None else np.resize(wrenches, (len(tests.poses), 6))
@@ -148,7 +173,11 @@ class PlanningProblem:
         self._tip = effects.T @ effects / len(tests.poses)
         lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
+        self.inputs, self.test_inputs = (
+            (poses.commands - 0.5 * (upper + lower)) / (0.5 * (upper - lower)) for poses in (candidates, tests.poses)
+        )
         self._min_distance = min_distance
+        self.prior = prior
         springs = np.ones(len(elastic.names))
         self._prior = np.diag(np.concatenate([np.full(len(errors), prior), springs, self.nuisances.sigmas]) ** -2.0)
 
@@ -162,7 +191,7 @@ class PlanningProblem:
 
         Args:
             count: number of poses.
-            strategy: "d-optimal", "tip-optimal", "least-sensitive" or "random".
+            strategy: one of :data:`STRATEGIES`.
             generator: source of the random numbers.
             restarts: starts of the optimal strategies, the best of which is taken.
 
@@ -172,6 +201,8 @@ class PlanningProblem:
         chooser: dict[Strategy, Callable[[], Indices]] = {
             "d-optimal": lambda: self._optimal(count, generator, restarts, _Determinant()),
             "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
+            "space-filling": lambda: self._space_filling(count, generator),
+            "process-variance": lambda: self._least_process_variance(count),
             "least-sensitive": lambda: self._spread(
                 np.flatnonzero(self._map.least_sensitive(LEAST_SENSITIVE_PART)), count, generator
             ),
@@ -258,6 +289,55 @@ class PlanningProblem:
         raise InvalidValueError(
             "count", count, f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other"
         )
+
+    def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:
+        """Take the candidate that is farthest from those taken, and again, from one at random."""
+        chosen = [int(generator.integers(len(self.candidates)))]
+        distances = np.full(len(self.candidates), np.inf)
+        while len(chosen) < count:
+            distances = np.minimum(distances, np.linalg.norm(self._places - self._places[chosen[-1]], axis=1))
+            chosen.append(int(np.argmax(distances)))
+        self._require_distance(chosen)
+        return np.array(chosen, dtype=np.intp)
+
+    def _least_process_variance(self, count: int) -> Indices:
+        """Take the candidate that lessens the variance of a Gaussian process over the test poses most, and again."""
+        drives = range(self.inputs.shape[1])
+        across = [typical_covariance(self.inputs, self.test_inputs, drive) for drive in drives]
+        own = [np.array([typical_covariance(x[None], x[None], drive)[0, 0] for x in self.inputs]) for drive in drives]
+        seen: list[list[Array]] = [[] for _ in drives]  # rows of the Cholesky factor, over the candidates
+        chosen: list[int] = []
+        taken = np.zeros(len(self.candidates), dtype=bool)
+        while len(chosen) < count:
+            gains = sum(
+                np.sum(covariance**2, axis=1) / (variance + _PROCESS_NOISE**2)
+                for covariance, variance in zip(across, own, strict=True)
+            )
+            best = int(np.argmax(np.where(taken, -np.inf, gains)))
+            if taken[best]:
+                self._require_distance([best, best])
+            chosen.append(best)
+            taken |= self._near(best)
+            for drive in drives:
+                column = typical_covariance(self.inputs, self.inputs[best][None], drive)[:, 0]
+                column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
+                row = column / np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
+                step = across[drive][best] / np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
+                across[drive] = across[drive] - np.outer(row, step)
+                own[drive] = own[drive] - row**2
+                seen[drive].append(row)
+        return np.array(chosen, dtype=np.intp)
+
+    def _require_distance(self, chosen: Sequence[int]) -> None:
+        """Check that poses keep their distance.
+
+        Raises:
+            InvalidValueError: two do not.
+        """
+        for position, index in enumerate(chosen):
+            if self._near(index)[list(chosen[position + 1 :])].any():
+                expected = f"fewer, or a distance of less than {self._min_distance:g} of the ranges from each other"
+                raise InvalidValueError("count", len(chosen), expected)
 
     def _optimal(
         self, count: int, generator: np.random.Generator, restarts: int, *criteria: _Determinant | _TipVariance

@@ -47,17 +47,37 @@ def chapter_stiffness(
     if on_failure == "raise":
         require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
-    p = tripod.parameters
-    # k_t J_a^T J_a + k_a J_t^T J_t with J_t = J_a / (n . e), row by row (8.9)
     link_jacobian = legs.wrenches @ motion_twists(pose_array)
-    springs = p.link_stiffness + p.actuator_stiffness / legs.cosines**2
-    motion_axes = np.einsum("...n,...nk,...nk->...k", springs, link_jacobian, link_jacobian)
-    length = pose_array[..., 2] - tripod.clamp_height
+    travel_jacobian = link_jacobian / legs.cosines[..., None]  # (8.9)
+    return chapter_diagonal(tripod, pose_array[..., 2], link_jacobian, travel_jacobian, on_failure="nan")
+
+
+def chapter_diagonal(
+    tripod: Tripod, heights: Array, link_jacobian: Array, travel_jacobian: Array, *, on_failure: OnFailure = "raise"
+) -> Array:
+    """Return the chapter's diagonal, of given Jacobians.
+
+    Args:
+        tripod: the machine.
+        heights: z_e, shape=(...) [m].
+        link_jacobian: J_a of (8.10), NaN out of reach, shape=(..., legs, 3).
+        travel_jacobian: J_t of (8.9), shape=(..., legs, 3).
+        on_failure: "raise", or "nan" for poses at or below the clamp.
+
+    Raises:
+        InvalidValueError: a pose is at or below the clamp of the passive leg, and `on_failure` is "raise".
+    """
+    if on_failure == "raise":
+        require_above_clamp(tripod, heights[..., None])
+    p = tripod.parameters
+    # k_t J_a^T J_a + k_a J_t^T J_t
+    motion_axes = np.sum(p.link_stiffness * link_jacobian**2 + p.actuator_stiffness * travel_jacobian**2, axis=-2)
+    length = heights - tripod.clamp_height
     reached = (length > 0.0) & np.isfinite(motion_axes).all(axis=-1)
     length = np.where(reached, length, np.nan)
     bending = p.bending_stiffness / length**3
     motion_axes[..., :2] += bending[..., None]
-    diagonal = np.empty((*pose_array.shape[:-1], 6))
+    diagonal = np.empty((*heights.shape, 6))
     diagonal[..., :3] = np.where(reached[..., None], motion_axes, np.nan)
     diagonal[..., 3] = diagonal[..., 4] = bending / length**2
     diagonal[..., 5] = p.torsional_stiffness / length**2
@@ -65,14 +85,14 @@ def chapter_stiffness(
 
 
 def require_above_clamp(tripod: Tripod, poses: Array) -> None:
-    """Check that the passive leg sticks out of the middle platform at every pose.
+    """Check that the passive leg sticks out of the middle platform at every pose, the last number of which is z_e.
 
     Raises:
         InvalidValueError: a pose is at or below the clamp.
     """
-    if np.any(poses[..., 2] <= tripod.clamp_height):
+    if np.any(poses[..., -1] <= tripod.clamp_height):
         expected = f"more than {tripod.clamp_height:.6g} m, where the middle platform clamps the passive leg"
-        raise InvalidValueError("z_e", float(poses[..., 2].min()), expected)
+        raise InvalidValueError("z_e", float(poses[..., -1].min()), expected)
 
 
 def global_index(diagonal: ArrayLike) -> Array:

@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
+from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
 from pm3dof_pin.chapter.tilt_grids import FilledTiltGrid, PointGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
 from pm3dof_pin.maps.workspace_section import workspace_section
 from pm3dof_pin.typing import Array
@@ -38,6 +40,7 @@ def stiffness_section(
     z_e: ArrayLike | None = None,
     *,
     excluded: Literal["nan", "keep"] = "nan",
+    robot: Robot | None = None,
 ) -> xr.Dataset:
     """Compute the chapter's stiffness over a section of the workspace.
 
@@ -48,6 +51,7 @@ def stiffness_section(
             Table 8.3 and of Figs. 8.3 and 8.4.
         excluded: what stands where a pose breaks a joint limit: "nan", or "keep" for the value of the formula (which is
             NaN still where a link does not meet its guideway).
+        robot: the same machine as a robot, to compute with Pinocchio's Jacobians instead of the closed form.
 
     Returns:
         A dataset over the dimensions of the grid, with z_e in front if several heights are given: `stiffness_<axis>`
@@ -70,7 +74,7 @@ def stiffness_section(
     dims = (("z_e",) if heights.ndim else ()) + grid.dims
     variables = {
         name: (dims, values if excluded == "keep" else np.where(flags == 0, values, np.nan), attributes)
-        for name, (values, attributes) in _chapter_variables(tripod, poses).items()
+        for name, (values, attributes) in _chapter_variables(tripod, poses, robot).items()
     }
     return xr.Dataset(
         variables | {BROKEN_LIMITS: (dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))},
@@ -83,7 +87,12 @@ def stiffness_section(
 
 
 def section_outline(
-    tripod: Tripod, grid: FilledTiltGrid | None = None, z_e: float | None = None, directions: int = 720
+    tripod: Tripod,
+    grid: FilledTiltGrid | None = None,
+    z_e: float | None = None,
+    directions: int = 720,
+    *,
+    robot: Robot | None = None,
 ) -> xr.Dataset | None:
     """Compute the chapter's stiffness along the boundary of a section: of its reachable part that the grid covers.
 
@@ -94,6 +103,7 @@ def section_outline(
         grid: the grid of the section that is shown; by default the rectangular grid of 6,561 poses.
         z_e: height of the section [m]; by default the middle height.
         directions: number of points of the outline.
+        robot: see :func:`stiffness_section`.
 
     Returns:
         A dataset like that of :func:`stiffness_section` along the dimension `point`, going round the level platform,
@@ -108,15 +118,18 @@ def section_outline(
         return None
     radii = np.minimum(section.radii, edge)
     tilts = radii[:, None] * np.stack([np.cos(section.azimuths), np.sin(section.azimuths)], axis=-1)
-    outline = stiffness_section(tripod, PointGrid(tilts), section.level)
+    outline = stiffness_section(tripod, PointGrid(tilts), section.level, robot=robot)
     return outline.assign(
         at_grid_end=("point", edge < section.radii, {"long_name": "the grid ends here, and no limit"})
     )
 
 
-def _chapter_variables(tripod: Tripod, poses: Array) -> dict[str, tuple[Array, dict[str, str]]]:
+def _chapter_variables(tripod: Tripod, poses: Array, robot: Robot | None) -> dict[str, tuple[Array, dict[str, str]]]:
     """Values and attributes of every variable of the chapter's model."""
-    diagonal = chapter_stiffness(tripod, poses, on_failure="nan")
+    if robot is None:
+        diagonal = chapter_stiffness(tripod, poses, on_failure="nan")
+    else:
+        diagonal = pinocchio_stiffness(robot, tripod, poses, on_failure="nan")
     variables = {
         f"stiffness_{axis}": (diagonal[..., k], _labels(UNITS[axis], _LONG_NAMES[axis])) for k, axis in enumerate(AXES)
     }

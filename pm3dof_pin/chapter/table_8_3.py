@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
 from pm3dof_pin.chapter.limits import limit_flags
+from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
 from pm3dof_pin.chapter.tilt_grids import PolarGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.kinematics.robot import Robot
 
 _STATISTICS: dict[str, Callable[[NDArray[np.float64]], Any]] = {
     "minimum": np.min,
@@ -56,12 +58,15 @@ class TableRow:
         return round(self.computed / unit) - round(self.published / unit)
 
 
-def table_8_3(tripod: Tripod | None = None, published: Path | str | None = None) -> list[TableRow]:
+def table_8_3(
+    tripod: Tripod | None = None, published: Path | str | None = None, *, robot: Robot | None = None
+) -> list[TableRow]:
     """Compute Table 8.3 on the chapter's grid and set it beside the published numbers.
 
     Args:
         tripod: the machine; the chapter's by default.
         published: YAML file with the published rows; `table_8_3.yaml` beside the chapter's parameters by default.
+        robot: the same machine as a robot, to compute with Pinocchio's Jacobians instead of the closed form.
 
     Returns:
         One row for each published number, in the order of the table.
@@ -72,14 +77,15 @@ def table_8_3(tripod: Tripod | None = None, published: Path | str | None = None)
     tripod = tripod if tripod is not None else Tripod.load()
     default = robots_directory() / "pm3dof_description" / "config" / "table_8_3.yaml"
     path = Path(published) if published is not None else default
-    computed = _section_values(tripod)
+    computed = _section_values(tripod, robot)
     return [row for entry in _entries(path) for row in _rows(path, entry, computed)]
 
 
-def _section_values(tripod: Tripod) -> dict[str, NDArray[np.float64]]:
+def _section_values(tripod: Tripod, robot: Robot | None) -> dict[str, NDArray[np.float64]]:
     """Values of every axis at the chapter's poses that keep all joint limits."""
     poses = PolarGrid().poses(tripod.middle_height)
-    diagonal = chapter_stiffness(tripod, poses[limit_flags(tripod, poses) == 0])
+    poses = poses[limit_flags(tripod, poses) == 0]
+    diagonal = chapter_stiffness(tripod, poses) if robot is None else pinocchio_stiffness(robot, tripod, poses)
     return dict(zip(AXES, diagonal.T, strict=True)) | {"global": global_index(diagonal)}
 
 

@@ -17,10 +17,23 @@ from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from pm3dof_pin.calibration.planning import Plan, PlanningProblem
+    from pm3dof_pin.calibration.calibrate import Method
+    from pm3dof_pin.calibration.planning import Plan, PlanningProblem, Strategy
 
 SEEDS = range(10)
 COUNTS = (3, 6, 9, 12, 20, 40, 60)
+_TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses until an accuracy is reached
+_DEFAULT_POSES = 9
+
+
+class MethodName(StrEnum):
+    """How the machine will be calibrated."""
+
+    LM = "lm"
+    NN = "nn"
+    GP = "gp"
+    LM_NN = "lm+nn"
+    LM_GP = "lm+gp"
 
 
 class StrategyName(StrEnum):
@@ -28,19 +41,33 @@ class StrategyName(StrEnum):
 
     D_OPTIMAL = "d-optimal"
     TIP_OPTIMAL = "tip-optimal"
+    SPACE_FILLING = "space-filling"
+    PROCESS_VARIANCE = "process-variance"
     LEAST_SENSITIVE = "least-sensitive"
     RANDOM = "random"
 
 
 def calibration_plan(
-    poses: Annotated[int, typer.Option(min=1, help="Number of poses to measure.")] = 9,
+    poses: Annotated[int | None, typer.Option(min=1, help="Number of poses to measure (9).")] = None,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/plan.csv"),
     strategy: Annotated[
-        StrategyName,
+        StrategyName | None,
         typer.Option(
-            help="least-sensitive is the chapter's rule; d-optimal and tip-optimal exchange poses for better."
+            help="How poses are chosen; that of --method by default. least-sensitive is the chapter's rule; d-optimal "
+            "and tip-optimal are for parameters, space-filling and process-variance for what is learned."
         ),
-    ] = StrategyName.D_OPTIMAL,
+    ] = None,
+    method: Annotated[
+        MethodName,
+        typer.Option(help="The calibration that is planned: lm parameters, nn and gp learned, or both."),
+    ] = MethodName.LM,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Take as many poses as bring the tip error, beyond that of the best commands, under this [m, rms].",
+        ),
+    ] = None,
     robot: RobotName = THE_TRIPOD,
     positions: Annotated[
         bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
@@ -98,12 +125,18 @@ def calibration_plan(
     import numpy as np
 
     from pm3dof_pin.calibration.identifiability import minimum_poses
-    from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
+    from pm3dof_pin.calibration.planning import STRATEGIES, STRATEGY_OF_METHOD, PlanningProblem
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
     from pm3dof_pin.measuring.measurement_file import read_commands, write_plan
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
+    if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
+        raise typer.BadParameter("expected a positive --accuracy [m], without --poses")
+    whole = not positions and targets is None
+    if not whole and (accuracy is not None or method is not MethodName.LM):
+        raise typer.BadParameter("--positions and --targets are for --method lm, without --accuracy")
+    way = STRATEGY_OF_METHOD[method.value] if strategy is None else strategy.value
     errors = load_errors(robot, tool_frame, package_path)
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
@@ -128,9 +161,13 @@ def calibration_plan(
             fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior, wrenches=wrenches
         )
         progress(1, 3)
-        plan = problem.plan(poses, strategy.value, np.random.default_rng(seed))
+        tried: dict[int, float] = {}
+        if whole:
+            tried = _rehearsed(problem, way, method.value, poses, accuracy, seed)
+        count = max(tried, default=poses or _DEFAULT_POSES)
+        plan = problem.plan(count, way, np.random.default_rng(seed))
         progress(2, 3)
-        others = {name: _predicted(problem, plan, poses, name, seed) for name in STRATEGIES}
+        others = {name: _predicted(problem, plan, count, name, seed) for name in STRATEGIES}
         loads = {}
         if wrenches is not None:
             columns = zip(WRENCH_COLUMNS, wrenches[plan.indices].T, strict=True)
@@ -140,9 +177,38 @@ def calibration_plan(
         if picture is not None:
             files.append(_draw(problem, minimum, picture))
     result = _result(problem, plan, minimum, others) | {"files": [str(file) for file in files]}
+    result |= {"method": method.value, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
+    result |= {"accuracy_m": accuracy, "accuracy_reached": None if accuracy is None else tried[count] <= accuracy}
     print_result(result, _lines(result), as_json=as_json)
     for file in files:
         message(f"wrote {file}")
+
+
+def _rehearsed(
+    problem: PlanningProblem, strategy: Strategy, method: Method, poses: int | None, accuracy: float | None, seed: int
+) -> dict[int, float]:
+    """Return the tip error beyond that of the best commands, by number of poses [m]: until one is accurate enough."""
+    import numpy as np
+
+    from pm3dof_pin.calibration.calibrate import LEAST_POSES
+    from pm3dof_pin.calibration.rehearsal import Rehearsal
+    from pm3dof_pin.exceptions import InvalidValueError
+
+    rehearsal = Rehearsal(problem, np.random.default_rng(seed))
+    tried: dict[int, float] = {}
+    for count in [poses or _DEFAULT_POSES] if accuracy is None else _TRIED:
+        if method != "lm" and count < LEAST_POSES:
+            break
+        try:
+            plan = problem.plan(count, strategy, np.random.default_rng(seed), restarts=1)
+        except InvalidValueError:
+            if not tried:
+                raise
+            break
+        tried[count] = rehearsal.excess(plan.indices, method, seed)
+        if accuracy is not None and tried[count] <= accuracy:
+            break
+    return tried
 
 
 def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, seed: int) -> float:
@@ -199,10 +265,18 @@ def _lines(result: dict[str, Any]) -> list[str]:
     hidden = result["not_identifiable"]
     observability = ", ".join(f"{name} = {value:.3g}" for name, value in result["observability"].items())
     predicted = result["predicted_tip_rms_by_strategy_m"].items()
+    excess = {int(count): value for count, value in result["excess_tip_rms_by_poses_m"].items()}
+    rehearsed = []
+    if excess:
+        reached = ", ".join(f"{count}: {1e6 * value:.1f}" for count, value in excess.items())
+        words = "tip error beyond that of the best commands, rms [µm], rehearsed on machines within the tolerances"
+        rehearsed = ["", f"{words}, by {result['method']} after so many poses", f"  {reached}"]
+        if result["accuracy_reached"] is False:
+            rehearsed.append(f"  {1e6 * result['accuracy_m']:.1f} is not reached: try another --method")
     rows = [[name, "too few poses" if math.isnan(value) else f"{1e6 * value:.1f}"] for name, value in predicted]
     beside = result["estimated_beside_them"]
     return [
-        f"{result['robot']}: {result['poses']} poses, {result['strategy']}"
+        f"{result['robot']}: {result['poses']} poses, {result['strategy']}, for method {result['method']}"
         + (f"; estimated beside the machine: {', '.join(beside)}" if beside else ""),
         f"{result['identifiable']} of {result['parameters']} parameters identified, "
         f"{result['better_known_than_tolerances']} combinations better than their tolerances; "
@@ -212,7 +286,8 @@ def _lines(result: dict[str, Any]) -> list[str]:
         f"observability {observability}",
         f"before any measurement the tip is known to {1e6 * result['tip_rms_before_m']:.1f} µm, rms",
         "",
-        *table_lines([f"after {result['poses']} poses", "tip error, rms [µm]"], rows),
+        *table_lines([f"after {result['poses']} poses, method lm", "tip error, rms [µm]"], rows),
+        *rehearsed,
     ]
 
 

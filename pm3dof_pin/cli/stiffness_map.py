@@ -15,7 +15,7 @@ from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
-from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
+from pm3dof_pin.cli.table import robot_of_engine, rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -73,12 +73,13 @@ def stiffness_map(
 ) -> None:
     """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
 
-    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3 beside them if it is its section. With --robot
-    (pm3dof too): felt and principal stiffness, condition number and first natural frequency over two coordinates; where
-    the tool is rigid in some direction, the stiffness of its free motions. Pictures of a former run are replaced.
+    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3 beside them if it is its section; in closed
+    form, or by --engine pinocchio. With --robot (pm3dof too): felt and principal stiffness, condition number and first
+    natural frequency over two coordinates; where the tool is rigid in some direction, the stiffness of its free
+    motions. Pictures of a former run are replaced.
     """
-    if robot is None and not over and not values and tool_frame is None and engine is EngineName.PROGRAM:
-        _map_of_chapter(out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, config)
+    if robot is None and not over and not values and tool_frame is None:
+        _map_of_chapter(out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, config, engine)
         return
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
@@ -204,18 +205,19 @@ def _map_of_chapter(
     formats: list[PictureFormat] | None,
     as_json: bool,
     config: Path | None,
+    engine: EngineName,
 ) -> None:
     from pm3dof_pin.chapter.section import stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
-    tripod = load_tripod(config)
+    tripod, machine = load_tripod(config), robot_of_engine(engine, config)
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []
     with progress_bar("stiffness map") as progress:
-        section = stiffness_section(tripod, grid, height)
+        section = stiffness_section(tripod, grid, height, robot=machine)
         inside = int((section["broken_limits"] == 0).sum())
         z_e = float(section["z_e"])
         _require_poses(f"at z_e = {z_e:g} m", inside, drawn=pictures, tripod=tripod)
@@ -225,12 +227,12 @@ def _map_of_chapter(
             from pm3dof_pin.chapter.section import section_outline
             from pm3dof_pin.figures.section_map import section_map
 
-            outline = section_outline(tripod, grid, height)
+            outline = section_outline(tripod, grid, height, robot=machine)
             for done, name in enumerate(names, start=3):
                 files += save(section_map(section, PICTURES[name], outline), out / name, formats)
                 progress(done, 2 + len(names))
         remove_former(out, JOB_PICTURES, files)
-    rows, statistics = table_8_3(tripod), _ranges(section)
+    rows, statistics = table_8_3(tripod, robot=machine), _ranges(section)
     result = {
         "files": [str(file) for file in files],
         "z_e_m": z_e,

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pm3dof_pin.cli.options import Json, load_tripod
+from pm3dof_pin.cli.map_options import EngineName, EngineOption
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, load_tripod
 from pm3dof_pin.cli.output import print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import Config
+from pm3dof_pin.cli.pose_arguments import Config, load_robot
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.table_8_3 import TableRow
+    from pm3dof_pin.kinematics.robot import Robot
 
 
-def table_8_3(as_json: Json = False, config: Config = None) -> None:
-    """Table 8.3, published and computed side by side."""
+def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = EngineName.PROGRAM) -> None:
+    """Table 8.3, published and computed side by side; with --engine pinocchio on Jacobians of the URDF."""
     from pm3dof_pin.chapter import table_8_3 as table
 
-    rows = table.table_8_3(load_tripod(config))
+    rows = table.table_8_3(load_tripod(config), robot=robot_of_engine(engine, config))
     print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
+
+
+def robot_of_engine(engine: EngineName, config: Path | None) -> Robot | None:
+    """Return the chapter's machine on Pinocchio for `--engine pinocchio`, and None for the closed form."""
+    return load_robot(THE_TRIPOD, config=config) if engine is EngineName.PINOCCHIO else None
 
 
 def rows_as_data(rows: Sequence[TableRow]) -> list[dict[str, Any]]:

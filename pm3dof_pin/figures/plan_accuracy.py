@@ -17,12 +17,16 @@ from pm3dof_pin.figures.style import house_style, new_figure
 STRATEGY_COLORS: Mapping[Strategy, str] = {
     "d-optimal": "#0072B2",
     "tip-optimal": "#009E73",
+    "space-filling": "#CC79A7",
+    "process-variance": "#56B4E9",
     "random": "#999999",
     "least-sensitive": "#D55E00",
 }
 STRATEGY_NAMES: Mapping[Strategy, str] = {
     "d-optimal": "D-optimal",
     "tip-optimal": "best for the tip",
+    "space-filling": "space-filling",
+    "process-variance": "least variance of a Gaussian process",
     "random": "random",
     "least-sensitive": "in the least sensitive region (the chapter's rule)",
 }

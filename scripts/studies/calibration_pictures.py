@@ -20,15 +20,14 @@ RESULTS = ROOT / "results"
 MEASUREMENTS = ROOT / "docs" / "examples" / "measurements.csv"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write into")
-    folder = parser.parse_args().out
+def main(out: Path = RESULTS) -> None:
     errors = GeometricErrors.load("pm3dof")
     calibration = calibrate(read_measurements(MEASUREMENTS, errors.robot), errors, Options("lm+gp"))
-    print(save_figure(held_out_picture(held_out_errors(calibration)), folder / "calibration_held_out.png"))
-    print(save_figure(workspace_picture(workspace_errors(calibration)), folder / "calibration_maps.png"))
+    print(save_figure(held_out_picture(held_out_errors(calibration)), out / "calibration_held_out.png"))
+    print(save_figure(workspace_picture(workspace_errors(calibration)), out / "calibration_maps.png"))
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
+    main(**vars(parser.parse_args()))

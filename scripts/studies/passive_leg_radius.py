@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,10 @@ RESULTS = Path(__file__).resolve().parents[2] / "results"
 FACTORS = (1.1, 1.2, 1.5, 2.0)
 
 
-def main() -> None:
+def main(out: Path = RESULTS) -> None:
     tripod = Tripod.load()
     for kind in ("pdf", "png", "svg"):
-        print(save_figure(passive_leg_radius_figure(tripod), RESULTS / f"passive_leg_radius.{kind}"))
+        print(save_figure(passive_leg_radius_figure(tripod), out / f"passive_leg_radius.{kind}"))
     tilts = np.radians(np.arange(-45.0, 46.0))
     poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = poses[limit_flags(tripod, poses) == 0]
@@ -45,4 +46,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
+    main(**vars(parser.parse_args()))

@@ -1,8 +1,10 @@
 """Which method, with how many poses? A study on simulated machines, richer than any model fitted to them.
 
-For each seed a machine is drawn and measured at random poses; every method is shown the first 6, 9 ... of them and then
-commands the machine to poses that it has not seen: held-out ones all over the workspace, and an outer shell of it. The
-errors there are the machine's own, without measurement noise, beside those with the best possible commands (the floor).
+For each seed a machine is drawn and measured at random poses, or at those that another strategy of
+:mod:`pm3dof_pin.calibration.planning` chooses; every method is shown the first 6, 9 ... of them (of another strategy a
+plan for each number) and then commands the machine to poses that it has not seen: held-out ones all over the
+workspace, and an outer shell of it. The errors there are the machine's own, without measurement noise, beside those
+with the best possible commands (the floor).
 
 Worlds: everything that :class:`~pm3dof_pin.simulation.worlds.World` knows; the same, measured in the inner half of the
 workspace only; and a machine with geometric errors only, on which a learned correction must do no harm.
@@ -11,16 +13,21 @@ workspace only; and a machine with geometric errors only, on which a learned cor
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
+from pm3dof_pin.calibration.calibrate import METHODS, Method, Options, compensation_from
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.identification import identify
+from pm3dof_pin.calibration.planning import PlanningProblem, Strategy
 from pm3dof_pin.errors.command_correction import best_commands, command_jacobians
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
@@ -29,6 +36,7 @@ from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges, reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.simulation.worlds import World
 from pm3dof_pin.typing import Array
 
@@ -41,6 +49,8 @@ ROWS = (NONE, *METHODS, FLOOR)
 
 _SHELL = 0.8  # part of the poses inside of the outer shell
 _INNER = 0.5
+_RESTARTS = 3  # of the exchange that finds optimal poses
+_PLANNED_FOR = 200  # poses over which plans make errors small
 _POOL = 10  # candidates for each pose of the shell
 
 
@@ -53,6 +63,9 @@ class StudyPlan:
         seeds: one machine each, for each world.
         counts: numbers of poses measured.
         worlds: see the module.
+        strategies: how the poses are chosen that are measured.
+        methods: of the calibration.
+        candidates: poses that strategies choose from.
         test_poses: number of held-out poses.
         shell_poses: number of poses in the outer shell.
         target_sigma: noise of each coordinate of a tracker's target [m].
@@ -62,6 +75,9 @@ class StudyPlan:
     seeds: tuple[int, ...] = tuple(range(10))
     counts: tuple[int, ...] = (6, 9, 12, 20, 35, 60, 100)
     worlds: tuple[StudyWorld, ...] = STUDY_WORLDS
+    strategies: tuple[Strategy, ...] = ("random",)
+    methods: tuple[Method, ...] = METHODS
+    candidates: int = 800
     test_poses: int = 100
     shell_poses: int = 60
     target_sigma: float = 15e-6
@@ -78,6 +94,7 @@ class Record:
     Attributes:
         world: where.
         seed: which machine.
+        strategy: how they were chosen; empty for what does not depend on it.
         count: number of poses measured; 0 for what does not depend on it.
         method: see :data:`ROWS`.
         test: see :data:`TESTS`.
@@ -91,6 +108,7 @@ class Record:
 
     world: str
     seed: int
+    strategy: str
     count: int
     method: str
     test: str
@@ -100,6 +118,16 @@ class Record:
     excess: float
     noise: float
     joint_noise: float
+
+
+def require_learning() -> None:
+    """Say at once that the study needs scikit-learn, where it is missing.
+
+    Raises:
+        SystemExit: it is not installed.
+    """
+    if find_spec("sklearn") is None:
+        sys.exit("this study trains neural networks: pip install 'pm3dof-pin[learning]', or scikit-learn")
 
 
 def run_study(
@@ -148,19 +176,46 @@ def run_job(plan: StudyPlan, world: StudyWorld, seed: int) -> list[Record]:
     truth = World.random("geometry" if world == "geometry" else "everything", errors, generator)
     instrument = Instrument.with_targets(plan.target_sigma)
     tests = _test_poses(errors, plan, generator)
-    measurements = truth.measure(_training(errors, plan, world, generator), generator, instrument)
+    first = truth.measure(_training(errors, plan, world, generator), generator, instrument)
     judges = {test: _Judge(truth, poses, instrument, generator) for test, poses in tests.items()}
     records = []
     for test, judge in judges.items():
-        records.append(judge.record(world, seed, 0, NONE, test, judge.poses.commands))
-        records.append(judge.record(world, seed, 0, FLOOR, test, judge.best))
-    for count in plan.counts:
-        for method in METHODS:
-            found = calibrate(measurements[:count], errors, Options(method, seed)).compensation
-            for test, judge in judges.items():
-                commands = found.corrected(judge.poses, judge.conditions)
-                records.append(judge.record(world, seed, count, method, test, commands))
+        records.append(judge.record(world, seed, "", 0, NONE, test, judge.poses.commands))
+        records.append(judge.record(world, seed, "", 0, FLOOR, test, judge.best))
+    problem = _planning(errors, plan, seed) if set(plan.strategies) != {"random"} else None
+    for strategy in plan.strategies:
+        for count in plan.counts:
+            if strategy == "random":
+                measurements = first[:count]
+            else:
+                assert problem is not None
+                chosen = problem.plan(count, strategy, np.random.default_rng(seed), restarts=_RESTARTS)
+                measurements = truth.measure(chosen.poses.commands, generator, instrument)
+            for method, found in _compensations(measurements, errors, plan.methods, seed).items():
+                for test, judge in judges.items():
+                    commands = found.corrected(judge.poses, judge.conditions)
+                    records.append(judge.record(world, seed, strategy, count, method, test, commands))
     return records
+
+
+def _compensations(
+    measurements: Measurements, errors: GeometricErrors, methods: Sequence[Method], seed: int
+) -> dict[Method, Compensation]:
+    """Return what :func:`~pm3dof_pin.calibration.calibrate.calibrate` finds by each method; identified once for all."""
+    identification = identify(measurements, errors)
+    trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
+    shown = identification.settled[trusted]
+    found = {}
+    for method in methods:
+        options = Options(method, seed)
+        found[method] = compensation_from(shown, errors, options, identification if options.identifies else None)
+    return found
+
+
+def _planning(errors: GeometricErrors, plan: StudyPlan, seed: int) -> PlanningProblem:
+    generator = np.random.default_rng([seed, 2])
+    candidates, tests = (reachable_poses(errors.robot, count, generator) for count in (plan.candidates, _PLANNED_FOR))
+    return PlanningProblem(errors, candidates, tests, instrument=Instrument.with_targets(plan.target_sigma))
 
 
 class _Judge:
@@ -186,13 +241,16 @@ class _Judge:
         spread = np.linalg.pinv(self._control * weights[:, None]) * (weights * sigmas)
         self._joint_noise = float(np.sqrt(np.mean(np.sum(spread**2, axis=2))))
 
-    def record(self, world: str, seed: int, count: int, method: str, test: str, commands: Array) -> Record:
+    def record(
+        self, world: str, seed: int, strategy: str, count: int, method: str, test: str, commands: Array
+    ) -> Record:
         excess = commands - self.best
         reached = self._left + np.einsum("nij,nj->ni", self._control, excess)
         differences = self._before if method == NONE else reached
         return Record(
             world,
             seed,
+            strategy,
             count,
             method,
             test,

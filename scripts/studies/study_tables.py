@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
 from pm3dof_pin.calibration.calibrate import METHODS
@@ -31,6 +32,27 @@ def study_tables(plan: StudyPlan, records: Sequence[Record]) -> str:
             parts += [f"### World: {world}, {test} poses\n", _methods_table(plan, records, world, test)]
     parts += ["### Before and after, beside published figures\n", _published_table(plan, records)]
     return "\n".join(parts)
+
+
+def strategies_table(plan: StudyPlan, records: Sequence[Record]) -> str:
+    """Return the excess joint errors at held-out poses by method, number of poses and strategy.
+
+    Args:
+        plan: what the study ran through.
+        records: what came out.
+    """
+    here = select(records, world=plan.worlds[0], test=TESTS[0])
+    rows = []
+    for method in plan.methods:
+        for count in plan.counts:
+            cells = []
+            for strategy in plan.strategies:
+                chosen = select(here, method=method, count=count, strategy=strategy)
+                values = _MICROMETRES * np.array([record.excess for record in chosen])
+                error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+                cells.append(f"{values.mean():.1f} ± {error:.1f}")
+            rows.append([method, str(count), *cells])
+    return _markdown(["method", "poses", *plan.strategies], rows)
 
 
 def _methods_table(plan: StudyPlan, records: Sequence[Record], world: str, test: str) -> str:

@@ -1,48 +1,100 @@
-"""The scripts of the published figures run without arguments and say where they put what."""
+"""Every script of the chapter runs, small, writes into the folder it is told, and says what it wrote."""
 
 from __future__ import annotations
 
 import importlib.util
+import re
+import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import matplotlib.image
 import pytest
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
+ELSEWHERE = {"gallery", "generate_description"}
+"""Those that need a browser, or that other tests run."""
+
+VECTORS = ("pdf", "png", "svg")
+RUNS: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "figure_8_1": ({}, [f"figure_8_1.{kind}" for kind in VECTORS]),
+    "figure_8_2": ({"sections": 13}, ["figure_8_2.png", "figure_8_2_boundary.csv"]),
+    "figure_8_3": ({"points": 25}, [f"figure_8_3{panel}.png" for panel in "abc"]),
+    "figure_8_4": ({"points": 13, "engine": "pinocchio"}, ["figure_8_4.png"]),
+    "figure_8_5": ({}, [f"figure_8_5.{kind}" for kind in VECTORS]),
+    "figure_8_6": ({}, [f"figure_8_6.{kind}" for kind in VECTORS]),
+    "section_8_3": ({"points": 7, "poses": 12}, ["section_8_3_error_map.png", "section_8_3_error_map.csv"]),
+    "table_8_1": ({}, ["table_8_1.csv", "table_8_2.csv"]),
+    "table_8_3": ({}, ["table_8_3.csv"]),
+    "table_8_4": ({"poses": 10}, ["table_8_4.csv"]),
+    "studies/calibration_pictures": ({}, ["calibration_held_out.png", "calibration_maps.png"]),
+    "studies/passive_leg_radius": ({}, [f"passive_leg_radius.{kind}" for kind in VECTORS]),
+    "studies/plan_study": ({}, ["plan_study.md"]),
+    "studies/universal_joint": ({"points": 5}, [f"universal_joint.{kind}" for kind in VECTORS]),
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "files"),
-    [
-        ("figure_8_1", ["figure_8_1.pdf", "figure_8_1.png", "figure_8_1.svg"]),
-        ("figure_8_2", ["figure_8_2.png", "figure_8_2_boundary.csv"]),
-        ("figure_8_3", ["figure_8_3a.png", "figure_8_3b.png", "figure_8_3c.png"]),
-        ("figure_8_4", ["figure_8_4.png"]),
-        ("figure_8_5", ["figure_8_5.pdf", "figure_8_5.png", "figure_8_5.svg"]),
-        ("figure_8_6", ["figure_8_6.pdf", "figure_8_6.png", "figure_8_6.svg"]),
-        (
-            "studies/passive_leg_radius",
-            ["passive_leg_radius.pdf", "passive_leg_radius.png", "passive_leg_radius.svg"],
-        ),
-    ],
-)
-def test_script(
-    name: str, files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name.replace("/", "_"), SCRIPTS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    assert SCRIPTS.parent / "results" == script.RESULTS
-    monkeypatch.setattr(script, "RESULTS", tmp_path)
-    script.main()
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[: len(files)] == [str(tmp_path / file) for file in files]
-    assert sorted(path.name for path in tmp_path.iterdir()) == files
+    sys.path.insert(0, str((SCRIPTS / name).parent))  # as Python has it for a script
+    try:
+        spec.loader.exec_module(script)
+    finally:
+        sys.path.pop(0)
+    return script
+
+
+def test_none_is_forgotten() -> None:
+    assert {path.stem for path in SCRIPTS.glob("*.py")} == {name for name in RUNS if "/" not in name} | ELSEWHERE
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options, files = RUNS[name]
+    if name == "studies/plan_study":
+        pytest.importorskip("sklearn")
+    script = _load(name)
+    if name == "studies/plan_study":
+        small = {
+            "shell_poses": 2,
+            "counts": (10,),
+            "seeds": (0,),
+            "strategies": ("space-filling",),
+            "methods": ("lm", "gp"),
+        }
+        options = {"plan": script.StudyPlan(**small)}
+    assert SCRIPTS.parent / "results" == script.RESULTS  # not under version control
+    script.main(out=tmp_path, **options)
+    printed = capsys.readouterr().out
+    for file in files:
+        assert re.search(rf"(^|wrote ){re.escape(str(tmp_path / file))}$", printed, re.MULTILINE)
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == sorted(files)
     for file in files:
         content = (tmp_path / file).read_bytes()
         if file.endswith(".png"):
             assert matplotlib.image.imread(tmp_path / file).std() > 0.05
-        elif not file.endswith(".csv"):
+        elif file.endswith((".pdf", ".svg")):
             assert content.lstrip().startswith(b"%PDF" if file.endswith(".pdf") else b"<?xml")
+        else:
+            assert len(content.splitlines()) > 2
+
+
+@pytest.mark.parametrize("name", ["studies/plan_study", "studies/calibration_study"])
+def test_what_is_missing_is_said_at_once(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    script = _load(name)
+    monkeypatch.setattr(sys.modules["study"], "find_spec", lambda package: None)
+    with pytest.raises(SystemExit, match="scikit-learn"):
+        script.main(out=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_gallery_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    script = _load("gallery")
+    monkeypatch.setenv("PM3DOF_BROWSER", "no-such-browser")
+    with pytest.raises(SystemExit, match="no-such-browser"):
+        script.main(tmp_path / "pictures")
+    assert not list(tmp_path.iterdir())

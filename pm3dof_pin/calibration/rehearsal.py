@@ -1,0 +1,138 @@
+"""What a calibration by a method with planned poses is worth: rehearsed on machines within the tolerances.
+
+A machine is drawn: errors p within the tolerances, and drives that wave along their travel, which no parameter
+describes. To first order its pose errors are e = S p + C w, tip-weighted, and the deviations of the commands that undo
+most of them du = -(W C)^+ W e. The method is shown those of the planned poses, with the instrument's noise, and judged
+by what its answer leaves over test poses (base and tool are taken to be where the instrument has them),
+
+    excess = rms |W C (du found - du)|,
+
+the tip error beyond that of the best possible commands. Bends of the machine that the first order lacks, temperatures
+and loads are not rehearsed: a machine is hardly better than this, and may be worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.calibration.calibrate import LEAST_POSES, Method
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.learned_part import LearnedModel
+from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.calibration.pseudo_error import control_inverse
+from pm3dof_pin.errors.error_map import ErrorMap
+from pm3dof_pin.errors.pose_error import tip_weights
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array, Indices
+
+MACHINES = 3
+WAVES = 0.05
+"""Size of the drives' waves, of the rms deviation that the tolerances lead to."""
+
+_PERIODS = (0.1, 0.6)  # of the waves, of the range of a command
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """The candidates, or the test poses."""
+
+    map: ErrorMap
+    inputs: Array
+
+    @property
+    def control(self) -> Array:
+        """W C, shape=(n, 6, number of commands)."""
+        return np.asarray(self.map.sensitivities.commands * tip_weights(self.map.eta)[:, None])
+
+
+class Rehearsal:
+    """Machines within the tolerances of a planning problem, to try plans and methods on.
+
+    Args:
+        problem: the poses that may be measured, those to be accurate at, and the instrument.
+        generator: source of the random numbers.
+        machines: number of machines.
+
+    Raises:
+        InvalidValueError: the instrument does not see whole poses, or there is no machine.
+    """
+
+    def __init__(self, problem: PlanningProblem, generator: np.random.Generator, machines: int = MACHINES) -> None:
+        if problem.instrument.measured != "pose" or problem.instrument.targets:
+            raise InvalidValueError("instrument", problem.instrument.measured, "one that sees whole poses")
+        if machines < 1:
+            raise InvalidValueError("machines", machines, "at least 1")
+        self.problem = problem
+        self._seen = _Side(problem.sensitivity_map, problem.inputs)
+        self._judged = _Side(problem.test_map, problem.test_inputs)
+        self._sigmas = problem.instrument.sigmas * tip_weights(problem.sensitivity_map.eta)
+        self._machines = [self._draw(generator) for _ in range(machines)]
+
+    def excess(self, chosen: Sequence[int] | Indices, method: Method, seed: int = 0) -> float:
+        """Return the tip error beyond that of the best commands after a calibration, rms over machines and tests [m].
+
+        Args:
+            chosen: candidates that are measured.
+            method: of the calibration.
+            seed: of networks.
+
+        Raises:
+            InvalidValueError: fewer poses than anything is learned from.
+            MissingPackageError: a network is wanted and scikit-learn is not installed.
+        """
+        indices = np.asarray(chosen, dtype=np.intp)
+        if method != "lm" and len(indices) < LEAST_POSES:
+            raise InvalidValueError("poses", len(indices), f"at least {LEAST_POSES} to learn from")
+        squares = []
+        for measured, wanted in self._machines:
+            found = self._answer(indices, method, measured[indices], seed)
+            left = np.einsum("nij,nj->ni", self._judged.control, found - wanted)
+            squares.append(float(np.mean(np.sum(left**2, axis=1))))
+        return float(np.sqrt(np.mean(squares)))
+
+    def _draw(self, generator: np.random.Generator) -> tuple[Array, Array]:
+        """Draw a machine: what is measured at all candidates, and the best deviations at the tests."""
+        errors = self.problem.errors.sample(generator)
+        sides = (self._seen, self._judged)
+        poses = [np.einsum("nij,j->ni", side.map.weighted, errors) for side in sides]
+        deviations = [_undone(side.control, pose) for side, pose in zip(sides, poses, strict=True)]
+        size = WAVES * np.sqrt(np.mean(deviations[0] ** 2, axis=0))
+        drives = len(size)
+        turns = np.pi / generator.uniform(*_PERIODS, drives)
+        phases = generator.uniform(0.0, 2.0 * np.pi, drives)
+        for side, pose in zip(sides, poses, strict=True):
+            waves = np.sqrt(2.0) * size * np.sin(turns * side.inputs[:, :drives] + phases)
+            pose += np.einsum("nij,nj->ni", side.control, waves)
+        measured = poses[0] + generator.normal(size=poses[0].shape) * self._sigmas
+        return measured, _undone(self._judged.control, poses[1])
+
+    def _answer(self, indices: Indices, method: Method, measured: Array, seed: int) -> Array:
+        """Return the deviations of the commands that the method finds for the test poses."""
+        control, inputs = self._seen.control[indices], self._seen.inputs[indices]
+        found = np.zeros((len(self._judged.inputs), control.shape[2]))
+        if "lm" in method:
+            tolerances = self.problem.errors.tolerances
+            rows = self.problem.regressor[indices, :, : len(tolerances)].reshape(-1, len(tolerances))
+            information = np.eye(len(tolerances)) / self.problem.prior**2 + rows.T @ rows
+            values = tolerances * np.linalg.solve(information, rows.T @ (measured / self._sigmas).ravel())
+            measured = measured - np.einsum("nij,j->ni", self._seen.map.weighted[indices], values)
+            found = _undone(self._judged.control, np.einsum("nij,j->ni", self._judged.map.weighted, values))
+        if method == "lm":
+            return found
+        deviations = _undone(control, measured)
+        model: LearnedModel
+        if "nn" in method:
+            model = NeuralNetwork.fit(inputs, deviations, seed)
+        else:
+            noise = np.sum((control_inverse(control) * self._sigmas) ** 2, axis=2)
+            model = GaussianProcess.fit(inputs, deviations, noise)
+        return found + model.deviations(self._judged.inputs)
+
+
+def _undone(control: Array, errors: Array) -> Array:
+    """Return the deviations of the commands that undo most of tip-weighted errors, shape=(n, number of commands)."""
+    return np.asarray(-np.einsum("nij,nj->ni", control_inverse(control), errors))

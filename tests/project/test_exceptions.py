@@ -1,0 +1,35 @@
+"""Errors of the package cross the border between processes with their text and their data."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+from pathlib import Path
+
+import pytest
+
+from pm3dof_pin import exceptions
+from pm3dof_pin.exceptions import MissingPackageError, PM3DofError
+
+KINDS = [kind for _, kind in inspect.getmembers(exceptions, inspect.isclass) if issubclass(kind, PM3DofError)]
+EXAMPLES = {"path": Path("a.yaml"), "known": ("b", "c"), "residual": 1.0, "steps": 3, "names": ["d"]}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_error_is_the_same_after_a_pickle(kind: type[PM3DofError]) -> None:
+    names = [name for name in inspect.signature(kind.__init__).parameters if name not in ("self", "args", "kwargs")]
+    values = [EXAMPLES.get(name, f"some {name}") for name in names]
+    try:
+        error = kind(*values)
+    except (TypeError, ValueError):
+        pytest.skip("made of other things")
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is kind
+    assert str(again) == str(error)
+    assert vars(again) == vars(error)
+
+
+def test_a_missing_package_is_named_by_another_process() -> None:
+    error = pickle.loads(pickle.dumps(MissingPackageError("scikit-learn", "learning", "training neural networks")))
+    assert "pm3dof-pin[learning]" in str(error)
+    assert (error.package, error.extra) == ("scikit-learn", "learning")
