@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import re
+import shutil
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,7 +31,8 @@ def write_atomically(path: Path | str) -> Iterator[Path]:
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+        prefix = _prefix(target.parent, target.stem)
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=prefix, suffix=target.suffix)
         os.close(descriptor)
     except OSError as error:
         raise OutputError(target, error.strerror or str(error)) from error
@@ -77,7 +82,7 @@ def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
         raise OutputError(target, f"something else is there: expected nothing, or a folder with the file {marker}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}-") as scratch:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=_prefix(target.parent, target.name)) as scratch:
             fresh, old = Path(scratch) / "new", Path(scratch) / "old"
             fresh.mkdir()
             yield fresh
@@ -86,6 +91,34 @@ def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
             os.replace(fresh, target)
     except OSError as error:
         raise OutputError(target, error.strerror or str(error)) from error
+
+
+def _prefix(folder: Path, name: str) -> str:
+    """Return how names of this process's temporary files begin, having removed those of processes that were killed.
+
+    The names hold computer and process: another computer may write to the same folder.
+    """
+    own = f".{name}-{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}"
+    for path in folder.glob(f"{glob.escape(own)}-*"):
+        number = path.name.removeprefix(f"{own}-").partition("-")[0]
+        if number.isdigit() and not _is_running(int(number)):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+    return f"{own}-{os.getpid()}-"
+
+
+def _is_running(process: int) -> bool:
+    if process == os.getpid() or os.name != "posix":  # elsewhere signal 0 is no question
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's, or no number of a process
+        return True
+    return True
 
 
 def _set_default_mode(path: Path) -> None:

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-SECONDS = 20
+SECONDS = 20  # of an idle machine; --seconds for others
 ROBOTS = Path(__file__).parents[2] / "robots"
 MACHINES = Path(__file__).parents[1] / "machines"
 

@@ -1,0 +1,51 @@
+"""Files are written whole or not at all, and what a killed process left is cleared away."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pm3dof_pin.files import replace_directory, write_atomically, write_text_atomically
+
+KILLED = """
+import os, signal
+from pm3dof_pin.files import {writer}
+with {writer}({arguments}) as temporary:
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_litter_of_a_killed_process_goes_with_the_next_write(tmp_path: Path) -> None:
+    file, folder = tmp_path / "map.nc", tmp_path / "results"
+    for writer, arguments in (
+        ("write_atomically", f"{str(file)!r}"),
+        ("replace_directory", f"{str(folder)!r}, 'mark'"),
+    ):
+        code = KILLED.format(writer=writer, arguments=arguments)
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 2  # hidden ones
+    with write_atomically(file) as temporary:
+        assert [path for path in tmp_path.iterdir() if path.suffix == ".nc"] == [temporary]
+        write_text_atomically(tmp_path / "map.txt", "another file beside it")
+        assert temporary.exists()
+        temporary.write_text("whole", encoding="utf-8")
+    with replace_directory(folder, "mark") as fresh:
+        (fresh / "mark").touch()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.nc", "map.txt", "results"]
+
+
+def test_temporaries_of_running_processes_and_other_computers_stay(tmp_path: Path) -> None:
+    with write_atomically(tmp_path / "map.nc") as first, write_atomically(tmp_path / "map.nc") as second:
+        assert first.exists()
+        second.write_text("second", encoding="utf-8")
+        first.write_text("first", encoding="utf-8")
+        foreign = tmp_path / ".map-elsewhere-1-x.nc"
+        foreign.touch()
+    write_text_atomically(tmp_path / "map.nc", "third")
+    assert foreign.exists()
+    assert (tmp_path / "map.nc").read_text(encoding="utf-8") == "third"
