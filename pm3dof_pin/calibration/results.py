@@ -13,7 +13,7 @@ The same measurements, method and seed give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, learned_model_from_data
+from pm3dof_pin.calibration.repeatability import Repeatability
+from pm3dof_pin.calibration.verdict import Verdict
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
@@ -56,6 +58,7 @@ def write_calibration(
     *,
     validation: HeldOut | None = None,
     objections: Sequence[str] = (),
+    judgement: Verdict | None = None,
 ) -> Path:
     """Write a calibration, whole or not at all; an older one in its place is replaced.
 
@@ -67,6 +70,7 @@ def write_calibration(
         report: HTML page to go with it.
         validation: how good it is on another file of measurements.
         objections: what speaks against it, should it be written all the same.
+        judgement: what to expect of the machine.
 
     Returns:
         The folder.
@@ -85,8 +89,10 @@ def write_calibration(
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
         write_text_atomically(folder / COMPENSATION, _compensation_as_json(compensation, files.path.name))
-        summary = summary_of(calibration, files.name, held_out, validation=validation, objections=objections)
-        write_text_atomically(folder / SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120))
+        summary = summary_of(
+            calibration, files.name, held_out, validation=validation, objections=objections, judgement=judgement
+        )
+        write_text_atomically(folder / SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120, allow_unicode=True))
         if report is not None:
             write_text_atomically(folder / REPORT, report)
     return Path(directory)
@@ -134,6 +140,7 @@ def summary_of(
     *,
     validation: HeldOut | None = None,
     objections: Sequence[str] = (),
+    judgement: Verdict | None = None,
 ) -> dict[str, Any]:
     """Return what was done and found as plain data; keys end in their unit.
 
@@ -143,12 +150,14 @@ def summary_of(
         held_out: how good it is on measurements it has not seen.
         validation: how good it is on another file of measurements.
         objections: what speaks against it.
+        judgement: what to expect of the machine.
     """
     options, found = calibration.options, calibration.identification
     summary: dict[str, Any] = {
         "format": _FORMAT,
         "robot": robot,
         **({"forced_against": list(objections)} if objections else {}),
+        **({} if judgement is None else _verdict_summary(judgement)),
         "method": options.method,
         "seed": options.seed,
         "eta_m_per_rad": options.eta,
@@ -164,6 +173,33 @@ def summary_of(
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary
+
+
+def _verdict_summary(judgement: Verdict) -> dict[str, Any]:
+    summary: dict[str, Any] = {
+        "what_to_expect": judgement.expect,
+        "what_was_not_seen": judgement.unseen,
+        "what_to_do_next": judgement.next,
+        "tip_error_95_percent_bound_m": judgement.bound,
+        "uncertainty_budget_m": dict(judgement.budget),
+    }
+    for found in judgement.systematic:
+        summary[found.kind] = {"tip_error_m": found.tip, "tip_sigma_m": found.tip_sigma, "more_than_chance": found.sure}
+    if judgement.repeated is not None:
+        summary["repeatability"] = {
+            "tip_sigma_m": judgement.repeated.tip_sigma,
+            "degrees_of_freedom": judgement.repeated.freedom,
+            "iso_9283": [
+                {"pose": int(pose) + 1, "visits": int(visits), "accuracy_AP_m": accuracy, "repeatability_RP_m": spread}
+                for pose, visits, accuracy, spread in _repeated_rows(judgement.repeated)
+            ],
+        }
+    return summary
+
+
+def _repeated_rows(repeated: Repeatability) -> Iterable[tuple[int, int, float, float]]:
+    columns = (repeated.poses, repeated.visits, repeated.accuracy, repeated.repeatability)
+    return zip(*(column.tolist() for column in columns), strict=True)
 
 
 def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:

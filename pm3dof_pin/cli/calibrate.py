@@ -96,6 +96,7 @@ def calibrate(
     from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors, validated_errors, workspace_errors
     from pm3dof_pin.calibration.objections import objections, refusal
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
+    from pm3dof_pin.calibration.verdict import verdict
     from pm3dof_pin.description.robots import find_robot
     from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
     from pm3dof_pin.figures.calibration_report import report_as_html
@@ -129,10 +130,12 @@ def calibrate(
             maps = workspace_errors(calibration)
             progress(3, 4)
             name = find_robot(robot).name
-            report = report_as_html(calibration, name, held_out, maps, validation=judged, objections=reasons)
-            folder = write_calibration(calibration, robot, out, held_out, report, validation=judged, objections=reasons)
+            said = verdict(calibration, held_out, judged)
+            more: Any = {"validation": judged, "objections": reasons, "judgement": said}
+            report = report_as_html(calibration, name, held_out, maps, **more)
+            folder = write_calibration(calibration, robot, out, held_out, report, **more)
             progress(4, 4)
-    summary = summary_of(calibration, name, held_out, validation=judged, objections=reasons)
+    summary = summary_of(calibration, name, held_out, **more)
     for reason in reasons:
         message(f"pm3dof: forced, although {reason}")
     print_result({"directory": str(folder)} | summary, _lines(summary, calibration), as_json=as_json)

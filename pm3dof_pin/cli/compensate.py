@@ -86,6 +86,7 @@ def compensate(
             **file.numbers,
             **readings(machine.command_coordinates, answer.commands),
             "predicted_error_m": answer.predicted_error,
+            "error_95_percent_m": answer.error_bound,
         }
         write_batch(many, columns, out, as_json)
         return
@@ -102,6 +103,7 @@ def compensate(
         "commands": [{"name": command.name, "unit": command.unit} for command in machine.commands],
         **({f"{name}_{min(units)}": values for name, values in numbers.items()} if len(units) == 1 else {}),
         "predicted_error_m": answer.predicted_error[0],
+        "error_95_percent_m": answer.error_bound[0],
         "conditions": conditions,
     }
     print_result(result, pose_line + _lines(machine, answer), as_json=as_json)
@@ -161,7 +163,8 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
         )
     ]
     lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)
-    return [*lines, f"tip error to be expected: {1e6 * answer.predicted_error[0]:.1f} µm"]
+    expected, bound = 1e6 * answer.predicted_error[0], 1e6 * answer.error_bound[0]
+    return [*lines, f"tip error to be expected: {expected:.1f} µm; with a probability of 95 % below {bound:.1f} µm"]
 
 
 def _conditions(words: list[str]) -> dict[str, float]:

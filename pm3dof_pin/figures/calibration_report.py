@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from pm3dof_pin.calibration.calibrate import Calibration
@@ -14,6 +15,7 @@ from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.calibration.results import statistics
+from pm3dof_pin.calibration.verdict import Verdict
 from pm3dof_pin.figures.calibration import (
     held_out_picture,
     parameters_picture,
@@ -33,6 +35,8 @@ _NO_FLOOR = (
     "What no command corrects is not drawn: only identified parameters tell where it is. Both maps lack it, but for "
     "its mean, which the second has."
 )
+_CROSS_VALIDATION = "Cross-validation: each fifth of the poses is predicted from the others."
+_VALIDATION = "These measurements had no part in the calibration."
 _METHODS = {
     "lm": "geometric parameters by least squares",
     "nn": "a neural network on the joint variables",
@@ -50,6 +54,7 @@ def report_as_html(
     *,
     validation: HeldOut | None = None,
     objections: Sequence[str] = (),
+    judgement: Verdict | None = None,
 ) -> str:
     """Return the report of a calibration; the same calibration gives the same bytes.
 
@@ -60,15 +65,20 @@ def report_as_html(
         maps: errors over the workspace.
         validation: errors on another file of measurements.
         objections: what speaks against it.
+        judgement: what to expect of the machine.
     """
     options, found = calibration.options, calibration.identification
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
+        *(f"<p><b>Written by force, although {escape(reason)}.</b></p>" for reason in objections),
+        *([] if judgement is None else _verdict(judgement)),
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
         f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh a turn with {options.eta:g} m/rad. "
         f"Seed {options.seed}.</p>",
+        *([] if validation is None else _accuracy(calibration, validation, "On the validation file", _VALIDATION)),
+        *_accuracy(calibration, held_out, "Accuracy on poses it was not shown", _CROSS_VALIDATION),
+        *([] if judgement is None else _budget(judgement)),
         *_data(calibration),
-        *_accuracy(calibration, held_out),
     ]
     if maps is not None:
         floor = "The floor is what no command corrects." if maps.floor is not None else _NO_FLOOR
@@ -109,8 +119,55 @@ def _data(calibration: Calibration) -> list[str]:
     return ["<h2>The measurements</h2>", f"<ul>{listed}</ul>", picture]
 
 
-def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
-    heading = "<h2>Accuracy on poses it was not shown</h2>"
+def _verdict(judgement: Verdict) -> list[str]:
+    lines = (("To expect", judgement.expect), ("Not seen", judgement.unseen), ("To do next", judgement.next))
+    return ["<p>" + "<br>".join(f"<b>{name}:</b> {escape(text)}." for name, text in lines) + "</p>"]
+
+
+def _budget(judgement: Verdict) -> list[str]:
+    words = {
+        "floor": "what no command corrects",
+        "instrument": "noise of the instrument",
+        "frame": "the instrument's frame",
+        "targets": "where targets sit, drift, hysteresis",
+        "parameters": "parameters that were not seen",
+        "learned": "what was learned",
+        "unmodelled": "what nothing describes",
+        "repeatability": "repeatability",
+    }
+    rows = [(words[name], f"{1e6 * value:.1f}") for name, value in judgement.budget.items()]
+    total = float(np.sqrt(sum(value**2 for value in judgement.budget.values())))
+    parts = [
+        "<h2>Where the rest comes from</h2>",
+        "<p>What each source adds to the tip error of the corrected machine, root mean square over the workspace; "
+        "squares add up.</p>",
+        _table(("source", "tip error [µm]"), [*rows, ("together", f"{1e6 * total:.1f}")]),
+    ]
+    for found in judgement.systematic:
+        chance = "more than chance" if found.sure else "no more than chance"
+        parts.append(
+            f"<p>{found.kind.capitalize()}: {1e6 * found.tip:.1f} ± {1e6 * found.tip_sigma:.1f} µm at the tip, "
+            f"{chance}. It is taken out of what is identified, not corrected.</p>"
+        )
+    repeated = judgement.repeated
+    if repeated is not None:
+        parts.append(
+            f"<p>Poses taken up again: the machine misses its own mean by {1e6 * repeated.tip_sigma:.1f} µm at the tip "
+            f"(rms, without noise; {repeated.freedom} degrees of freedom).</p>"
+        )
+        if len(repeated.poses):
+            columns = (repeated.poses + 1, repeated.visits, 1e6 * repeated.accuracy, 1e6 * repeated.repeatability)
+            numbers = [
+                (f"{pose:.0f}", f"{visits:.0f}", f"{accuracy:.1f}", f"{spread:.1f}")
+                for pose, visits, accuracy, spread in zip(*columns, strict=True)
+            ]
+            header = ("pose", "visits", "accuracy AP [µm]", "repeatability RP [µm]")
+            parts += ["<p>As in ISO 9283, uncorrected, noise included:</p>", _table(header, numbers)]
+    return parts
+
+
+def _accuracy(calibration: Calibration, held_out: HeldOut | None, title: str, text: str) -> list[str]:
+    heading = f"<h2>{title}</h2>"
     if held_out is None:
         return [heading, "<p>Not known: too few poses for a cross-validation.</p>"]
     units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
@@ -127,14 +184,14 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     return [
         heading,
-        "<p>Cross-validation: each fifth of the poses is predicted from the others. Tip errors in µm, as "
-        "measured, so noise is in all of them. The floor is left with the best possible commands: with fewer drives "
-        "than a pose has degrees of freedom, commands cannot correct everything. E, the energy of the pose error, adds "
-        "position and weighed turn instead of their squares; the best commands are best for the tip error.</p>",
+        f"<p>{text} Tip errors in µm, as measured, so noise is in all of them. The floor is left with the best "
+        "possible commands: with fewer drives than a pose has degrees of freedom, commands cannot correct everything. "
+        "E, the energy of the pose error, adds position and weighed turn instead of their squares; the best commands "
+        "are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
         _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
-        f"<p>Beside noise, {1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are neither "
-        "explained by the model nor corrected by any command.</p>",
+        f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside noise, "
+        f"{1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are explained by nothing.</p>",
     ]
 
 

@@ -1,0 +1,121 @@
+"""What repeated poses tell: how well a machine comes back; accuracy and repeatability as in ISO 9283 and ISO 230."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.special
+
+from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.identification import drive_motions
+from pm3dof_pin.calibration.pseudo_error import seen_errors
+from pm3dof_pin.errors.pose_error import tip_weights
+from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.typing import Array, Indices
+
+_LEAST_VISITS = 3  # of a pose, for a table of its own
+_SURE = 1e-3  # probability that drift or hysteresis is named where there is none
+
+
+@dataclass(frozen=True, eq=False)
+class Repeatability:
+    """Scatter of repeated visits.
+
+    Attributes:
+        tip_sigma: tip error by which the machine misses its own mean, without the measurements' noise, root mean square
+            [m].
+        freedom: visits beyond the first of their pose.
+        poses: numbers of the poses visited three times or more, shape=(k,).
+        visits: how often each was, shape=(k,).
+        accuracy: AP of each, distance of the mean position from the commanded one, shape=(k,) [m].
+        repeatability: RP of each, mean distance from that mean and three standard deviations of it, shape=(k,) [m].
+    """
+
+    tip_sigma: float
+    freedom: int
+    poses: Indices
+    visits: Indices
+    accuracy: Array
+    repeatability: Array
+
+
+def repeatability(calibration: Calibration) -> Repeatability | None:
+    """Judge how a machine repeats itself; None if no pose was visited twice.
+
+    Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
+
+    Args:
+        calibration: the calibration.
+    """
+    found, eta = calibration.identification, calibration.options.eta
+    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
+    measured, settled = found.measurements[trusted], found.settled[trusted]
+    visits = settled.visits
+    numbers = visits.pose_numbers
+    counts = np.bincount(numbers)
+    if counts.max(initial=0) < 2:
+        return None
+    nominal = calibration.compensation.errors.robot.forward(visits.commands)
+    seen, raw = seen_errors(settled, nominal, eta), seen_errors(measured, nominal, eta).errors
+    means = np.array([seen.errors[numbers == k].mean(axis=0) for k in range(len(counts))])
+    freedom = int(np.sum(counts - 1))
+    scatter = float(np.sum((seen.errors - means[numbers]) ** 2)) / freedom
+    noise = float(np.mean(np.einsum("nii->n", seen.covariances)))
+    often = np.flatnonzero(counts >= _LEAST_VISITS)
+    accuracy, spread = [], []
+    for pose in often:
+        positions = raw[numbers == pose][:, :3]
+        distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+        accuracy.append(float(np.linalg.norm(positions.mean(axis=0))))
+        spread.append(float(distances.mean() + 3.0 * distances.std(ddof=1)))
+    return Repeatability(
+        float(np.sqrt(max(0.0, scatter - noise))), freedom, often, counts[often], np.array(accuracy), np.array(spread)
+    )
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """Drift or hysteresis.
+
+    Attributes:
+        kind: "drift" or "hysteresis".
+        tip: how far it moves the tool, tip-weighted, root mean square over the measured poses [m].
+        tip_sigma: standard deviation of that by the parameters' covariance [m].
+        sure: whether it is more than chance.
+    """
+
+    kind: str
+    tip: float
+    tip_sigma: float
+    sure: bool
+
+
+def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:
+    """Return what times and directions of approach tell; nothing where there are none.
+
+    Args:
+        calibration: the calibration.
+    """
+    found = calibration.identification
+    drives, weights = drive_motions(found.poses), tip_weights(calibration.options.eta)
+    first = len(found.joint_covariance) - len(found.nuisances)
+    answers = []
+    for kind in ("drift", "hysteresis"):
+        columns = found.nuisances.columns(kind)
+        if not columns.size:
+            continue
+        values = found.nuisance_values[columns]
+        covariance = found.joint_covariance[np.ix_(first + columns, first + columns)]
+        whole = np.concatenate([datum_motions(found.poses)[:, :, :6], drives], axis=2) if kind == "drift" else drives
+        effects = whole * weights[:, None]
+        tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
+        sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
+        # what was learned beyond the knowledge beforehand, of as many parameters as were told
+        scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
+        gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
+        told = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
+        statistic = float(values @ gained @ values)
+        sure = bool(scipy.special.gammaincc(0.5 * told, 0.5 * max(statistic, 0.0)) < _SURE)
+        answers.append(Systematic(kind, tip, sigma, sure))
+    return answers

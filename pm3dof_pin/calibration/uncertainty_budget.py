@@ -1,0 +1,92 @@
+"""Where the uncertainty of a calibrated machine comes from: what each source adds to the variance of the tip.
+
+With the information I on all parameters, the knowledge L beforehand and C = (I + L)^-1, the covariance is C I C, what
+the noise of the instrument makes of it, and C L C, what nobody has measured. What an unknown frame and unknown targets
+add is the difference to a fit that knows them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.repeatability import repeatability
+from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
+from pm3dof_pin.errors.pose_error import pose_difference, tip_weights
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.typing import Array, Mask
+
+
+def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, float]:
+    """Return what each source adds to the tip error of the corrected machine, root mean square over poses [m].
+
+    Args:
+        calibration: the calibrated machine.
+        poses: wanted poses of the robot as described, within its machine's reach.
+
+    Returns:
+        "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": where they sit, with
+        drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares add up to the square of the tip error to
+        be expected.
+    """
+    compensation, found = calibration.compensation, calibration.identification
+    weights = tip_weights(compensation.eta)
+    conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
+    model = compensation.model_poses(poses)
+    parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)
+    if compensation.values is not None:
+        nearest = nearest_poses(model, poses.transforms, compensation.eta)
+        left = pose_difference(poses.transforms, nearest.transforms) * weights
+        parts["floor"] = float(np.mean(np.sum(left**2, axis=1)))
+        motions = np.concatenate(
+            [sensitivities(found.errors, model, found.values).errors, datum_motions(model)], axis=2
+        )
+        effects = (motions * weights[:, None]).reshape(-1, motions.shape[2])
+        square = effects.T @ effects / len(poses)
+        parts |= _of_parameters(calibration, square)
+    if compensation.learned is not None:
+        control = command_jacobians(model) * weights[:, None]
+        spread = compensation.learned.uncertainties(model.commands, conditions)
+        parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
+    repeated = repeatability(calibration)
+    scatter = compensation.unexplained**2
+    parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
+    parts["unmodelled"] = scatter - parts["repeatability"]
+    return {name: float(np.sqrt(max(value, 0.0))) for name, value in parts.items()}
+
+
+def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
+    """Return variances [m^2], given the mean square of the tip's motions by parameters, base and tool."""
+    found, count = calibration.identification, len(calibration.identification.errors)
+    machine = found.rows.shape[2] - len(found.nuisances)
+    scaled = (np.sqrt(found.weights) / found.noise_factor)[:, None, None] * found.rows
+    matrix = scaled.reshape(-1, scaled.shape[2])
+    units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
+    before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])
+    datum = np.zeros((count + 12, found.rows.shape[2]))
+    datum[:count, :count] = np.eye(count)
+    datum[count:, machine:] = found.nuisances.datum_map()
+
+    def variances(known: Mask) -> tuple[float, float]:
+        """Return what noise and ignorance make of the tip where some parameters are known."""
+        free = np.flatnonzero(~known)
+        information, knowledge = matrix[:, free].T @ matrix[:, free], np.diag(before[free] ** -2.0)
+        covariance = np.linalg.pinv(information + knowledge)
+        effects = datum[:, free] * units[free]
+        tip = effects.T @ square @ effects
+        noise, ignorance = (float(np.trace(tip @ covariance @ part @ covariance)) for part in (information, knowledge))
+        return noise, ignorance
+
+    columns = np.arange(found.rows.shape[2])
+    frame = machine + found.nuisances.columns("frame")
+    noise, ignorance = variances(columns >= machine)
+    with_frame = sum(variances((columns >= machine) & ~np.isin(columns, frame)))
+    total = sum(variances(columns < 0))
+    return {
+        "instrument": noise,
+        "parameters": ignorance,
+        "frame": max(0.0, with_frame - noise - ignorance),
+        "targets": max(0.0, total - with_frame),
+    }
