@@ -28,8 +28,8 @@ def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, floa
 
     Returns:
         "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": where they sit, with
-        drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares add up to the square of the tip error to
-        be expected.
+        drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares
+        add up to the square of the tip error to be expected.
     """
     compensation, found = calibration.compensation, calibration.identification
     weights = tip_weights(compensation.eta)
