@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,11 @@ from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.typing import Array, Indices, Mask
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.grid import Grid
+    from pm3dof_pin.kinematics.robot import Robot
 
 _FOLDS = 5
 _FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
@@ -198,6 +203,7 @@ class WorkspaceErrors:
         after: tip error expected with corrected commands [m].
         floor: part of `before` that no command corrects, as the calibrated model has it [m]; None without parameters,
             which alone tell it.
+        within: from points of the section, shape=(n, 2), to whether they are within the limits; its exact edge.
     """
 
     names: tuple[str, str]
@@ -206,6 +212,7 @@ class WorkspaceErrors:
     before: Array
     after: Array
     floor: Array | None
+    within: Callable[[Array], Mask] | None = None
 
 
 def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors | None:
@@ -248,4 +255,18 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
         spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
         spread(answer.predicted_error),
         floor,
+        _within(robot, grid),
     )
+
+
+def _within(robot: Robot, grid: Grid) -> Callable[[Array], Mask]:
+    """Return the limits over the coordinates of a grid, the others as they stand in it."""
+    fixed = np.array([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates])
+    columns = [[coordinate.name for coordinate in robot.coordinates].index(name) for name in grid.dims]
+
+    def within(points: Array) -> Mask:
+        values = np.tile(fixed, (len(points), 1))
+        values[:, columns] = points
+        return robot.solve(values, on_failure="nan").within_limits
+
+    return within

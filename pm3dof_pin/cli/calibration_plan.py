@@ -13,6 +13,7 @@ from pm3dof_pin.cli.calibrate import TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
@@ -113,8 +114,9 @@ def calibration_plan(
     ] = 3.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers: the same seed, the same plan.")] = 0,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (PNG).")
+        Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (.png, .pdf, .svg).")
     ] = None,
+    formats: Formats = None,
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
     as_json: Json = False,
@@ -175,7 +177,7 @@ def calibration_plan(
         files = [write_plan(plan.poses, out, loads)]
         minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
         if picture is not None:
-            files.append(_draw(problem, minimum, picture))
+            files += _draw(problem, minimum, picture, formats)
     result = _result(problem, plan, minimum, others) | {"files": [str(file) for file in files]}
     result |= {"method": method.value, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
     result |= {"accuracy_m": accuracy, "accuracy_reached": None if accuracy is None else tried[count] <= accuracy}
@@ -223,14 +225,15 @@ def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, 
         return float("nan")
 
 
-def _draw(problem: PlanningProblem, minimum: int, path: Path) -> Path:
+def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:
     from pm3dof_pin.calibration.planning import STRATEGIES
     from pm3dof_pin.figures.plan_accuracy import plan_accuracy
     from pm3dof_pin.figures.style import save_figure
 
     seeds = {name: [0] if "optimal" in name else list(SEEDS) for name in STRATEGIES}
     curves = {name: problem.accuracy_curve(COUNTS, name, seeds[name]) for name in STRATEGIES}
-    return save_figure(plan_accuracy(COUNTS, curves, minimum), path)
+    figure = plan_accuracy(COUNTS, curves, minimum)
+    return save(figure, path, formats) if formats else [save_figure(figure, path)]
 
 
 def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[Any, float]) -> dict[str, Any]:

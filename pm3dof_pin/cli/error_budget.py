@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pm3dof_pin.cli.output import table_lines
+from pm3dof_pin.cli.pictures import PictureFormat, save
 
 if TYPE_CHECKING:
     from pm3dof_pin.errors.source_errors import ErrorSources
@@ -25,7 +27,13 @@ _CLASSES = {
 
 
 def budget_of(
-    sources: ErrorSources, where: Grid | Poses, names: Sequence[str], eta: float, out: Path, pictures: bool
+    sources: ErrorSources,
+    where: Grid | Poses,
+    names: Sequence[str],
+    eta: float,
+    out: Path,
+    pictures: bool,
+    formats: list[PictureFormat] | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Compute the budget and write its maps, the least sensitive region among them.
 
@@ -36,6 +44,7 @@ def budget_of(
         eta: weight of the orientation in the tip error [m/rad].
         out: folder to write to.
         pictures: whether to draw.
+        formats: of the pictures.
 
     Returns:
         What goes into the result of the command, and the files written.
@@ -59,9 +68,10 @@ def budget_of(
     files.append(write_plan(region, out / "least_sensitive.csv"))
     if pictures and dataset["tip_rms"].ndim in (2, 3) and LEAST_SENSITIVE in dataset:
         from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
-        from pm3dof_pin.figures.style import save_figure
+        from pm3dof_pin.maps.limit_space import limits_over
 
-        files.append(save_figure(least_sensitive_region(dataset), out / "least_sensitive_region.png"))
+        figure = least_sensitive_region(dataset, partial(limits_over, sources.robot))
+        files += save(figure, out / "least_sensitive_region.png", formats)
     ends = {
         f"{coordinate.name}_{coordinate.unit}": [float(column.min()), float(np.median(column)), float(column.max())]
         for coordinate, column in zip(sources.robot.coordinates, region.coordinates.T, strict=True)

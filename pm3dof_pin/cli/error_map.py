@@ -13,6 +13,7 @@ from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, Wrench
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, remove_former, save
 from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
@@ -89,6 +90,7 @@ def error_map(
         bool, typer.Option("--large", help="Large deflections: the equilibrium under the wrench, pose by pose.")
     ] = False,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
+    formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
@@ -144,19 +146,17 @@ def error_map(
             files += [write_netcdf(section, out / "error_map.nc"), write_csv(section, out / "error_map.csv")]
             if pictures and len(grid.dims) == 2:
                 from pm3dof_pin.figures.section_map import section_map
-                from pm3dof_pin.figures.style import save_figure
 
                 outline = error_outline(errors, grid, section)
-                for name, variable in PICTURES.items():
-                    files.append(save_figure(section_map(section, variable, outline), out / name))
-                    progress(len(files), steps)
+                for done, (name, variable) in enumerate(PICTURES.items(), start=3):
+                    files += save(section_map(section, variable, outline), out / name, formats)
+                    progress(done, steps)
         ranking = mapped.ranking()
         files.append(_write_ranking(ranking, out / "error_ranking.csv"))
         if pictures:
             from pm3dof_pin.figures.error_ranking import error_ranking
-            from pm3dof_pin.figures.style import save_figure
 
-            files.append(save_figure(error_ranking(ranking), out / "error_ranking.png"))
+            files += save(error_ranking(ranking), out / "error_ranking.png", formats)
         result |= _summary(mapped) | {"ranking": [_plain(share) for share in ranking]}
         if target is not None:
             result["allocation"] = _allocation(mapped, target, None if coverage == "rms" else float(coverage))
@@ -165,10 +165,12 @@ def error_map(
 
             sources = ErrorSources(errors, wrench=wrench, rise=rise, large=large, distribution=distribution)
             found, written = budget_of(
-                sources, mapped.poses if grid is None else grid, source or [], eta, out, pictures
+                sources, mapped.poses if grid is None else grid, source or [], eta, out, pictures, formats
             )
             files += written
             result |= found
+        names = "|".join(name.removesuffix(".png") for name in PICTURES)
+        remove_former(out, rf"{names}|error_ranking|least_sensitive_region", files)
     print_result(result | {"files": [str(file) for file in files]}, _lines(result, place), as_json=as_json)
     for file in files:
         message(f"wrote {file}")

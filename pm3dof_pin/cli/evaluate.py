@@ -19,6 +19,7 @@ from pm3dof_pin.cli.map_options import (
 )
 from pm3dof_pin.cli.options import THE_TRIPOD, Json
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.stiffness import Model
@@ -51,6 +52,7 @@ def evaluate(
         int | None, typer.Option(min=2, help="Number of values of each coordinate (about 100,000 poses in all).")
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw which spring governs where.")] = True,
+    formats: Formats = None,
     threads: Threads = None,
     engine: EngineOption = EngineName.PROGRAM,
     tool_frame: ToolFrame = None,
@@ -91,7 +93,8 @@ def evaluate(
             write_text_atomically(out / "evaluation.csv", _table(found)),
         ]
         if pictures and found.springs and len(grid.axes) > 1:
-            files.append(_draw(mapped.robot, mapped, grid, out))
+            files += _draw(mapped.robot, mapped, grid, out, formats)
+        remove_former(out, "critical_springs", files)
         progress(2, 2)
     result = _result(loaded, grid, found, model if not quantity else None) | {"files": [str(file) for file in files]}
     print_result(result, _lines(grid, found), as_json=as_json)
@@ -224,10 +227,10 @@ def _table(found: WorkspaceEvaluation) -> str:
     return "".join(",".join(line) + "\n" for line in lines)
 
 
-def _draw(robot: Robot, mapped: Any, grid: Grid, out: Path) -> Path:
+def _draw(robot: Robot, mapped: Any, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
     """Draw which spring governs over the first two coordinates, the others in the middle of their ranges."""
     from pm3dof_pin.figures.critical_springs import critical_springs
-    from pm3dof_pin.figures.style import save_figure
+    from pm3dof_pin.maps.limit_space import limits_over
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
     ends = {name: (float(values[0]), float(values[-1])) for name, values in grid.axes.items()}
@@ -239,4 +242,6 @@ def _draw(robot: Robot, mapped: Any, grid: Grid, out: Path) -> Path:
         fixed[name] = float(home[name]) if low < home[name] < high else 0.5 * (low + high)
     section = robot.grid(**{name: (*ends[name], _PICTURE_POINTS) for name in across}, **fixed)
     found = evaluate_workspace(mapped, section, ("felt_stiffness",))
-    return save_figure(critical_springs(found.dataset), out / "critical_springs.png")
+    broken = limits_over(robot, across, fixed)
+    figure = critical_springs(found.dataset, lambda points: broken(points) == 0)
+    return save(figure, out / "critical_springs.png", formats)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import Flags
 
-LimitsOver: TypeAlias = "Callable[[tuple[str, ...], dict[str, float]], Callable[[Array], Flags]]"
+LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable[[Array], Flags]]"
+"""From coordinates and values of others to the limits, :func:`~pm3dof_pin.maps.limit_space.limits_over` of a robot."""
 
 SECTIONS = 4
 _STEPS = [1, 2, 5, 10]

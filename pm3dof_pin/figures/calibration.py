@@ -5,19 +5,30 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator
+from matplotlib.tri import Triangulation
 
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
-from pm3dof_pin.figures.style import COLORMAP, INK, house_style, new_figure
-from pm3dof_pin.typing import Array
+from pm3dof_pin.figures.color_scale import color_scale
+from pm3dof_pin.figures.labels import axis_label, drawn, parameter_words
+from pm3dof_pin.figures.outlined_mesh import outlined_mesh
+from pm3dof_pin.figures.style import (
+    COLORMAP,
+    END_LINE,
+    INK,
+    LIMIT_LINE,
+    TWO_COLUMNS,
+    house_style,
+    new_figure,
+)
 
 BEFORE, AFTER, FLOOR, NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
-_LEVELS = 14
-_PANEL = 3.3  # width of a map with its bar of colours [inch]
 
 
 def held_out_picture(held_out: HeldOut) -> Figure:
@@ -33,7 +44,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
         ("measurement noise", held_out.noise, NOISE, ":"),
     )
     with house_style():
-        figure = new_figure(6.4, 3.4)
+        figure = new_figure(TWO_COLUMNS, 3.2)
         figure.set_layout_engine("constrained")
         axes = figure.subplots()
         for label, values, color, line in curves:
@@ -61,13 +72,13 @@ def parameters_picture(found: Identification) -> Figure:
     spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
     places = np.arange(len(values))[::-1]
     with house_style():
-        figure = new_figure(6.4, 1.2 + 0.17 * len(values))
+        figure = new_figure(TWO_COLUMNS, 1.2 + 0.17 * len(values))
         figure.set_layout_engine("constrained")
         axes = figure.subplots()
         axes.axvspan(-1.0, 1.0, color="#EEEEEE", zorder=0)
         axes.axvline(0.0, color=INK, linewidth=0.7)
         axes.errorbar(values, places, xerr=2.0 * spread, fmt="o", markersize=3.0, color=AFTER, ecolor=NOISE)
-        axes.set_yticks(places, found.errors.names, fontsize=7.0)
+        axes.set_yticks(places, [parameter_words(name) for name in found.errors.names], fontsize=7.0)
         axes.set_ylim(-1.0, len(values))
         axes.set_xlabel("value and two standard deviations, over the tolerance")
     return figure
@@ -84,7 +95,7 @@ def residuals_picture(found: Identification) -> Figure:
     outliers[list(found.outliers)] = True
     lines = np.array(found.measurements.lines)
     with house_style():
-        figure = new_figure(6.0, 2.6)
+        figure = new_figure(TWO_COLUMNS, 2.6)
         figure.set_layout_engine("constrained")
         axes = figure.subplots()
         axes.axhline(1.0, color=NOISE, linestyle=":", label="noise as stated")
@@ -102,52 +113,41 @@ def residuals_picture(found: Identification) -> Figure:
 
 
 def workspace_picture(errors: WorkspaceErrors) -> Figure:
-    """Draw the maps of the tip error before and after, and of the floor if it is known; these two have one scale.
+    """Draw the maps of the tip error before and after, and of the floor if it is known, all with one scale of colours.
 
     Args:
         errors: errors over two coordinates.
     """
-    after = (errors.after,) if errors.floor is None else (errors.after, errors.floor)
-    levels = [_levels(errors.before), *[_levels(*after)] * len(after)]
-    panels = list(zip(("as described", "corrected, expected", "floor"), (errors.before, *after), levels, strict=False))
+    fields = [errors.before, errors.after, *([] if errors.floor is None else [errors.floor])]
+    scale = color_scale(_MICROMETRES * np.stack(fields))
+    meshes = [outlined_mesh(*errors.coordinates, np.isfinite(field), errors.within) for field in fields]
     with house_style():
-        figure = new_figure(len(panels) * _PANEL, 3.0)
-        figure.set_layout_engine("constrained", wspace=0.06)
-        row: Any = figure.subplots(1, len(panels), sharex=True, sharey=True)
-        for axes, (title, field, steps) in zip(row, panels, strict=True):
-            _draw_map(axes, errors, field, title, steps)
-            figure.colorbar(axes.collections[0], ax=axes, label="tip error [µm]")
-        row[0].set_ylabel(_axis_label(errors, 1))
+        figure = new_figure(TWO_COLUMNS, 2.6)
+        figure.set_layout_engine("constrained", wspace=0.04)
+        row: Any = figure.subplots(1, len(fields), sharex=True, sharey=True)
+        for axes, title, field, mesh in zip(
+            row, ("as described", "corrected, expected", "best commands (floor)"), fields, meshes, strict=False
+        ):
+            first, second = (drawn(c, unit) for c, unit in zip(mesh.points.T, errors.units, strict=True))
+            axes.tricontourf(
+                Triangulation(first, second, mesh.triangles),
+                _MICROMETRES * mesh.values(field),
+                levels=scale.levels,
+                norm=scale.norm(),
+                cmap=COLORMAP,
+                extend=scale.extend,
+            )
+            for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
+                pieces = [
+                    np.column_stack([drawn(c, u) for c, u in zip(line.T, errors.units, strict=True)]) for line in lines
+                ]
+                axes.add_collection(LineCollection(pieces, **{f"{name}s": value for name, value in style.items()}))
+            axes.set_title(title)
+            axes.set_xlabel(axis_label(errors.names[0], errors.units[0]))
+            if errors.units[0] == errors.units[1]:
+                axes.set_aspect("equal")
+        row[0].set_ylabel(axis_label(errors.names[1], errors.units[1]))
+        bar = figure.colorbar(ScalarMappable(scale.norm(), COLORMAP), ax=row, extend=scale.extend, pad=0.01)
+        bar.set_label("tip error [µm]")
+        scale.label(bar)
     return figure
-
-
-def _levels(*fields: Array) -> Array:
-    """Round values between which the colours of all these maps step [µm]."""
-    values = np.concatenate([field[np.isfinite(field)] for field in fields]) * _MICROMETRES
-    least, greatest = float(values.min()), float(values.max())
-    return np.array(MaxNLocator(_LEVELS, steps=[1, 2, 2.5, 5, 10]).tick_values(least, max(greatest, least + 1.0)))
-
-
-def _draw_map(axes: Any, errors: WorkspaceErrors, field: Array, title: str, levels: Array) -> None:
-    (x, y), values = _drawn_coordinates(errors), field * _MICROMETRES
-    axes.contourf(x, y, values.T, levels=levels, cmap=COLORMAP)
-    axes.contour(x, y, values.T, levels=levels, colors="white", linewidths=0.3, alpha=0.7)
-    for limits, coordinate, along in ((axes.set_xlim, x, 1), (axes.set_ylim, y, 0)):
-        shown = coordinate[np.isfinite(field).any(axis=along)]
-        margin = 0.05 * np.ptp(shown)
-        limits(shown.min() - margin, shown.max() + margin)
-    axes.set_title(title)
-    axes.set_xlabel(_axis_label(errors, 0))
-
-
-def _drawn_coordinates(errors: WorkspaceErrors) -> tuple[Array, Array]:
-    """Angles in degrees, lengths in metres."""
-    x, y = (
-        np.degrees(values) if unit == "rad" else values
-        for values, unit in zip(errors.coordinates, errors.units, strict=True)
-    )
-    return x, y
-
-
-def _axis_label(errors: WorkspaceErrors, which: int) -> str:
-    return f"{errors.names[which]} [{'deg' if errors.units[which] == 'rad' else 'm'}]"

@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.path import Path
 
 from pm3dof_pin.figures.labels import axis_label, drawn, in_words
-from pm3dof_pin.figures.style import house_style, new_figure, spring_colors
+from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
+from pm3dof_pin.figures.style import END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure, spring_colors
 from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES
 
 if TYPE_CHECKING:
@@ -20,11 +23,14 @@ _COLUMNS = 3
 _FAINT, _FULL = 0.25, 1.0  # opacity of a spring that leads with nothing, and of one that does all
 
 
-def critical_springs(section: xr.Dataset) -> Figure:
+def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figure:
     """Draw, axis by axis, the spring that gives most, the more intense the greater its share.
+
+    Between the poses of the section the shares are interpolated, so that regions have smooth edges.
 
     Args:
         section: :attr:`~pm3dof_pin.maps.workspace_evaluation.WorkspaceEvaluation.dataset` over two coordinates.
+        within: the limits over the section, which give it its exact outline.
     """
     critical, shares = section[CRITICAL], section[SHARES]
     first, second = (str(dim) for dim in critical.dims[:2])
@@ -33,25 +39,37 @@ def critical_springs(section: xr.Dataset) -> Figure:
     seen = [axis for axis in axes_names if (critical.sel(axis=axis) > 0).any()]
     units = {name: section[name].attrs["units"] for name in (first, second)}
     extent = [drawn(section[name].values[[0, -1]], units[name]) for name in (first, second)]
+    inside = np.isfinite(shares.values).all(axis=(-2, -1))
+    mesh = outlined_mesh(section[first].values, section[second].values, inside, within)
+    corners = np.stack([drawn(mesh.points[:, k], units[name]) for k, name in enumerate((first, second))], axis=-1)
+    outline = Path.make_compound_path(*(Path(corners[[*triangle, triangle[0]]]) for triangle in mesh.triangles))
     rows = -(-len(seen) // _COLUMNS)
     leading = sorted({int(number) for number in np.unique(critical.values) if number > 0})
     colors = dict(zip(leading, spring_colors(len(leading)), strict=True))
+    height = 2.2 * rows + 1.1
     with house_style():
-        figure = new_figure(8.0, 2.45 * rows + 1.1)
+        figure = new_figure(TWO_COLUMNS, height)
         panels = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
         for panel, axis in zip(panels.flat, seen, strict=False):
-            numbers = critical.sel(axis=axis).values
-            leads = np.nanmax(np.nan_to_num(shares.sel(axis=axis).values), axis=-1)
-            panel.imshow(
+            fine = np.stack([mesh.fine(entry.T) for entry in shares.sel(axis=axis).values.T])
+            leads, numbers = fine.max(axis=0), fine.argmax(axis=0) + 1
+            image = panel.imshow(
                 numbers.T,
                 origin="lower",
                 extent=(*extent[0], *extent[1]),
                 aspect="equal" if units[first] == units[second] else "auto",
                 cmap=ListedColormap([colors.get(number, "white") for number in range(len(names) + 1)]),
                 norm=BoundaryNorm(np.arange(len(names) + 2) - 0.5, len(names) + 1),
-                alpha=np.where(numbers > 0, _FAINT + (_FULL - _FAINT) * leads, 0.0).T,
+                alpha=np.clip(np.where(np.isfinite(leads), _FAINT + (_FULL - _FAINT) * leads, 0.0), 0.0, 1.0).T,
                 interpolation="nearest",
             )
+            image.set_clip_path(outline, panel.transData)
+            for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
+                pieces = [
+                    np.column_stack([drawn(line[:, k], units[name]) for k, name in enumerate((first, second))])
+                    for line in lines
+                ]
+                panel.add_collection(LineCollection(pieces, **{f"{key}s": value for key, value in style.items()}))
             panel.set_title(f"along {axis}" if axis in "xyz" else f"about {axis[1]}")
         for panel in panels.flat[len(seen) :]:
             panel.set_visible(False)
@@ -59,7 +77,7 @@ def critical_springs(section: xr.Dataset) -> Figure:
             panel.set_xlabel(axis_label(first, units[first]))
         for panel in panels[:, 0]:
             panel.set_ylabel(axis_label(second, units[second]))
-        handles = [Patch(color=colors[number], label=names[number - 1]) for number in leading]
+        handles = [Patch(color=colors[number], label=names[number - 1].replace("_", " ")) for number in leading]
         figure.legend(handles=handles, loc="lower center", ncols=min(6, len(handles)))
         stands = [
             in_words(str(c), float(section[c]), section[c].attrs["units"])
@@ -68,8 +86,9 @@ def critical_springs(section: xr.Dataset) -> Figure:
         ]
         place = f" at {', '.join(stands)}" if stands else ""
         machine = section.attrs["machine"]
-        figure.suptitle(f"Spring that gives most, the fuller the colour the greater its share: {machine}{place}")
-        height = 2.45 * rows + 1.1
+        figure.suptitle(
+            f"Spring that gives most, the fuller the colour the greater its share: {machine}{place}", fontsize=8.0
+        )
         figure.subplots_adjust(
             left=0.09, right=0.98, top=1.0 - 0.6 / height, bottom=0.85 / height, hspace=0.25, wspace=0.08
         )

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from pm3dof_pin.errors.error_map import ParameterShare
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.style import house_style, new_figure
+from pm3dof_pin.figures.labels import parameter_words
+from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 COMPENSABLE_COLOR, UNCOMPENSABLE_COLOR = "#56B4E9", "#D55E00"
 
@@ -28,20 +29,20 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
     if not shown:
         raise InvalidValueError("ranking", "empty", "at least one parameter")
     rows = np.arange(len(shown))
-    inches = 1.0 + 0.24 * len(shown)
+    inches = 1.0 + 0.2 * len(shown)
     with house_style():
-        figure = new_figure(7.0, inches)
-        figure.suptitle("Critical parameters", y=1.0 - 0.15 / inches)
-        axes = figure.add_axes((0.29, 0.5 / inches, 0.68, 1.0 - 0.9 / inches))
+        figure = new_figure(ONE_COLUMN, inches)
+        figure.suptitle("Critical parameters, share", y=1.0 - 0.04 / inches, va="top")
+        axes = figure.add_axes((0.39, 0.42 / inches, 0.58, 1.0 - 0.86 / inches))
         for offset, color, text, shares in (
             (-0.19, COMPENSABLE_COLOR, "of the tip error", [share.share for share in shown]),
-            (0.19, UNCOMPENSABLE_COLOR, "of what no command can undo", [share.uncompensable_share for share in shown]),
+            (0.19, UNCOMPENSABLE_COLOR, "of what commands cannot undo", [share.uncompensable_share for share in shown]),
         ):
             axes.barh(rows + offset, 100.0 * np.array(shares), 0.38, color=color, label=text)
-        axes.set_yticks(rows, [share.name for share in shown])
+        axes.set_yticks(rows, [parameter_words(share.name) for share in shown])
         axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.set_xlabel("share of the mean squared error [%]")
-        axes.legend(loc="lower right")
+        axes.set_xlabel("share of the mean square [%]")
+        figure.legend(loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.0 - 0.18 / inches), columnspacing=1.0)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
     return figure

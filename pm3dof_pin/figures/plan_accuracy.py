@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.calibration.planning import Strategy
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.style import house_style, new_figure
+from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 # Okabe and Ito's colours
 STRATEGY_COLORS: Mapping[Strategy, str] = {
@@ -50,8 +50,8 @@ def plan_accuracy(
         if curve.ndim != 2 or len(curve) != len(counts):
             raise InvalidValueError(f"curve of {strategy}", f"shape {curve.shape}", f"shape ({len(counts)}, seeds)")
     with house_style():
-        figure = new_figure(6.4, 4.2)
-        axes = figure.add_axes((0.11, 0.12, 0.87, 0.85))
+        figure = new_figure(ONE_COLUMN, 2.9)
+        axes = figure.add_axes((0.15, 0.145, 0.83, 0.83))
         for strategy, curve in curves.items():
             microns = 1e6 * curve
             color = STRATEGY_COLORS[strategy]
@@ -77,5 +77,5 @@ def plan_accuracy(
         low, high = axes.get_ylim()
         axes.set_yticks([tick for tick in ticks if low <= tick <= high])
         axes.grid(True, color="#dddddd", linewidth=0.5)
-        axes.legend(loc="upper right")
+        axes.legend(loc="upper right", fontsize=6.5)
     return figure

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.figures.labels import axis_label, drawn, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
-from pm3dof_pin.figures.style import INK, house_style, limit_styles, new_figure
+from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure
 from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
@@ -29,6 +29,8 @@ _ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
+_PARTS = 6  # of the sides of cells in which one limit takes over from another
+_HALVINGS = 14
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,8 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
     """Draw the reachable set with the limit that ends it in colour.
 
     Star-shaped sections are joined to a solid; of others, which may have holes or several parts, the boundary points
-    are drawn. Where one limit takes over from another, the solid is as smooth as the stack is fine: about 200 sections
-    look well. Of two coordinates the one section is drawn.
+    are drawn. Where one limit takes over from another between two rays, the limits are asked again. Of two coordinates
+    the one section is drawn.
 
     Args:
         workspace: the reachable set.
@@ -57,13 +59,13 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
     """
     sheet = _Sheet(workspace, printed)
     with house_style():
-        figure = new_figure(9.4, 6.6) if workspace.space.stacked else new_figure(5.6, 5.6)
+        figure = new_figure(TWO_COLUMNS, 4.7) if workspace.space.stacked else new_figure(ONE_COLUMN, 3.9)
         figure.suptitle(f"Reachable set under all {'joint ' if printed else ''}limits: {workspace.space.machine}")
         # placed by hand: no layout engine knows the size of labels in space
         if workspace.space.stacked:
-            _draw_solid(figure.add_axes((-0.03, 0.06, 0.6, 0.88), projection="3d"), sheet)
-            _draw_outlines(figure.add_axes((0.645, 0.455, 0.335, 0.477)), sheet)
-            _draw_profile(figure.add_axes((0.645, 0.08, 0.335, 0.285)), sheet)
+            _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet)
+            _draw_outlines(figure.add_axes((0.655, 0.475, 0.325, 0.455)), sheet)
+            _draw_profile(figure.add_axes((0.655, 0.095, 0.325, 0.27)), sheet)
         else:
             _draw_outlines(figure.add_axes((0.17, 0.2, 0.78, 0.72)), sheet)
         _add_legend(figure, sheet)
@@ -160,14 +162,16 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
         if not section.star_shaped:
             axes.scatter(*sheet.points(section).T, color=sheet.colors(section.limits), s=1.0, depthshade=False)
     axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1], zlim=sheet.limits[2])
-    axes.set_xlabel(sheet.labels[0])
-    axes.set_ylabel(sheet.labels[1])
-    axes.set_zlabel(sheet.labels[2], labelpad=8)
+    axes.set_xlabel(sheet.labels[0], labelpad=-2)
+    axes.set_ylabel(sheet.labels[1], labelpad=-2)
+    axes.set_zlabel(sheet.labels[2], labelpad=3)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_locator(MaxNLocator(5))
-    axes.tick_params(axis="z", pad=4)
+    axes.tick_params(axis="z", pad=1)
+    axes.tick_params(axis="x", pad=-1)
+    axes.tick_params(axis="y", pad=-1)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
-    axes.set_box_aspect(_BOX, zoom=0.88)
+    axes.set_box_aspect(_BOX, zoom=0.95)
 
 
 def _faces(sheet: _Sheet) -> tuple[Array, Array]:
@@ -176,11 +180,47 @@ def _faces(sheet: _Sheet) -> tuple[Array, Array]:
     for lower, upper in itertools.pairwise(sheet.workspace.sections):
         if lower.star_shaped and upper.star_shaped:
             corners = _cells(sheet.ring(lower), sheet.ring(upper))
-            shades = _cells(*(sheet.colors(np.append(s.limits, s.limits[0])) for s in (lower, upper)))
-            faces.append(corners)
-            # the mean of the corners softens the steps where one limit takes over from another between the rays
-            colors.append(shades.mean(axis=1))
+            flags = _cells(*(np.append(s.limits, s.limits[0])[:, None] for s in (lower, upper)))[..., 0]
+            mixed = np.any(flags != flags[:, :1], axis=1)
+            faces.append(corners[~mixed])
+            colors.append(sheet.colors(flags[~mixed, 0]))
+            parts, owners = _divided(sheet, lower, upper, corners[mixed], np.flatnonzero(mixed))
+            faces.append(parts)
+            colors.append(owners)
     return np.concatenate(faces), np.concatenate(colors)
+
+
+def _divided(
+    sheet: _Sheet, lower: WorkspaceSection, upper: WorkspaceSection, corners: Array, rays: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Divide cells in which one limit takes over from another, and ask the limits themselves about each part."""
+    space = sheet.workspace.space
+    steps = np.linspace(0.0, 1.0, _PARTS + 1)
+    across, up = np.meshgrid(steps, steps, indexing="ij")
+    weights = np.stack([(1 - across) * (1 - up), across * (1 - up), across * up, (1 - across) * up], axis=-1)
+    nodes = np.einsum("ijk,nkd->nijd", weights, corners)
+    cells = np.stack([nodes[:, :-1, :-1], nodes[:, 1:, :-1], nodes[:, 1:, 1:], nodes[:, :-1, 1:]], axis=-2)
+    following = (rays + 1) % len(lower.azimuths)
+    radii = np.stack([lower.radii[rays], lower.radii[following], upper.radii[following], upper.radii[rays]], axis=-1)
+    middle = 0.5 * (steps[:-1] + steps[1:])
+    across, up = np.meshgrid(middle, middle, indexing="ij")
+    weights = np.stack([(1 - across) * (1 - up), across * (1 - up), across * up, (1 - across) * up], axis=-1)
+    radius = np.einsum("ijk,nk->nij", weights, radii)
+    azimuth = lower.azimuths[rays][:, None, None] + across * (lower.azimuths[1] - lower.azimuths[0])
+    level = lower.level + up * (upper.level - lower.level)
+    flags = _first_broken(sheet, radius, azimuth, np.broadcast_to(level, radius.shape), space.ray_step)
+    return cells.reshape(-1, 4, 3), sheet.colors(flags).reshape(-1, 4)
+
+
+def _first_broken(sheet: _Sheet, radius: Array, azimuth: Array, level: Array, step: float) -> NDArray[np.uint32]:
+    """Return the limits that are broken just outside the reachable set, near given radii, by bisection."""
+    space = sheet.workspace.space
+    inner, outer = np.maximum(radius - step, 0.0), radius + step
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (inner + outer)
+        keeps = space.within(space.points(middle, azimuth), level)
+        inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
+    return space.flags(space.points(outer, azimuth), level)
 
 
 def _cells(lower: Array, upper: Array) -> Array:
@@ -219,7 +259,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
             level = float(drawn(section.level, sheet.units[2]))
             text = f"{level:.3f}" if sheet.units[2] == "m" else f"{level:.1f}"
-            axes.text(x, y, text, fontsize=7.0, ha="center", va="center", bbox=box)
+            axes.text(x, y, text, fontsize=6.5, ha="center", va="center", bbox=box)
     if sheet.workspace.space.stacked:
         axes.text(0.02, 0.98, f"on the lines: {sheet.labels[2]}", fontsize=7.0, va="top", transform=axes.transAxes)
     if sheet.printed is not None:

@@ -11,10 +11,19 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from study import FLOOR, NONE, TESTS, Record, StudyPlan, over_seeds, select
 
 from pm3dof_pin.calibration.calibrate import METHODS
-from pm3dof_pin.figures.style import house_style, new_figure
+from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, new_figure
 
 # Okabe and Ito's colours
 _COLORS = {"lm": "#222222", "nn": "#E69F00", "gp": "#56B4E9", "lm+nn": "#D55E00", "lm+gp": "#0072B2"}
+_MARKERS = {"lm": "o", "nn": "s", "gp": "^", "lm+nn": "D", "lm+gp": "v"}
+_WORDS = {
+    "lm": "parameters (lm)",
+    "nn": "neural network (nn)",
+    "gp": "Gaussian process (gp)",
+    "lm+nn": "parameters and network (lm+nn)",
+    "lm+gp": "parameters and process (lm+gp)",
+}
+_APART = 1.045  # ratio of the places of two methods at the same number of poses
 _MICROMETRES = 1e6
 
 
@@ -64,7 +73,7 @@ def tip_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
 
 
 def _panels(plan: StudyPlan) -> tuple[Figure, dict[tuple[str, str], Any]]:
-    figure = new_figure(3.4 * len(plan.worlds), 6.0)
+    figure = new_figure(TWO_COLUMNS, 4.6)
     figure.set_layout_engine("constrained")
     grid = figure.subplots(len(TESTS), len(plan.worlds), sharex=True, sharey=True, squeeze=False)
     return figure, {(world, test): grid[i][j] for i, test in enumerate(TESTS) for j, world in enumerate(plan.worlds)}
@@ -73,9 +82,20 @@ def _panels(plan: StudyPlan) -> tuple[Figure, dict[tuple[str, str], Any]]:
 def _curve(axes: Any, plan: StudyPlan, values: Sequence[Sequence[float]], method: str) -> None:
     """Draw the mean over the seeds, one list of values for each number of poses [m]."""
     numbers = _MICROMETRES * np.array(values)
-    color = _COLORS[method]
-    axes.plot(plan.counts, numbers.mean(axis=1), "o-", markersize=3.0, color=color, label=method)
-    axes.fill_between(plan.counts, numbers.min(axis=1), numbers.max(axis=1), color=color, alpha=0.1, linewidth=0.0)
+    color, mean = _COLORS[method], numbers.mean(axis=1)
+    # beside each other, so that the ranges of all methods can be told apart
+    places = np.array(plan.counts) * _APART ** (METHODS.index(method) - 0.5 * (len(METHODS) - 1))
+    axes.errorbar(
+        places,
+        mean,
+        yerr=[mean - numbers.min(axis=1), numbers.max(axis=1) - mean],
+        fmt=_MARKERS[method] + "-",
+        markersize=2.5,
+        linewidth=0.9,
+        elinewidth=0.7,
+        color=color,
+        label=_WORDS[method],
+    )
 
 
 def _levels(axes: Any, none: float, noise: float) -> None:
@@ -96,4 +116,4 @@ def _finish(plan: StudyPlan, figure: Figure, panels: dict[tuple[str, str], Any])
         axes.minorticks_off()
         axes.label_outer()
     handles, labels = next(iter(panels.values())).get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
