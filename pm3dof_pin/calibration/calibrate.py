@@ -156,9 +156,10 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
 
 
 def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
-    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2].
+    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2]; 0 if that is all by chance.
 
-    Directions that hardly any pose shows are taken to scatter as the others do in the mean.
+    Eigenvalues that chance made negative are left out, and the others keep the sum of all. Directions that hardly any
+    pose shows are taken to scatter as the others do in the mean.
 
     Args:
         errors: tip-weighted, shape=(n, 6) [m].
@@ -167,8 +168,11 @@ def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
     """
     count, known = len(errors), covariances.mean(axis=0)
     values, axes = np.linalg.eigh(errors.T @ errors / count - known)
-    chance = _BEYOND_CHANCE * np.sqrt(2.0 / count) * np.einsum("ij,ik,kj->j", axes, known, axes)
-    scatter = (axes * np.where(values > chance, values, 0.0)) @ axes.T
+    chance = _BEYOND_CHANCE * float(np.sqrt(2.0 / count * np.sum(known**2)))
+    total, kept = float(values.sum()), np.maximum(values, 0.0)
+    if total <= chance:
+        return np.zeros((6, 6))
+    scatter = (axes * (kept * total / kept.sum())) @ axes.T
     parts, directions = np.linalg.eigh(shown.mean(axis=0))
     hidden = directions[:, parts < _HARDLY_SHOWN]
     mean = float(np.trace(scatter)) / max(1.0, float(parts.sum()))

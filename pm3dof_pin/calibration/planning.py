@@ -379,6 +379,29 @@ class PlanningProblem:
         return chosen
 
 
+def order_with_references(poses: Poses, every: int, seed: int) -> Indices:
+    """Return an order of poses in which drift and scatter show: at random, one pose again and again between the others.
+
+    At random, time goes with no coordinate; the pose that comes again is the one amid the others.
+
+    Args:
+        poses: the poses of a plan, shape=(n,).
+        every: how many others stand between two references.
+        seed: of the order.
+
+    Returns:
+        Indices of the poses, the reference's more than once.
+    """
+    commands = poses.commands
+    spread = np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)
+    reference = int(np.argmin(np.linalg.norm((commands - commands.mean(axis=0)) / spread, axis=1)))
+    others = np.random.default_rng(seed).permutation(np.delete(np.arange(len(commands)), reference))
+    order = [reference]
+    for start in range(0, len(others), every):
+        order += [*others[start : start + every].tolist(), reference]
+    return np.array(order, dtype=np.intp)
+
+
 class _Determinant:
     """log det M."""
 

@@ -101,6 +101,14 @@ def calibration_plan(
             help="Choose among the commands of a file (CSV), such as the least_sensitive.csv of error-map --budget.",
         ),
     ] = None,
+    references: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="In an order that shows drift: at random, one pose first, again after every N others, and last.",
+        ),
+    ] = None,
     candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
@@ -127,7 +135,12 @@ def calibration_plan(
     import numpy as np
 
     from pm3dof_pin.calibration.identifiability import minimum_poses
-    from pm3dof_pin.calibration.planning import STRATEGIES, STRATEGY_OF_METHOD, PlanningProblem
+    from pm3dof_pin.calibration.planning import (
+        STRATEGIES,
+        STRATEGY_OF_METHOD,
+        PlanningProblem,
+        order_with_references,
+    )
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
     from pm3dof_pin.measuring.measurement_file import read_commands, write_plan
@@ -174,7 +187,9 @@ def calibration_plan(
         if wrenches is not None:
             columns = zip(WRENCH_COLUMNS, wrenches[plan.indices].T, strict=True)
             loads = {name: values for name, values in columns if values.any()}
-        files = [write_plan(plan.poses, out, loads)]
+        order = np.arange(count) if references is None else order_with_references(plan.poses, references, seed)
+        ordered = {name: values[order] for name, values in loads.items()}
+        files = [write_plan(plan.poses[order], out, ordered)]
         minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
         if picture is not None:
             files += _draw(problem, minimum, picture, formats)

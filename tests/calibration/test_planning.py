@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem
+from pm3dof_pin.calibration.planning import STRATEGIES, PlanningProblem, order_with_references
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -138,3 +138,11 @@ def test_other_machines_are_planned_too() -> None:
     problem = PlanningProblem(errors, poses[:60], poses[60:])
     plan = problem.plan(10, "d-optimal", np.random.default_rng(0), restarts=1)
     assert plan.predicted_tip_rms < problem.predicted_tip_rms([])
+
+
+def test_reference_poses_stand_between_the_others(tripod_nominal: Poses) -> None:
+    order = order_with_references(tripod_nominal[:14], 4, 0)
+    reference = order[0]
+    np.testing.assert_array_equal(np.flatnonzero(order == reference), [0, 5, 10, 15, 17])
+    assert sorted(set(order.tolist())) == list(range(14))
+    assert len(order) == 13 + 5
