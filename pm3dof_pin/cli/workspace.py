@@ -180,7 +180,8 @@ def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
         name, unit, (low, high) = space.names[2], space.units[2], found.level_range
         volume = f"{found.volume:.6f}" if all(turns) else f"{found.volume:.4e}"
         ends = f"{np.degrees(low):.2f} .. {np.degrees(high):.2f} deg" if unit == "rad" else f"{low:.4f} .. {high:.4f} m"
-        ranges = [f"volume {volume} {words} {unit}", f"{name} {ends}", *ranges]
+        of_volume = f"{unit}^3" if set(space.units) == {unit} else f"{words} {unit}"
+        ranges = [f"volume {volume} {of_volume}", f"{name} {ends}", *ranges]
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items())
     lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
     if "printed_ranges" in result:

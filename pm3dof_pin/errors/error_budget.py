@@ -21,7 +21,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.error_map import control_basis
+from pm3dof_pin.errors.error_map import control_basis, least_sensitive
 from pm3dof_pin.errors.expected_norm import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
@@ -164,10 +164,7 @@ class ErrorBudget:
         Raises:
             InvalidValueError: the part is not in (0, 1].
         """
-        if not 0.0 < part <= 1.0:
-            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
-        size = self.tip_rms
-        return np.asarray(size <= np.sort(size)[max(1, round(part * len(size))) - 1])
+        return least_sensitive(self.tip_rms, part)
 
     def _line(self, name: str, error_class: str, long_name: str, share: float) -> BudgetLine:
         tip = self.tip_rms

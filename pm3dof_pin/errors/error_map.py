@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
@@ -24,7 +23,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array, Engine, Mask
 
 _CONTROL_TOLERANCE = 1e-9
 _NOTHING = 1e-20  # of the squared error: what rounding leaves of errors that commands undo altogether
@@ -167,7 +166,7 @@ class ErrorMap:
         # parameters of equal share, as those of like legs, stay in their order
         return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
 
-    def least_sensitive(self, part: float = 0.2) -> NDArray[np.bool_]:
+    def least_sensitive(self, part: float = 0.2) -> Mask:
         """Tell which poses are in the region least sensitive to errors, shape=(n,).
 
         Args:
@@ -176,10 +175,18 @@ class ErrorMap:
         Raises:
             InvalidValueError: the part is not in (0, 1].
         """
-        if not 0.0 < part <= 1.0:
-            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
-        size = self.tip_rms
-        return np.asarray(size <= np.sort(size)[max(1, round(part * len(size))) - 1])
+        return least_sensitive(self.tip_rms, part)
+
+
+def least_sensitive(sizes: Array, part: float) -> Mask:
+    """Tell which poses are among the part with the smallest errors, of sizes of shape=(n,).
+
+    Raises:
+        InvalidValueError: the part is not in (0, 1].
+    """
+    if not 0.0 < part <= 1.0:
+        raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
+    return np.asarray(sizes <= np.sort(sizes)[max(1, round(part * len(sizes))) - 1])
 
 
 def error_map(

@@ -13,7 +13,6 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.grid_map import grid_dataset
 from pm3dof_pin.typing import Array
@@ -111,20 +110,6 @@ def budget_table(budget: ErrorBudget, *, part: float = LEAST_SENSITIVE_PART) -> 
     variables = {name: ("pose", values, attributes) for name, (values, attributes) in _fields(budget, part).items()}
     dataset = xr.Dataset(variables, coords=labels, attrs={"title": f"Errors of {robot.name}", "machine": robot.name})
     return _labelled(dataset, budget.eta, part)
-
-
-def least_sensitive_poses(sources: ErrorSources, poses: Poses, *, part: float = LEAST_SENSITIVE_PART) -> Poses:
-    """Return the part of some poses at which all sources move the tool least: where the chapter calibrates.
-
-    Args:
-        sources: the sources with their numbers.
-        poses: candidates, of the robot as described.
-        part: part of them.
-
-    Raises:
-        InvalidValueError: the part is not in (0, 1].
-    """
-    return poses[np.flatnonzero(error_budget(sources, poses).least_sensitive(part))]
 
 
 def _fields(budget: ErrorBudget, part: float) -> dict[str, tuple[Array, dict[str, Any]]]:
