@@ -1,4 +1,4 @@
-"""Gaussian processes for joint deviations: exact, small, with the noise of each measurement known.
+"""Gaussian processes for joint deviations, with the noise of each measurement known; of many poses, sparse ones.
 
 C. Rasmussen and C. Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5. For the deviation of
 drive i, with scaled inputs x,
@@ -21,7 +21,7 @@ import scipy.linalg
 import scipy.optimize
 
 from pm3dof_pin.exceptions import ConvergenceError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Indices
 
 _LEAST_AMPLITUDE = 1e-4  # of the deviations' scale
 _MOST_AMPLITUDE = 30.0
@@ -30,6 +30,10 @@ _SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
 _SCALE_SPREAD = 0.4
 _STARTS = ((0.5, 0.5, 0.1), (0.05, 0.05, 0.3))  # c, s, o over the deviations' scale
 _JITTER = 1e-10
+EXACT_UP_TO = 300
+"""Measurements of more poses are summed up by inducing points, and the time grows in proportion to them."""
+_INDUCING = 200
+_SPARSE_JITTER = 1e-9
 _UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its deviations are 0
 
 
@@ -51,20 +55,12 @@ class GaussianProcess:
     logarithms: Array
 
     @cached_property
-    def _factors(self) -> list[Array]:
-        """Cholesky factors of the covariances of the measured deviations."""
+    def _processes(self) -> list[_Exact | _Sparse]:
+        chosen = _spread(self.inputs)
+        kind = _Exact if len(chosen) == len(self.inputs) else _Sparse
         return [
-            scipy.linalg.cholesky(
-                _Kernel(self.inputs, drive).value(parameters) + _noise(self.noise[:, drive], parameters), lower=True
-            )
+            kind(self.inputs, self.targets[:, drive], self.noise[:, drive], parameters, drive, chosen)
             for drive, parameters in enumerate(self.logarithms)
-        ]
-
-    @cached_property
-    def _weights(self) -> list[Array]:
-        """What each measurement contributes."""
-        return [
-            scipy.linalg.cho_solve((factor, True), self.targets[:, drive]) for drive, factor in enumerate(self._factors)
         ]
 
     @classmethod
@@ -79,29 +75,21 @@ class GaussianProcess:
         Raises:
             ConvergenceError: no kernel was found.
         """
+        some = _spread(inputs)
         chosen = [
-            _most_likely(_Kernel(inputs, drive), deviations[:, drive], noise[:, drive])
+            _most_likely(_Kernel(inputs[some], drive), deviations[some, drive], noise[some, drive])
             for drive in range(deviations.shape[1])
         ]
         return cls(inputs, deviations, noise, np.array(chosen))
 
     def deviations(self, inputs: Array) -> Array:
         """Return the mean of du, shape=(n, number of commands) [m, rad]."""
-        means = [
-            _kernel_between(inputs, self.inputs, drive, parameters) @ self._weights[drive]
-            for drive, parameters in enumerate(self.logarithms)
-        ]
-        return np.stack(means, axis=1)
+        return np.stack([process.mean(inputs) for process in self._processes], axis=1)
 
     def uncertainties(self, inputs: Array) -> Array:
         """Return the standard deviation of du, shape=(n, number of commands) [m, rad]."""
-        sigmas = []
-        for drive, parameters in enumerate(self.logarithms):
-            across = _kernel_between(inputs, self.inputs, drive, parameters)
-            explained = scipy.linalg.solve_triangular(self._factors[drive], across.T, lower=True)
-            variance = _own_variance(inputs, parameters) - np.sum(explained**2, axis=0)
-            sigmas.append(np.sqrt(np.maximum(variance, 0.0)))
-        return np.stack(sigmas, axis=1)
+        variances = np.stack([process.variance(inputs) for process in self._processes], axis=1)
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
     def as_data(self) -> dict[str, object]:
         """Return the process as numbers and lists."""
@@ -132,6 +120,71 @@ def typical_covariance(first: Array, second: Array, drive: int) -> Array:
     """
     scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
     return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
+
+
+class _Exact:
+    """The process of one drive, given all its measurements."""
+
+    def __init__(
+        self, inputs: Array, targets: Array, noise: Array, parameters: Array, drive: int, chosen: Indices
+    ) -> None:
+        self._inputs, self._parameters, self._drive = inputs[chosen], parameters, drive
+        covariance = _Kernel(inputs, drive).value(parameters) + np.diag(_noise(noise, parameters))
+        self._factor = scipy.linalg.cholesky(covariance, lower=True)
+        self._weights = scipy.linalg.cho_solve((self._factor, True), targets)
+
+    def mean(self, inputs: Array) -> Array:
+        return np.asarray(_kernel_between(inputs, self._inputs, self._drive, self._parameters) @ self._weights)
+
+    def variance(self, inputs: Array) -> Array:
+        across = _kernel_between(inputs, self._inputs, self._drive, self._parameters)
+        explained = scipy.linalg.solve_triangular(self._factor, across.T, lower=True)
+        return np.asarray(_own_variance(inputs, self._parameters) - np.sum(explained**2, axis=0))
+
+
+class _Sparse(_Exact):
+    """The process of one drive, given many measurements by way of few inducing points.
+
+    The measurements are independent of each other given the process at the inducing points (E. Snelson and
+    Z. Ghahramani, Sparse Gaussian processes using pseudo-inputs, 2006), which are spread over the inputs.
+    """
+
+    def __init__(
+        self, inputs: Array, targets: Array, noise: Array, parameters: Array, drive: int, chosen: Indices
+    ) -> None:
+        self._inputs, self._parameters, self._drive = inputs[chosen], parameters, drive
+        covariance = _Kernel(self._inputs, drive).value(parameters)
+        jitter = _SPARSE_JITTER * np.trace(covariance) / len(chosen)
+        self._factor = scipy.linalg.cholesky(covariance + jitter * np.eye(len(chosen)), lower=True)
+        across = _kernel_between(self._inputs, inputs, drive, parameters)
+        told = scipy.linalg.solve_triangular(self._factor, across, lower=True)
+        own = np.maximum(_own_variance(inputs, parameters) - np.sum(told**2, axis=0), 0.0)
+        scaled = told / np.sqrt(own + _noise(noise, parameters))
+        self._known = scipy.linalg.cholesky(np.eye(len(chosen)) + scaled @ scaled.T, lower=True)
+        pull = scipy.linalg.cho_solve(
+            (self._known, True), scaled @ (targets / np.sqrt(own + _noise(noise, parameters)))
+        )
+        self._weights = scipy.linalg.solve_triangular(self._factor, pull, lower=True, trans="T")
+
+    def variance(self, inputs: Array) -> Array:
+        across = _kernel_between(inputs, self._inputs, self._drive, self._parameters)
+        told = scipy.linalg.solve_triangular(self._factor, across.T, lower=True)
+        open_part = scipy.linalg.solve_triangular(self._known, told, lower=True)
+        return np.asarray(
+            _own_variance(inputs, self._parameters) - np.sum(told**2, axis=0) + np.sum(open_part**2, axis=0)
+        )
+
+
+def _spread(inputs: Array) -> Indices:
+    """Return all rows of few inputs, or of many the inducing points: each the farthest from those before it."""
+    if len(inputs) <= EXACT_UP_TO:
+        return np.arange(len(inputs))
+    chosen = [int(np.argmin(np.sum((inputs - inputs.mean(axis=0)) ** 2, axis=1)))]
+    nearest = np.full(len(inputs), np.inf)
+    for _ in range(_INDUCING - 1):
+        nearest = np.minimum(nearest, np.sum((inputs - inputs[chosen[-1]]) ** 2, axis=1))
+        chosen.append(int(np.argmax(nearest)))
+    return np.array(chosen)
 
 
 class _Kernel:
@@ -187,7 +240,7 @@ def _own_variance(inputs: Array, logarithms: Array) -> Array:
 
 def _noise(variances: Array, logarithms: Array) -> Array:
     excess = np.exp(2.0 * logarithms[3])
-    return np.diag(variances + excess + _JITTER * variances.mean())
+    return np.asarray(variances + excess + _JITTER * variances.mean())
 
 
 def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
@@ -199,7 +252,7 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     bounds += [(length - 3.0, length + 3.0) for length in lengths]
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        covariance = kernel.value(logarithms) + _noise(noise, logarithms)
+        covariance = kernel.value(logarithms) + np.diag(_noise(noise, logarithms))
         factor = scipy.linalg.cholesky(covariance, lower=True)
         weights = scipy.linalg.cho_solve((factor, True), deviations)
         value = 0.5 * deviations @ weights + np.log(np.diag(factor)).sum()

@@ -25,7 +25,7 @@ from pm3dof_pin.programs.graph import Graph, Number
 from pm3dof_pin.typing import Objects
 
 _ROUNDING = 1e-15
-_CONSTANTS = np.array([0.0, 1.0, -1.0])
+_CONSTANTS = (0.0, 1.0, -1.0)
 
 
 def structure(mechanism: Mechanism) -> str:
@@ -212,5 +212,8 @@ def _kind(model_joint: Any) -> str:
 
 
 def _rounded(number: float) -> float:
-    nearest = _CONSTANTS[np.abs(_CONSTANTS - number).argmin()]
-    return float(nearest if abs(number - nearest) <= _ROUNDING else number)
+    value = float(number)
+    for constant in _CONSTANTS:
+        if abs(value - constant) <= _ROUNDING:
+            return constant
+    return value
