@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-SECONDS = 20  # of an idle machine; --seconds for others
+SECONDS = 20
 ROBOTS = Path(__file__).parents[2] / "robots"
 MACHINES = Path(__file__).parents[1] / "machines"
 
@@ -259,13 +259,13 @@ def outcome(kind: Input, seed: int, folder: Path) -> str:
     except PM3DofError as error:
         return "refused" if "\n" not in str(error) else f"message of several lines: {error}"
     except TimeoutError:
-        return f"hang: more than {SECONDS} s"
+        return "hang"
     except Exception:
         return traceback.format_exc(limit=-4)
     return "accepted"
 
 
-def _work(name: str, seeds: range, calibration: Path | None, keep: Path | None) -> None:
+def _work(name: str, seeds: range, calibration: Path | None, keep: Path | None, seconds: int) -> None:
     """Run mutants in this process, a line of JSON on standard output for each."""
 
     def ring(*_: object) -> None:
@@ -278,7 +278,7 @@ def _work(name: str, seeds: range, calibration: Path | None, keep: Path | None) 
         print(json.dumps({"begins": seed}), flush=True)
         with tempfile.TemporaryDirectory(prefix="mutant_") as above:
             folder = Path(above) / kind.source.name
-            signal.alarm(SECONDS)
+            signal.alarm(seconds)
             said = outcome(kind, seed, folder)
             signal.alarm(0)
             if keep is not None and said not in ("refused", "accepted"):
@@ -286,13 +286,16 @@ def _work(name: str, seeds: range, calibration: Path | None, keep: Path | None) 
         print(json.dumps({"seed": seed, "said": said}), flush=True)
 
 
-def run(name: str, seeds: range, calibration: Path | None, keep: Path | None) -> Iterator[tuple[int, str]]:
+def run(
+    name: str, seeds: range, calibration: Path | None, keep: Path | None, seconds: int = SECONDS
+) -> Iterator[tuple[int, str]]:
     """Run mutants in processes of their own; one that dies is a finding, and the next process goes on behind it."""
     first = seeds.start
     while first < seeds.stop:
         command = [sys.executable, __file__, "--work", name, "--seed", str(first), "--count", str(seeds.stop - first)]
         command += ["--calibration", str(calibration)] if calibration else []
         command += ["--keep", str(keep)] if keep else []
+        command += ["--seconds", str(seconds)]
         last = first - 1
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as worker:
             assert worker.stdout is not None
@@ -316,16 +319,17 @@ def main() -> None:
     parser.add_argument("--input", action="append")
     parser.add_argument("--calibration", type=Path, help="folder with plan.csv, measurements.csv, calibration/")
     parser.add_argument("--keep", type=Path, help="folder for what went wrong")
+    parser.add_argument("--seconds", type=int, default=SECONDS, help="what is a hang, of this machine")
     parser.add_argument("--work", help=argparse.SUPPRESS)
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.count)
     if options.work:
-        _work(options.work, seeds, options.calibration, options.keep)
+        _work(options.work, seeds, options.calibration, options.keep, options.seconds)
         return
     failed = False
     for name in options.input or inputs(options.calibration):
         counts: Counter[str] = Counter()
-        for seed, said in run(name, seeds, options.calibration, options.keep):
+        for seed, said in run(name, seeds, options.calibration, options.keep, options.seconds):
             counts[said if said in ("refused", "accepted") else "wrong"] += 1
             if said not in ("refused", "accepted"):
                 print(f"--- {name} {seed}: {said}", flush=True)
