@@ -9,7 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pm3dof_pin.exceptions import OutputError
@@ -31,6 +31,7 @@ def exclusive_run(path: Path) -> Iterator[None]:
         OutputError: another run holds the lock, or the folder cannot be written.
     """
     place = path.with_name(f".{path.name}.lock")
+    made = [folder for folder in place.absolute().parents if not folder.exists()]
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         descriptor = _acquire(place)
@@ -43,6 +44,9 @@ def exclusive_run(path: Path) -> Iterator[None]:
     finally:
         place.unlink(missing_ok=True)
         os.close(descriptor)
+        with suppress(OSError):  # a refusal leaves no empty folder
+            for folder in made:
+                folder.rmdir()
 
 
 def _acquire(place: Path) -> int:
