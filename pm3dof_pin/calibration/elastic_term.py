@@ -23,6 +23,8 @@ from pm3dof_pin.typing import Array
 STIFFNESS_SIGMA = 0.3
 """Standard deviation of ln k before any measurement: a stiffness that is computed, not measured, is good to a third."""
 
+_PROGRAM_FROM = 20  # poses
+
 
 @dataclass(frozen=True, eq=False)
 class ElasticTerm:
@@ -68,17 +70,22 @@ class ElasticTerm:
         """Standard deviation of the unknowns before any measurement, shape=(springs,)."""
         return np.full(len(self.springs), STIFFNESS_SIGMA)
 
-    def deflected(self, poses: Poses, logarithms: Array) -> Poses:
-        """Return the poses under the wrenches: the same joints, the tool displaced.
+    def deflected(self, poses: Poses, logarithms: Array) -> tuple[Poses, Array]:
+        """Return the poses under the wrenches, the same joints with the tool displaced, and their derivatives.
 
         Args:
             poses: of the machine without wrenches, shape=(n,).
             logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
+
+        Returns:
+            The poses; how each unknown moves the tool, shape=(n, 6, springs) [m, rad].
         """
         if self.wrenches is None:
-            return poses
-        moved = moved_pose(poses.transforms, self.displacements(poses, logarithms))
-        return Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved)
+            return poses, np.zeros((len(poses), 6, 0))
+        parts = self._by_spring(poses, logarithms)
+        moved = moved_pose(poses.transforms, parts.sum(axis=1))
+        loaded = Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved)
+        return loaded, -np.swapaxes(parts, 1, 2)
 
     def displacements(self, poses: Poses, logarithms: Array) -> Array:
         """Return how far the wrenches move the tool, shape=(n, 6) [m, rad]; arguments as for :meth:`deflected`."""
@@ -95,4 +102,6 @@ class ElasticTerm:
     def _by_spring(self, poses: Poses, logarithms: Array) -> Array:
         assert self.wrenches is not None
         factors = dict(zip(self.springs, np.exp(logarithms).tolist(), strict=True))
-        return spring_deflections(Poses(stiffened(poses.robot, factors), poses.q), self.wrenches)
+        many = len(poses) >= _PROGRAM_FROM  # they are evaluated at every step
+        stiff = Poses(stiffened(poses.robot, factors), poses.q)
+        return spring_deflections(stiff, self.wrenches, engine="program" if many else "pinocchio")

@@ -306,9 +306,9 @@ class _Linearised:
         self.ends = np.cumsum([len(errors), len(elastic.names)])
         values, logarithms, measuring = np.split(x * self.units, self.ends)
         machine, drives = _tool_motions(errors, measurements, poses, values)
-        loaded = elastic.deflected(poses, logarithms)
+        loaded, by_stiffness = elastic.deflected(poses, logarithms)
         self.settled = nuisances.removed(measurements, loaded, drives, measuring)
-        motions = [machine, elastic.derivatives(poses, logarithms), nuisances.motions(measurements, loaded, drives)]
+        motions = [machine, by_stiffness, nuisances.motions(measurements, loaded, drives)]
         self.residuals = self.settled.residuals(loaded)
         derivatives = self.settled.derivatives(loaded, np.concatenate(motions, axis=2))
         self.rows = derivatives / measurements.sigmas[:, :, None] * self.units

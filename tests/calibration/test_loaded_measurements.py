@@ -43,7 +43,7 @@ def loaded(request: pytest.FixtureRequest) -> tuple[World, dict[str, float], Cal
     source = GeometricSource(truth, truth.sample(generator))
     machine = SimulatedMachine(truth.robot, source, elastic=ElasticDeflection(own_weight=False))
     world = World(machine).loaded(0.0, STRONGEST)
-    commands = reachable_poses(errors.robot, 60, generator).commands
+    commands = reachable_poses(errors.robot, 45, generator).commands
     measured = world.measure(commands, generator, Instrument(position_sigma=2e-6, angle_sigma=1e-5))
     return world, factors, calibrate(measured, errors, Options("lm"))
 
@@ -156,7 +156,7 @@ def test_springs_that_are_not_there(tripod_nominal: Poses) -> None:
 
 def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., Any], tmp_path: Path) -> None:
     loads = [str(number) for number in STRONGEST]
-    plan = ("calibration-plan", "--poses", "40", "--candidates", "120", "--strategy", "random", "--out", "plan.csv")
+    plan = ("calibration-plan", "--poses", "24", "--candidates", "60", "--strategy", "random", "--out", "plan.csv")
     planned = answer(*plan, "--wrench", *loads, cwd=tmp_path)
     assert planned["predicted_stiffness_sigma_of_logarithm"]["passive_leg"] < 0.1
     answer("measure", "--plan", "plan.csv", "--out", "m.csv", cwd=tmp_path)
