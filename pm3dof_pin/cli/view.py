@@ -95,6 +95,9 @@ def view(
         bool, typer.Option(help="Arrows for the actuator forces that hold the weight; not along a path.")
     ] = True,
     frames: Annotated[bool, typer.Option(help="Frames of the tool and the loop closures.")] = False,
+    labels: Annotated[
+        bool, typer.Option("--labels", help="Names of the points; of the chapter's machine its lengths and angles too.")
+    ] = False,
     shares: Annotated[
         Load | None,
         typer.Option(metavar="LOAD", help="Colour the legs by their share in the compliance: x, y, z, rx, ry, rz."),
@@ -170,6 +173,8 @@ def view(
             _colour_legs(viewer, model, shares)
         if frames:
             viewer.frames()
+        if labels:
+            viewer.labels()
         if workspace is not None:
             _draw_workspace(viewer, workspace)
         if html is None and picture is None and turntable is None:

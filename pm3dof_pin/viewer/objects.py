@@ -90,6 +90,19 @@ def points(positions: ArrayLike, colours: ArrayLike, size: float) -> Json:
     return _lowered("Points", geometry, material)
 
 
+def sprite(picture: str) -> Json:
+    """Return a picture, an address, on a square of unit size that faces the reader and is drawn over all bodies."""
+    name = f"o{next(_numbers)}"
+    material = {"type": "SpriteMaterial", "color": 0xFFFFFF, "depthTest": False, "transparent": True}
+    return {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "images": [{"uuid": f"{name}i", "url": picture}],
+        "textures": [{"uuid": f"{name}t", "image": f"{name}i"}],
+        "materials": [{"uuid": f"{name}m", **material, "map": f"{name}t"}],
+        "object": {"uuid": name, "type": "Sprite", "material": f"{name}m"},
+    }
+
+
 def transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> NDArray[np.float64]:
     """Return the homogeneous matrix of a linear map, shape=(3, 3), and a translation, shape=(3,), shape=(4, 4)."""
     matrix = np.eye(4)

@@ -21,6 +21,7 @@ from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, s
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.frames import draw_frame
+from pm3dof_pin.viewer.labels import label, measures, points
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
@@ -384,6 +385,26 @@ class Viewer(ShownScene):
             draw_frame(self.scene, paths[-1], in_body, size)
         lines = [", ".join(wanted), "x red, y green, z blue"]
         self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
+
+    def labels(self) -> None:
+        """Write the names of points beside them; of the chapter's machine the lengths and angles of Fig. 8.1b too."""
+        height, paths = 0.09 * self._radius, []
+        named = [(name, text, None) for name, text in points(self._configuration).items()]
+        others = [(frame, text, place) for text, (frame, place) in measures(self._configuration).items()]
+        for number, (name, text, place) in enumerate([*named, *others]):
+            body_path, in_body = self._body_at(name)
+            where = in_body.copy()
+            if place is not None:  # written in the axes of the frame it belongs to
+                where = in_body @ self._configuration.frame_placement(name).inverse().homogeneous
+                where[:3, 3] = (where @ np.append(place, 1.0))[:3]
+            else:
+                where[:3, 3] += 0.015 * self._radius
+            where[:3, :3] = np.eye(3)
+            paths.append(f"{body_path}/labels/{number}")
+            self.scene.set_object(paths[-1], label(text, height, measure=place is not None), casts_shadow=False)
+            self.scene.set_transform(paths[-1], where)
+        lines = [f"{len(named)} points", *([f"{len(others)} lengths and angles"] if others else [])]
+        self._show(Entry(key="labels", title="Names", lines=lines, nodes=paths, of_pose=False))
 
     def workspace(
         self,

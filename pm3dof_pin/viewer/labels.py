@@ -1,0 +1,109 @@
+"""Names in the scene: of points that move with their bodies, and of the lengths and angles of the schematic."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from pm3dof_pin.exceptions import FrameNotFoundError
+from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Array
+from pm3dof_pin.viewer import objects
+from pm3dof_pin.viewer.objects import Json
+
+_POINT = re.compile(r"([A-Z])_?(\w{0,2})")  # names of points: B1, D_2, O_e, P
+_INK, _MEASURE = "#111111", "#B03A2E"
+_DPI = 200
+_LONG = 12  # signs
+_LEG = ("B3", "D3", "E3")  # in front, as the camera stands
+_SAME = 1e-9  # [m]
+
+
+def points(configuration: Configuration) -> dict[str, str]:
+    """Return the frames that are points with a short name, and the tool's, with their mathematical text.
+
+    Several at one place have one text: O_e = P.
+    """
+    mechanism = configuration.mechanism
+    names = [frame.name for frame in mechanism.model.frames if _POINT.fullmatch(frame.name)]
+    tool = [mechanism.tool_frame] if mechanism.tool_frame else []
+    found: dict[str, str] = {}
+    places: dict[str, Array] = {}
+    for name in dict.fromkeys([*tool, *names]):
+        place = configuration.frame_placement(name).translation
+        same = next((other for other, known in places.items() if np.allclose(place, known, atol=_SAME)), None)
+        if same is None:
+            found[name], places[name] = _in_symbols(name), place
+        else:
+            found[same] += f" = {_in_symbols(name)}"
+    return found
+
+
+def measures(configuration: Configuration) -> dict[str, tuple[str, Array]]:
+    """Return the lengths and angles of the chapter's Fig. 8.1b at one leg, of a machine whose points have its names.
+
+    Returns:
+        By the mathematical text, the frame it belongs to and where it is written, base axes, shape=(3,) [m].
+    """
+    try:
+        b, d, e, tool = (configuration.frame_placement(name).translation for name in (*_LEG, "O_e"))
+    except FrameNotFoundError:
+        return {}
+    base, slider, ball = _LEG
+    along, inward = (d - b) / np.linalg.norm(d - b), -b / np.linalg.norm(b)
+    across = np.linalg.norm(b)
+    return {
+        "O_b": (base, np.zeros(3)),
+        r"\alpha_i": (base, 0.12 * (2.0 * b + [across, 0.0, 0.0])),
+        r"\beta_i": (ball, tool + 0.25 * (e - tool) + [0.2 * np.linalg.norm(e - tool), 0.0, 0.0]),
+        r"\gamma": (base, b + 0.2 * across * (along + inward)),
+        "l_b": (base, 0.6 * b),
+        "u_i": (base, 0.4 * b + 0.6 * d),
+        "l_i": (slider, 0.7 * d + 0.3 * e),
+        "l_e": (ball, tool + 0.6 * (e - tool)),
+        "z_0": (ball, tool + 0.5 * (e - tool) * [0.0, 0.0, 1.0]),
+        "z_e": (base, 0.35 * tool),
+    }
+
+
+def _in_symbols(name: str) -> str:
+    found = _POINT.fullmatch(name)
+    if found is None:
+        return rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+    return f"{found[1]}_{{{found[2]}}}" if found[2] else found[1]
+
+
+def label(text: str, height: float, *, measure: bool = False) -> Json:
+    """Return a text that always faces the reader and that no body hides, with its middle at the origin.
+
+    Args:
+        text: mathematical text, without dollar signs.
+        height: of the picture of the text [m].
+        measure: whether it is a length or an angle, which has another colour.
+    """
+    picture, shape = _picture(text, _MEASURE if measure else _INK)
+    sprite = objects.sprite(picture)
+    sprite["object"]["matrix"] = np.diag([height * shape[1] / shape[0], height, 1.0, 1.0]).ravel().tolist()
+    return sprite
+
+
+def _picture(text: str, color: str) -> tuple[str, Sequence[int]]:
+    """Return the address of a picture with a text, its data in it, and its height and width."""
+    from matplotlib.patheffects import withStroke
+
+    from pm3dof_pin.figures.style import house_style, new_figure
+
+    with house_style():
+        width = 1.0 if "=" in text or len(text) > _LONG else 0.5
+        figure = new_figure(width, 0.5)
+        figure.patch.set_alpha(0.0)
+        effects = [withStroke(linewidth=3.0, foreground="white")]
+        figure.text(0.5, 0.5, f"${text}$", fontsize=18, color=color, ha="center", va="center", path_effects=effects)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=_DPI, transparent=True, metadata={"Software": None})
+    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    return f"data:image/png;base64,{data}", (_DPI // 2, round(_DPI * width))

@@ -1,0 +1,56 @@
+"""Names in the scene: which, where, and as pictures that carry their own data."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.chapter import Tripod
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer import Viewer
+from pm3dof_pin.viewer.labels import label, measures, points
+
+
+def test_points_of_the_chapters_figure(mechanism: Robot) -> None:
+    found = points(mechanism.home)
+    assert found["O_e"] == "O_{e} = P"
+    assert {f"{letter}{leg}" for letter in "BMDEF" for leg in (1, 2, 3)} < set(found)
+    assert found["B2"] == "B_{2}"
+
+
+def test_lengths_and_angles_stand_at_their_leg(mechanism: Robot, tripod: Tripod) -> None:
+    found = measures(mechanism.home)
+    assert set(found) == {"O_b", r"\alpha_i", r"\beta_i", r"\gamma", "l_b", "u_i", "l_i", "l_e", "z_0", "z_e"}
+    home = tripod.height_home
+    frame, place = found["z_0"]
+    np.testing.assert_allclose(place, [0.0, 0.0, home + 0.5 * 0.013], atol=1e-9)
+    assert frame == "E3"  # it moves with the platform
+    np.testing.assert_allclose(found["l_b"][1], 0.6 * tripod.base_joints[2], atol=1e-9)
+    assert measures(Robot.load("hexapod").home) == {}
+
+
+def test_a_label_is_a_picture_with_its_data() -> None:
+    sprite = label(r"\alpha_i", 0.1, measure=True)
+    assert sprite["object"]["type"] == "Sprite"
+    kind, _, data = sprite["images"][0]["url"].partition(",")
+    assert kind == "data:image/png;base64"
+    assert base64.b64decode(data).startswith(b"\x89PNG")
+    assert sprite["object"]["matrix"][5] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
+def test_labels_are_drawn_on_bodies(name: str) -> None:
+    with Viewer(Robot.load(name)) as viewer:
+        drawn: list[tuple[str, str]] = []
+        original = viewer.scene.set_object
+        viewer.scene.set_object = lambda path, lowered, **options: (  # type: ignore[method-assign]
+            drawn.append((path, lowered["object"]["type"])),
+            original(path, lowered, **options),
+        )[1]
+        viewer.labels()
+        assert len(drawn) >= 7
+        assert {kind for _, kind in drawn} == {"Sprite"}
+        assert all("/labels/" in path for path, _ in drawn)
+        assert len({path.partition("/labels/")[0] for path, _ in drawn}) > 1  # several bodies
