@@ -1,0 +1,105 @@
+"""What a calibration says of itself: bounds that hold, a budget that adds up, three lines first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
+from pm3dof_pin.calibration.verdict import Verdict, verdict
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.norm_quantiles import norm_quantiles
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.figures.calibration_report import report_as_html
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurements import Measurements
+
+REPEATS = 5
+SCATTER = 12e-6
+"""By which the machine of these tests misses its own mean, each coordinate [m]."""
+
+
+@pytest.fixture(scope="module")
+def truth(tripod_errors: GeometricErrors) -> np.ndarray:
+    return tripod_errors.sample(np.random.default_rng(21))
+
+
+@pytest.fixture(scope="module")
+def calibration(truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibration:
+    """A machine with errors of geometry that scatters; its first pose is visited six times."""
+    generator = np.random.default_rng(4)
+    poses = tripod_nominal[[*range(30), *[0] * REPEATS]]
+    reached = np.array(tripod_errors.apply(truth).forward(poses.commands, guess=poses.q).transforms)
+    noise = generator.standard_normal((len(poses), 6)) * Instrument().sigmas
+    reached[:, :3, 3] += noise[:, :3] + SCATTER * generator.standard_normal((len(poses), 3))
+    reached[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix() @ reached[:, :3, :3]
+    times = 60.0 * np.arange(len(poses))
+    return calibrate(replace(Measurements.of_poses(poses.commands, reached), times=times), tripod_errors, Options("lm"))
+
+
+@pytest.fixture(scope="module")
+def judgement(calibration: Calibration) -> Verdict:
+    return verdict(calibration)
+
+
+def test_upper_quantiles_against_samples() -> None:
+    generator = np.random.default_rng(0)
+    for size in (1, 3, 6):
+        half = generator.standard_normal((6, size)) * 10.0 ** generator.uniform(-1.5, 0.0, size)
+        mean = generator.standard_normal(6) * 10.0 ** generator.uniform(-2.0, 0.5)
+        drawn = np.linalg.norm(mean + generator.standard_normal((40000, size)) @ half.T, axis=1)
+        for probability in (0.9, 0.95, 0.99):
+            bound = norm_quantiles(mean, half @ half.T, probability)
+            assert np.mean(drawn <= bound) == pytest.approx(probability, abs=0.01)
+    np.testing.assert_allclose(norm_quantiles(np.array([3.0, 4.0]), np.zeros((2, 2)), 0.95), 5.0)
+    with pytest.raises(InvalidValueError, match="coverage"):
+        norm_quantiles(mean, np.eye(6), 0.1)
+
+
+def test_bounds_hold_on_the_machine(
+    calibration: Calibration, truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    wanted, generator = tripod_nominal[200:260], np.random.default_rng(9)
+    answer = calibration.compensation.compensate(wanted)
+    reached = np.array(tripod_errors.apply(truth).forward(answer.commands, guess=wanted.q).transforms)
+    reached[:, :3, 3] += SCATTER * generator.standard_normal((60, 3))
+    errors = tip_error(pose_difference(wanted.transforms, reached))
+    assert np.mean(errors <= answer.error_bound) >= 0.85  # of 60, with one machine's errors in common
+    assert np.sqrt(np.mean(answer.predicted_error**2)) == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.15)
+    assert np.all(answer.error_bound > answer.predicted_error)
+
+
+def test_the_budget_adds_up(judgement: Verdict, calibration: Calibration, tripod_nominal: Poses) -> None:
+    total = np.sqrt(sum(value**2 for value in judgement.budget.values()))
+    expected = calibration.compensation.compensate(tripod_nominal[:150]).predicted_error
+    assert total == pytest.approx(np.sqrt(np.mean(expected**2)), rel=0.1)  # over other poses of the workspace
+    assert judgement.budget["floor"] > judgement.budget["instrument"] > 0.0
+    assert judgement.budget["frame"] < 1e-9
+
+
+def test_repeated_poses_tell_the_scatter(judgement: Verdict) -> None:
+    repeated = judgement.repeated
+    assert repeated is not None
+    assert repeated.freedom == REPEATS
+    # five degrees of freedom of three coordinates: within a half of it
+    assert repeated.tip_sigma == pytest.approx(np.sqrt(3.0) * SCATTER, rel=0.5)
+    assert repeated.poses.tolist() == [0]
+    assert repeated.repeatability[0] > SCATTER
+
+
+def test_where_nothing_drifts_no_drift_is_claimed(judgement: Verdict) -> None:
+    assert {found.kind: found.sure for found in judgement.systematic} == {"drift": False}
+
+
+def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) -> None:
+    page = report_as_html(calibration, "pm3dof", judgement=judgement)
+    body = page[page.index("<body>") :]
+    places = [body.index(words) for words in ("To expect:", "Not seen:", "To do next:", "Where the rest comes from")]
+    assert places == sorted(places)
+    assert body.index("The measurements") > places[3]
+    assert "repeatability RP" in body
