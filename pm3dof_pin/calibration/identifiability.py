@@ -30,7 +30,7 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
-RANK_TOLERANCE = 1e-11
+REGRESSOR_TOLERANCE = 1e-11
 """Singular values of the scaled regressor below this times the greatest count as zero."""
 
 _SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are left out of its name
@@ -178,7 +178,7 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
-    threshold = RANK_TOLERANCE * values.max(initial=0.0)
+    threshold = REGRESSOR_TOLERANCE * values.max(initial=0.0)
     rank = int(np.sum(values > threshold))
     base, relations = _base_parameters(names, errors.tolerances, triangle, rank)
     return Identifiability(
@@ -206,7 +206,7 @@ def rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDA
         if others is not None and others.shape[2]:
             matrix = _beside(matrix, others[:count].reshape(len(matrix), others.shape[2]))
         values = np.linalg.svd(matrix, compute_uv=False)
-        ranks.append(int(np.sum(values > RANK_TOLERANCE * values.max(initial=0.0))))
+        ranks.append(int(np.sum(values > REGRESSOR_TOLERANCE * values.max(initial=0.0))))
     return np.array(ranks, dtype=np.intp)
 
 
@@ -282,7 +282,7 @@ def _beside(matrix: Array, nuisances: Array) -> Array:
     """Return what is left of columns beside those that nuisance columns can stand for."""
     sizes = np.linalg.norm(nuisances, axis=0)
     left, values, _ = np.linalg.svd(nuisances[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
-    left = left[:, values > RANK_TOLERANCE * values.max(initial=0.0)]
+    left = left[:, values > REGRESSOR_TOLERANCE * values.max(initial=0.0)]
     for _ in range(2):  # twice is enough (W. Kahan; B. Parlett, 1980)
         matrix = matrix - left @ (left.T @ matrix)
     return matrix

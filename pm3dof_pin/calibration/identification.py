@@ -20,7 +20,7 @@ import scipy.special
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.identifiability import RANK_TOLERANCE, Identifiability, NamedUnknowns, identifiability
+from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE, Identifiability, NamedUnknowns, identifiability
 from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -188,7 +188,7 @@ def prior_from_data(found: Identification) -> float:
     blocks = (scaled * found.rows[:, :, :count]).reshape(-1, count)
     if measuring.shape[2]:
         others = (scaled * measuring).reshape(len(blocks), -1)
-        blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=RANK_TOLERANCE)[0]
+        blocks = blocks - others @ np.linalg.lstsq(others, blocks, rcond=REGRESSOR_TOLERANCE)[0]
     values, axes = np.linalg.eigh(blocks.T @ blocks)
     values = np.maximum(values, 0.0)
     most = found.prior if np.isfinite(found.prior) else PRIOR
@@ -356,7 +356,7 @@ class _Linearised:
         # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
         known_before = np.where(self._sigmas < _UNKNOWN, self._precisions, 0.0)
         values, axes = np.linalg.eigh(information + np.diag(known_before))
-        known = values > (RANK_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
+        known = values > (REGRESSOR_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
         covariance = (axes[:, known] / values[known]) @ axes[:, known].T * unit
         open_ones = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
         covariance[open_ones, open_ones] = np.inf
@@ -368,7 +368,7 @@ class _Linearised:
         relative = self.rows.reshape(-1, self.rows.shape[2]) * np.minimum(self._sigmas, _UNKNOWN)
         s = np.linalg.svd(relative, compute_uv=False)
         if np.isinf(self.prior):
-            return float(np.sum(s > RANK_TOLERANCE * s.max(initial=0.0)))
+            return float(np.sum(s > REGRESSOR_TOLERANCE * s.max(initial=0.0)))
         return float(np.sum(s**2 / (s**2 + 1.0)))
 
     def _solve(self, weights: Array, factor: float) -> Array:
@@ -383,7 +383,7 @@ class _Linearised:
         right = np.concatenate(
             [(scale[:, None] * self._wanted).ravel(), held @ np.where(known_before, 0.0, self._start)]
         )
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK_TOLERANCE)[0])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=REGRESSOR_TOLERANCE)[0])
 
     @cached_property
     def _blocks(self) -> Array:

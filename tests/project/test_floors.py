@@ -22,13 +22,13 @@ FLOORS = (
     ("dynamics",),
     ("errors",),
     ("measuring",),
-    ("measuring",),
     ("simulation",),
     ("calibration",),
     ("maps",),
     ("chapter",),
     ("figures", "viewer", "export"),
     ("cli",),
+    ("__main__",),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
