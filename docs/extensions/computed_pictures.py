@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from sphinx.application import Sphinx
 from sphinx.util.typing import ExtensionMetadata
 
+import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.cli.stiffness_map import PICTURES
+from pm3dof_pin.errors.error_map import section_grid
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.export.description import temporary_description
+from pm3dof_pin.figures.atlas import atlas_pictures
 from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
 from pm3dof_pin.figures.critical_springs import critical_springs
+from pm3dof_pin.figures.error_ranking import error_ranking
 from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
 from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
 from pm3dof_pin.figures.schematic import schematic_figure
@@ -23,7 +29,11 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.universal_joint import universal_joint_figure
 from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
-from pm3dof_pin.kinematics.robot import load
+from pm3dof_pin.kinematics.robot import Robot, load
+from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
+from pm3dof_pin.maps.error_section import error_outline, error_section
+from pm3dof_pin.maps.grid_map import quantity_map
+from pm3dof_pin.maps.limit_space import limits_over, robot_space
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.workspace import workspace
 from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
@@ -37,7 +47,11 @@ def _draw(app: Sphinx) -> None:
     robot = load("pm3dof")
     tilts = robot.grid(theta_x=(-0.7, 0.7, 81), theta_y=(-0.7, 0.7, 81))
     judged = evaluate_workspace(MappedRobot(robot), tilts, ("felt_stiffness",))
-    save_figure(critical_springs(judged.dataset), folder / "critical_springs.png")
+    broken = limits_over(robot, ("theta_x", "theta_y"))
+    save_figure(critical_springs(judged.dataset, lambda points: broken(points) == 0), folder / "critical_springs.png")
+    _draw_atlas(robot, folder)
+    _draw_errors(folder)
+    _draw_hexapod(folder)
     variant = load(temporary_description("pm3dof", "universal_joint_at_base"))
     both = {"universal joint on the platform": robot, "universal joint at the base": variant}
     save_figure(universal_joint_figure(both, tripod.middle_height), folder / "universal_joint.png")
@@ -48,6 +62,39 @@ def _draw(app: Sphinx) -> None:
     section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
     for name, quantity in PICTURES.items():
         save_figure(section_map(section, quantity, outline), folder / name)
+
+
+def _draw_atlas(robot: Robot, folder: Path) -> None:
+    """Draw slices of a small atlas."""
+    low, high = robot.range_of(robot.coordinate("z_e"))
+    grid = robot.grid(z_e=(low, high, 21), theta_x=(-0.78, 0.78, 25), theta_y=(-0.78, 0.78, 25))
+    with TemporaryDirectory() as scratch:
+        job = Atlas(robot, grid, ("condition_number", "chapter_global"), Path(scratch) / "atlas.nc")
+        with open_atlas(compute_atlas(job)) as dataset:
+            for name, figure in atlas_pictures(dataset, robot).items():
+                save_figure(figure, folder / f"atlas_{name}.png")
+
+
+def _draw_errors(folder: Path) -> None:
+    """Draw what errors of the parts do over the section of Table 8.3."""
+    errors = GeometricErrors.load("pm3dof")
+    grid = section_grid(errors.robot, points=31)
+    section, mapped = error_section(errors, grid)
+    outline = error_outline(errors, grid, section)
+    for name in ("tip_rms", "uncompensable_rms"):
+        save_figure(section_map(section, name, outline), folder / f"error_map_{name}.png")
+    save_figure(error_ranking(mapped.ranking()), folder / "error_ranking.png")
+
+
+def _draw_hexapod(folder: Path) -> None:
+    """Draw maps of another robot, and its workspace."""
+    robot = load("hexapod")
+    grid = robot.grid(x=(-0.018, 0.018, 31), y=(-0.018, 0.018, 31))
+    dataset = quantity_map(MappedRobot(robot), grid, ("first_frequency",))
+    broken = limits_over(robot, grid.dims, grid.fixed)
+    figure = section_map(dataset, "first_frequency", within=lambda points: broken(points) == 0)
+    save_figure(figure, folder / "hexapod_first_frequency.png")
+    save_figure(workspace_figure(workspace(robot_space(robot), 31, 90)), folder / "hexapod_workspace.png")
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:

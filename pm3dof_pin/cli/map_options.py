@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import finite_number
+from pm3dof_pin.cli.output import message
 from pm3dof_pin.cli.pose_arguments import check_units
 
 if TYPE_CHECKING:
@@ -143,6 +144,13 @@ def robot_grid(robot: Robot, ranges: Sequence[CoordinateRange], values: Sequence
     for entry in values:
         coordinate = _coordinate(robot, entry.name)
         axes[entry.name] = _si(coordinate, entry.value)
+        low, high = robot.range_of(coordinate)
+        if not low <= _si(coordinate, entry.value) <= high:
+            span = (low, high) if coordinate.unit == "m" else (math.degrees(low), math.degrees(high))
+            unit = "m" if coordinate.unit == "m" else "deg"
+            message(
+                f"pm3dof: --at {entry.name} {entry.value:g}: {entry.name} runs {span[0]:.4g} to {span[1]:.4g} {unit}"
+            )
     numbers = {entry.name: (entry.first, entry.last) for entry in ranges}
     numbers |= {entry.name: (entry.value, entry.value) for entry in values}
     home = zip(robot.coordinates, robot.home_coordinates, strict=True)

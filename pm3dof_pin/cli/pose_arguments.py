@@ -227,7 +227,18 @@ def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False)
         residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
         raise UnreachablePoseError(
             f"pose {pose_in_words(given, numbers)} is out of reach: no assembled configuration was found{residual}"
+            f"{_ranges_left(robot, given, numbers)}"
         ) from error
+
+
+def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> str:
+    """Return the ranges of those coordinates whose numbers are outside of them: "; u3 runs 0.155 to 0.325 m"."""
+    words = []
+    for coordinate, number in zip(coordinates, numbers, strict=True):
+        low, high = (end / _factor(coordinate) for end in robot.range_of(coordinate))
+        if not low <= number <= high:
+            words.append(f"{coordinate.name} runs {low:.4g} to {high:.4g} {'m' if coordinate.unit == 'm' else 'deg'}")
+    return f"; {', '.join(words)}" if words else ""
 
 
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.color_scale import ColorScale, color_scale
+from pm3dof_pin.figures.color_scale import TAIL, ColorScale, color_scale
 from pm3dof_pin.figures.labels import (
     axis_label,
     display_unit,
@@ -44,6 +44,7 @@ LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable
 
 SECTIONS = 4
 _STEPS = [1, 2, 5, 10]
+_TIP = 0.02  # of the axes, below which the end of the grid is not worth a word
 _LONGEST_LABEL = 48  # letters beside the bar of colours
 
 
@@ -100,7 +101,7 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
     shown, stands = _last_three(values)
     limits, _ = _last_three(flags)
     title = f"{name[:1].upper()}{name[1:]}{f': {stands}' if stands else ''}"
-    factor, written = display_unit(values.values, unit)
+    factor, written = display_unit(np.nanpercentile(np.abs(values.values), 100.0 - TAIL), unit)
     label = in_brackets(name if len(name) <= _LONGEST_LABEL or not written else "", written).strip()
     with house_style():
         width, height = (TWO_COLUMNS, 4.6) if shown.ndim == 3 else (ONE_COLUMN, 2.9)
@@ -117,7 +118,8 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
             for mesh, (_, plane, _, _) in zip(meshes, planes, strict=True)
         ]
         scale = color_scale(values.values / factor, np.concatenate(heights))
-        figure.suptitle(f"{title}\n{scale.note}" if scale.note else title)
+        note = f"{scale.note} {written if scale.extend != 'neither' else ''}".strip()
+        figure.suptitle(f"{title}\n{note}" if note else title)
         for (axes, plane, _, equal), mesh, numbers in zip(planes, meshes, heights, strict=True):
             _draw_plane(axes, plane, mesh, numbers, scale, equal=equal)
         _share_labels([axes for axes, *_ in planes])
@@ -135,11 +137,17 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
         handles = [
             Line2D([], [], label=text, **style)
             for text, kind, style in lines
-            if any(np.linalg.norm(np.ptp(line, axis=0)) > 0.0 for mesh in meshes for line in getattr(mesh, kind)[1:])
+            if any(_long(getattr(mesh, kind), mesh) for mesh in meshes)
         ]
         if handles:
             figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
+
+
+def _long(lines: Array, mesh: OutlinedMesh) -> bool:
+    """Whether lines are more than the tip of a plane."""
+    spans = np.array([np.ptp(axis) for axis in mesh.axes])
+    return bool(len(lines) and np.any(np.abs(np.diff(lines, axis=1)).sum(axis=(0, 1)) > _TIP * spans))
 
 
 def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:

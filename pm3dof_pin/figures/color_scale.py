@@ -16,7 +16,11 @@ _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation, as a part of the mean, below which the picture says so
 TAIL = 1.0  # of the values at either end [%], which may lie beyond the colours ...
 _TAIL_SPAN = 3.0  # ... if all of them would stretch the scale so many times
-_STEPS = {1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0), 2: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), 4: (1.0, 2.0, 5.0)}
+_STEPS = {
+    1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
+    2: (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0),
+    4: (1.0, 2.0, 5.0),
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -287,6 +287,7 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["atlas", "--heights", "0.5", "0.4"], 2, "--heights 0.5 0.4: expected two growing"),
         (["atlas", "--points", "90000", "90000", "90000"], 1, "GB of disk to make"),
         (["atlas", "--tilt", "nan"], 2, "'--tilt': nan is not a finite number"),
+        (["fk", "0.1", "0.2", "0.9"], 1, "u1 runs 0.1553 to 0.3253 m, u3 runs 0.1553 to 0.3253 m"),
         (["stiffness-map", "--height", "0.9"], 1, "no pose of the map at z_e = 0.9 m is within every joint limit"),
         (["stiffness-map", "--height", "0.577"], 1, "too few to draw"),
         (["stiffness-map", "--points", "2000000"], 1, "not enough memory"),
