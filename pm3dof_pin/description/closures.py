@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent, Unit
+from pm3dof_pin.description.physical_bounds import LENGTH
 from pm3dof_pin.description.schema import Length, Name, Schema, checked
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
@@ -157,7 +158,7 @@ def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
 
 def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:
     for k, entry in enumerate(file.commands or ()):
-        _require_scale(path, f"commands[{k}].scale", entry.scale)
+        _require_scale(path, f"commands[{k}]", entry)
     commands = tuple(Command(c.name, c.joint, c.unit, c.offset, c.scale) for c in file.commands or ())
     if commands and file.name_mot and [command.joint for command in commands] != file.name_mot:
         raise DescriptionError(
@@ -173,7 +174,7 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
         raise DescriptionError(path, place, "expected either 'joint' or 'tool'")
     if entry.tool and ((entry.tool in ("x", "y", "z")) != (entry.unit == "m") or entry.offset or entry.scale != 1.0):
         raise DescriptionError(path, place, f"expected 'tool: {entry.tool}' with its unit, no offset and no scale")
-    _require_scale(path, f"{place}.scale", entry.scale)
+    _require_scale(path, place, entry)
     if lower is not None and upper is not None and not lower < upper:
         raise DescriptionError(path, f"{place}.range", f"expected [least, greatest], not [{lower}, {upper}]")
     return Coordinate(
@@ -181,10 +182,13 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
     )
 
 
-def _require_scale(path: Path, place: str, scale: float) -> None:
+def _require_scale(path: Path, place: str, entry: _Command | _Coordinate) -> None:
+    scale = entry.scale
     if not _LEAST_SCALE <= abs(scale) <= 1.0 / _LEAST_SCALE:
         expected = f"expected a magnitude from {_LEAST_SCALE:g} to {1.0 / _LEAST_SCALE:g}, not {scale:g}"
-        raise DescriptionError(path, place, expected)
+        raise DescriptionError(path, f"{place}.scale", expected)
+    if problem := LENGTH.problem(entry.offset / scale):
+        raise DescriptionError(path, f"{place}.offset", f"divided by the scale: {problem}")
 
 
 def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: Sequence[LoopClosure]) -> LimitGroup:
