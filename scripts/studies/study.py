@@ -30,7 +30,7 @@ from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.planning import PlanningProblem, Strategy
 from pm3dof_pin.errors.command_correction import best_commands, command_jacobians
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
@@ -104,6 +104,7 @@ class Record:
         excess: root mean square of each joint's distance from the best command [m].
         noise: tip error that a measurement's noise amounts to, root mean square [m].
         joint_noise: deviation of each joint that it amounts to, root mean square [m].
+        energy: as `tip`, of E = E_xyz + eta E_orientation, (8.15) [m].
     """
 
     world: str
@@ -118,6 +119,7 @@ class Record:
     excess: float
     noise: float
     joint_noise: float
+    energy: tuple[float, float, float]
 
 
 def require_learning() -> None:
@@ -260,6 +262,7 @@ class _Judge:
             float(np.sqrt(np.mean(excess**2))),
             self._noise,
             self._joint_noise,
+            _spread(weighted_energy(differences * tip_weights())),
         )
 
 
@@ -342,7 +345,7 @@ def _finished(
 
 def _read(path: Path) -> list[Record]:
     entries: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-    spreads = ("position", "angle", "tip")
+    spreads = ("position", "angle", "tip", "energy")
     records = []
     for entry in entries:
         entry |= {name: tuple(entry[name]) for name in spreads}

@@ -60,14 +60,16 @@ def _methods_table(plan: StudyPlan, records: Sequence[Record], world: str, test:
     header = ["poses", "", *METHODS]
     rows = []
     for count in plan.counts:
-        excess, tip = [], []
+        excess, tip, energy = [], [], []
         for method in METHODS:
             chosen = select(here, count=count, method=method)
             mean, least, most = (_MICROMETRES * value for value in over_seeds(chosen, "excess"))
             excess.append(f"{mean:.1f} ({least:.1f} .. {most:.1f})")
-            values = [_MICROMETRES * over_seeds(chosen, "tip", index)[0] for index in range(3)]
-            tip.append(" / ".join(f"{value:.0f}" for value in values))
+            for quantity, cells in (("tip", tip), ("energy", energy)):
+                values = [_MICROMETRES * over_seeds(chosen, quantity, index)[0] for index in range(3)]
+                cells.append(" / ".join(f"{value:.0f}" for value in values))
         rows += [[str(count), "excess joint error", *excess], ["", "tip: mean / 95 % / max", *tip]]
+        rows += [["", "E of (8.15): mean / 95 % / max", *energy]]
     return _markdown(header, rows) + "\n" + _reference_line(here)
 
 
