@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.figures.section_map import section_map
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.kinematics.robot import load
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -18,12 +19,13 @@ TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the s
 PANELS = {"a": "stiffness_theta_x", "b": "stiffness_theta_y", "c": "stiffness_t_z"}
 
 
-def main(out: Path = RESULTS, engine: str = "program", points: int = 181) -> None:
+def main(out: Path = RESULTS, engine: str = "program", points: int = 181, formats: Sequence[str] = ("png",)) -> None:
     tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (points, points))
     robot = load("pm3dof") if engine == "pinocchio" else None
     section, outline = stiffness_section(tripod, grid, robot=robot), section_outline(tripod, grid, robot=robot)
     for panel, variable in PANELS.items():
-        print(save_figure(section_map(section, variable, outline), out / f"figure_8_3{panel}.png"))
+        figure = section_map(section, variable, outline)
+        print(*save_pictures(figure, out / f"figure_8_3{panel}", formats), sep="\n")
 
 
 if __name__ == "__main__":
@@ -31,4 +33,5 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
     parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
     parser.add_argument("--points", type=int, default=181, help="number of values of each tilt")
+    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="of the picture")
     main(**vars(parser.parse_args()))

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.section import section_outline, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
 from pm3dof_pin.figures.section_map import section_map
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.kinematics.robot import load
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the section on all sides
 
 
-def main(out: Path = RESULTS, engine: str = "program", points: int = 181) -> None:
+def main(out: Path = RESULTS, engine: str = "program", points: int = 181, formats: Sequence[str] = ("png",)) -> None:
     tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (points, points))
     robot = load("pm3dof") if engine == "pinocchio" else None
     figure = section_map(
         stiffness_section(tripod, grid, robot=robot), "stiffness_global", section_outline(tripod, grid, robot=robot)
     )
-    print(save_figure(figure, out / "figure_8_4.png"))
+    print(*save_pictures(figure, out / "figure_8_4", formats), sep="\n")
 
 
 if __name__ == "__main__":
@@ -31,4 +32,5 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
     parser.add_argument("--engine", choices=("program", "pinocchio"), default="program", help="what computes")
     parser.add_argument("--points", type=int, default=181, help="number of values of each tilt")
+    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="of the picture")
     main(**vars(parser.parse_args()))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import (
     CoordinateRange,
     EngineName,
@@ -38,7 +39,12 @@ _DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
 
 Quantities = Annotated[
     list[str] | None,
-    typer.Option("--quantity", "-q", help="What to map; may be given several times. --list names them all."),
+    typer.Option(
+        "--quantity",
+        "-q",
+        help="What to map; may be given several times. --list names them all.",
+        autocompletion=completion.quantities,
+    ),
 ]
 
 

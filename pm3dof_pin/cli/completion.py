@@ -16,6 +16,14 @@ def robots(incomplete: str) -> list[str]:
     return [name for name in robot_names() if name.startswith(incomplete)]
 
 
+def quantities(incomplete: str) -> list[str]:
+    """Complete the name of a quantity that can be mapped."""
+    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    from pm3dof_pin.maps.quantities import QUANTITIES
+
+    return [name for name in QUANTITIES if name.startswith(incomplete)]
+
+
 def configurations(context: typer.Context, incomplete: str) -> list[str]:
     """Complete the name of a configuration in the SRDF of the robot of `--robot`."""
     from pm3dof_pin.description.robots import find_robot

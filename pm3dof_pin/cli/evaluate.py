@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import (
     EngineName,
     EngineOption,
@@ -43,7 +44,12 @@ def evaluate(
     ] = Model.ELASTIC,
     quantity: Annotated[
         list[str] | None,
-        typer.Option("--quantity", "-q", help="Any quantity of `pm3dof atlas --list` instead; may be repeated."),
+        typer.Option(
+            "--quantity",
+            "-q",
+            help="Any quantity of `pm3dof atlas --list` instead; may be repeated.",
+            autocompletion=completion.quantities,
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
     ranges: Ranges = None,

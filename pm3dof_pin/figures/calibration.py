@@ -143,6 +143,7 @@ def workspace_picture(errors: WorkspaceErrors) -> Figure:
                 ]
                 axes.add_collection(LineCollection(pieces, **{f"{name}s": value for name, value in style.items()}))
             axes.set_title(title)
+            axes.margins(0.04)
             axes.set_xlabel(axis_label(errors.names[0], errors.units[0]))
             if errors.units[0] == errors.units[1]:
                 axes.set_aspect("equal")

@@ -15,6 +15,7 @@ from pm3dof_pin.typing import Array
 _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation, as a part of the mean, below which the picture says so
 TAIL = 1.0  # of the values at either end [%], which may lie beyond the colours ...
+_FEW_TICKS = 5
 _TAIL_SPAN = 3.0  # ... if all of them would stretch the scale so many times
 _STEPS = {
     1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
@@ -61,6 +62,8 @@ class ColorScale:
             if round(level / 10.0 ** math.floor(math.log10(level) + 1e-9)) in heads
             and math.isclose(level, float(f"{level:.0e}"))
         ]
+        if len(found) < _FEW_TICKS:  # hardly a decade: the ends too
+            found = sorted({self.levels[0], *found, self.levels[-1]})
         return [float(level) for level in found]
 
     def label(self, bar: Any) -> None:

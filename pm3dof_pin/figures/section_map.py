@@ -255,6 +255,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
             facecolors=np.concatenate([face_colors, line_colors]),
             edgecolors=np.concatenate([face_colors, line_colors]),
             linewidths=0.35,
+            rasterized=True,  # many small faces, which would make files of lines large
         )
     )
     for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):

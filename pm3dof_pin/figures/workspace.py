@@ -156,7 +156,13 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     lines = lines + 0.006 * towards_viewer(_ELEVATION, _AZIMUTH) / scale
     all_colors = np.concatenate([_shaded(colors, faces * scale), np.tile(to_rgba(INK), (len(lines), 1))])
     axes.add_collection3d(
-        Poly3DCollection(np.concatenate([faces, lines]), facecolors=all_colors, edgecolors=all_colors, linewidths=0.5)
+        Poly3DCollection(
+            np.concatenate([faces, lines]),
+            facecolors=all_colors,
+            edgecolors=all_colors,
+            linewidths=0.5,
+            rasterized=True,
+        )
     )
     for section in sheet.workspace.sections:
         if not section.star_shaped:
