@@ -33,6 +33,7 @@ _JITTER = 1e-10
 EXACT_UP_TO = 300
 """Measurements of more poses are summed up by inducing points, and the time grows in proportion to them."""
 _INDUCING = 200
+_FORETOLD = 0.9  # of the squares of deviations may be missed at most by predictions from the others
 _SPARSE_JITTER = 1e-9
 _UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its deviations are 0
 
@@ -272,4 +273,17 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
             best, least = found.x, float(found.fun)
     if best is None:
         raise ConvergenceError("choosing the kernel of a Gaussian process", least, "in likelihood", 0)
+    if not _foretells(kernel, best, deviations, noise):
+        best[:3] = floor  # no deviation is learned rather than one that others do not bear out
     return np.asarray(best)
+
+
+def _foretells(kernel: _Kernel, logarithms: Array, deviations: Array, noise: Array) -> bool:
+    """Tell whether each deviation is foretold by the others, on the whole, better than by none.
+
+    Leaving one out at a time, in closed form (Rasmussen and Williams, 2006, eq. 5.12), weighted by their noise.
+    """
+    variances = _noise(noise, logarithms)
+    inverse = np.linalg.inv(kernel.value(logarithms) + np.diag(variances))
+    missed = inverse @ deviations / np.diag(inverse)
+    return bool(np.sum(missed**2 / variances) < _FORETOLD * np.sum(deviations**2 / variances))
