@@ -1,4 +1,4 @@
-"""One identification of 35 parameters from 60 poses, calibrations by each method, commands for many poses: seconds."""
+"""One identification of all parameters from 60 poses, calibrations by each method, commands for many poses: seconds."""
 
 from __future__ import annotations
 
