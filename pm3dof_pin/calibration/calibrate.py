@@ -27,7 +27,6 @@ Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 _HARDLY_SHOWN = 0.1  # of the poses
-_BEYOND_CHANCE = 2.0  # standard deviations of a variance from so many errors
 
 LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
@@ -156,7 +155,7 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
 
 
 def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
-    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2]; 0 if that is all by chance.
+    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2]; 0 if they are not even that large.
 
     Eigenvalues that chance made negative are left out, and the others keep the sum of all. Directions that hardly any
     pose shows are taken to scatter as the others do in the mean.
@@ -168,9 +167,8 @@ def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
     """
     count, known = len(errors), covariances.mean(axis=0)
     values, axes = np.linalg.eigh(errors.T @ errors / count - known)
-    chance = _BEYOND_CHANCE * float(np.sqrt(2.0 / count * np.sum(known**2)))
     total, kept = float(values.sum()), np.maximum(values, 0.0)
-    if total <= chance:
+    if total <= 0.0:
         return np.zeros((6, 6))
     scatter = (axes * (kept * total / kept.sum())) @ axes.T
     parts, directions = np.linalg.eigh(shown.mean(axis=0))
