@@ -36,6 +36,10 @@ PAGES = [ROOT / "README.md", *DOCS]
 BLOCK = re.compile(r"^```(console|python|output)(?: within (\S+) %)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])[-+\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 COMPUTED_PICTURES = {
+    "atlas_chapter_global.png",
+    "atlas_condition_number.png",
+    "error_map_tip_rms.png",
+    "error_map_uncompensable_rms.png",
     "figure_8_1_schematic.png",
     "figure_8_2_workspace.png",
     "figure_8_5_pseudo_error.png",
