@@ -26,7 +26,7 @@ class PictureFormat(StrEnum):
 
 Formats = Annotated[
     list[PictureFormat] | None,
-    typer.Option("--format", help="Format of the pictures, 180 mm wide; may be repeated (png)."),
+    typer.Option("--format", help="Format of the pictures; may be repeated (png)."),
 ]
 
 
