@@ -366,8 +366,9 @@ class Robot(Mechanism):
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
         if on_failure == "raise":
             finite_array(f"{what} ({names})", targets, targets.shape)
-        for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
-            self._require_unit(coordinate, column)
+        if guess is None:  # steps of iterations, which start from a guess, may lead anywhere
+            for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
+                self._require_unit(coordinate, column)
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
