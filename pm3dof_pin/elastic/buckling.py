@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.load_path import FIRST_STEP, LoadPath
+from pm3dof_pin.elastic.load_path import FIRST_STEP, LoadPath, PathStep
 from pm3dof_pin.elastic.loaded import EQUILIBRIUM_TOLERANCE, LoadedEquilibrium
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
@@ -25,6 +25,7 @@ _log = logging.getLogger(__name__)
 _REACH = 10.0
 _ROUNDING = 1e-9  # part of the loads' greatest stiffness below which what they take away counts as none
 _MOST_POINTS = 1000
+_AT_BIFURCATION = 1e-6  # least eigenvalue of a point that counts as one
 _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
 
 
@@ -162,10 +163,13 @@ def search_buckling(
         except DeflectionRangeError as error:
             return BucklingSearch(None, error.factor, str(error))
         except ConvergenceError as error:
-            _log.warning("looked for buckling only up to a factor of %.6g: %s", point.factor, error)
-            return BucklingSearch(None, point.factor, str(error))
+            if point.state.least_eigenvalue > _AT_BIFURCATION:
+                _log.warning("looked for buckling only up to a factor of %.6g: %s", point.factor, error)
+                return BucklingSearch(None, point.factor, str(error))
+            # next to a bifurcation there may be no telling which of its branches a correction comes back to
+            step = PathStep(point, point, 0.0, bifurcation=True)
         _require_potential(step.end.state)
-        if not step.end.stable:
+        if step.length == 0.0 or not step.end.stable:
             critical = path.critical_point(step)
             if critical.factor > largest:
                 break
