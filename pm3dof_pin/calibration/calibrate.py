@@ -107,7 +107,7 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         >>> measurements = pm.Measurements.of_poses(commands, machine.measure(commands, generator))
         >>> calibration = pm.calibrate(measurements, errors, Options(method="lm"))
         >>> calibration.identification.values.shape
-        (35,)
+        (40,)
 
     Args:
         measurements: poses, positions or points.

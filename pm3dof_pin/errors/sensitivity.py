@@ -60,7 +60,7 @@ def sensitivities(
         >>> poses = pm.reachable_poses(errors.robot, 50, np.random.default_rng(0))
         >>> derivatives = pm.sensitivities(errors, poses)
         >>> derivatives.errors.shape, derivatives.commands.shape
-        ((50, 6, 35), (50, 6, 3))
+        ((50, 6, 40), (50, 6, 3))
 
     Args:
         errors: the parameters.
