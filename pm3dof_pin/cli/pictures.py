@@ -54,4 +54,4 @@ def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:
     for file in removed:
         file.unlink()
     if removed:
-        message(f"removed {len(removed)} pictures of a former run from {folder}: {', '.join(f.name for f in removed)}")
+        message(f"removed from {folder}, of a former run: {', '.join(f.name for f in removed)}")

@@ -83,9 +83,10 @@ def buckling_load(
 
     Example:
         >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.elastic.buckling import buckling_load
         >>> hexapod = pm.ElasticModel.load("hexapod")
         >>> down = pm.Loads(wrenches={"O_e": [0.01, 0.0, -1.0, 0.0, 0.0, 0.0]})
-        >>> found = pm.buckling_load(hexapod, hexapod.rigid.home, down)
+        >>> found = buckling_load(hexapod, hexapod.rigid.home, down)
         >>> print(f"{found.kind} at {found.factor:.0f} N")
         limit point at 656061 N
 
