@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, finite_number
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, finite_number, is_the_tripod
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
     Config,
@@ -100,7 +100,7 @@ def fk(
     message and exit status 1; so are other assembly modes with --all, where none is reached from home.
     """
     chosen = PoseChoice.of(u, None, poses, out)
-    if all_modes and (robot != THE_TRIPOD or chosen.file is not None):
+    if all_modes and (not is_the_tripod(robot) or chosen.file is not None):
         raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
     machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     if chosen.is_empty:

@@ -45,6 +45,13 @@ Payload = Annotated[float, typer.Option(min=0.0, metavar="KG", help="A mass at t
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
 
 
+def is_the_tripod(robot: str) -> bool:
+    """Tell whether a name or path is that of the chapter's machine, of which more is known in closed form."""
+    from pm3dof_pin.description.robots import find_robot
+
+    return robot == THE_TRIPOD or find_robot(robot).path.samefile(find_robot(THE_TRIPOD).path)
+
+
 def load_tripod(config: Path | None) -> Tripod:
     """Load the tripod of `--config`, or the chapter's."""
     from pm3dof_pin.chapter.tripod import Tripod

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, is_the_tripod
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.pose_arguments import (
     Config,
@@ -89,7 +89,7 @@ def stiffness(
     chosen = PoseChoice.of(pose, configuration, poses, out)
     machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
     if model is Model.CHAPTER:
-        if robot != THE_TRIPOD or not chosen.numbers:
+        if not is_the_tripod(robot) or not chosen.numbers:
             raise typer.BadParameter(f"--model chapter is for a pose of the machine of chapter 8, {THE_TRIPOD}")
         _print_chapter(config, si_values(machine, machine.coordinates, chosen.numbers), as_json)
         stop_on_broken_limits(broken_limits(machine, chosen.solve(machine).configuration()))

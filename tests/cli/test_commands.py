@@ -20,6 +20,7 @@ import xarray as xr
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.cli.pictures import remove_former
 from pm3dof_pin.cli.stiffness_map import JOB_PICTURES
+from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.maps import atlas
 
 Run = Callable[..., Any]
@@ -53,6 +54,8 @@ def test_fk_all_assembly_modes(answer: Answer) -> None:
     modes = answer("fk", "0.257", "0.26", "0.2245", "--all")["assembly_modes"]
     assert len(modes) == 8
     assert all(mode["residual_m"] < 1e-12 for mode in modes)
+    path = str(find_robot("pm3dof").path)
+    assert answer("fk", "0.257", "0.26", "0.2245", "--all", "--robot", path)["assembly_modes"] == modes
 
 
 def test_fk_where_only_other_assembly_modes_exist(answer: Answer, run: Run) -> None:
