@@ -34,7 +34,7 @@ def test_what_is_said_arrives(tmp_path: Path) -> None:
         <actuated joint="motor" command="u1" unit="rad" offset="${{radians(90)}}" scale="-2"/>
         <spring name="7" type="joint" joint="motor" stiffness="1e-05" unit="N/m"/>
         <spring name="box" type="beam" at="b" matrix="{" ".join(map(repr, MATRIX.ravel().tolist()))}"/>
-        <spring name="rod" type="cantilever" at="d" axis="0 1 0" bending_stiffness="2" torsional_stiffness="1e+22"
+        <spring name="rod" type="cantilever" at="d" axis="0 1 0" bending_stiffness="2" torsional_stiffness="1e+17"
             unit="N m^2"><length joint="lift" at_zero="0.3"/></spring>"""
     path = tmp_path / "x.closures.yaml"
     path.write_text(_text(tmp_path, content), encoding="utf-8")
@@ -58,8 +58,8 @@ def test_what_is_said_arrives(tmp_path: Path) -> None:
     assert isinstance(box, BeamSpring)
     np.testing.assert_array_equal(box.matrix, MATRIX)
     assert isinstance(rod, CantileverSpring)
-    assert (rod.axis, rod.torsional_stiffness) == ((0.0, 1.0, 0.0), 1e22)
-    assert (closures.springs[2]["torsional_stiffness"], closures.springs[2]["length"]["at_zero"]) == (1e22, 0.3)
+    assert (rod.axis, rod.torsional_stiffness) == ((0.0, 1.0, 0.0), 1e17)
+    assert (closures.springs[2]["torsional_stiffness"], closures.springs[2]["length"]["at_zero"]) == (1e17, 0.3)
 
 
 def test_a_robot_without_loops_or_springs(tmp_path: Path) -> None:

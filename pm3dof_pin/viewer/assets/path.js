@@ -58,7 +58,7 @@
     bar.hidden = !path;
     document.body.classList.toggle("has-path", Boolean(path));
     if (!path) return;
-    time = null;
+    time = viewer.animator.time;
     Object.assign(scrubber, { min: 0, max: path.frames.length - 1, step: 1 });
     const robot = pm3dof.robot();
     select.hidden = plot.toggleAttribute("hidden", !robot);
@@ -143,7 +143,7 @@
   // While the path plays, numbers, sliders and the cursor follow it.
   function watch() {
     requestAnimationFrame(watch);
-    if (!path || !viewer.animator.playing || viewer.animator.time === time) return;
+    if (!path || viewer.animator.time === time) return;
     time = viewer.animator.time;
     const index = frame();
     point(index);
