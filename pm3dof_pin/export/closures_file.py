@@ -19,6 +19,7 @@ _HEADER = """\
 # Loop closures: the origins of the two frames coincide ('3d', a spherical joint), or the frames do ('6d', a weld).
 """
 _TOOL = "\n# Frame of the tool\n"
+_COUNTING = "# Components of its twist that count as its motion\n"
 _MOTIONS = "\n# Joints whose rates are the platform's independent motions\n"
 _COMMANDS = """
 # What the counter of a drive shows: scale (1 if not given) times the joint's coordinate, plus offset (0 if not given)
@@ -39,7 +40,8 @@ def closures_text(xacro: Path, config: Path) -> str:
 
     Its root element holds, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if there
     is such a limit and `limits=` if it belongs to a group of limits; `<actuated joint=>`, with `command=`, the name of
-    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`; `<motion joint=>`;
+    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`, with
+    `motions=` if not all six components of its twist count as its motion; `<motion joint=>`;
     `<coordinate>` with its keys as attributes, and its range as `lower=` and `upper=`; `<limits name= joint=>` for a
     joint in a group of limits; `<spring>` with the keys of its type as attributes (a matrix as its numbers, row after
     row) or, if they are mappings, as children.
@@ -80,6 +82,8 @@ def _text(root: ElementTree.Element) -> str:
     text += "joint_name: []\njoint_type: []\n"
     for tool in root.findall("tool"):
         text += f"{_TOOL}tool_frame: {_entry(tool, 'frame')}\n"
+        if counting := tool.get("motions", "").split():
+            text += f"{_COUNTING}tool_motions: {_list(counting)}\n"
     if motions := [_entry(element, "joint") for element in root.findall("motion")]:
         text += f"{_MOTIONS}motion_coordinates: {_list(motions)}\n"
     if commands := [element for element in root.findall("actuated") if "command" in element.attrib]:

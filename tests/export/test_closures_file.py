@@ -25,7 +25,7 @@ def _text(tmp_path: Path, content: str) -> str:
 
 def test_what_is_said_arrives(tmp_path: Path) -> None:
     content = f"""
-        <tool frame="hand"/><motion joint="lift"/>
+        <tool frame="hand" motions="x y rz"/><motion joint="lift"/>
         <limits name="reach_of_arm" joint="motor"/><limits name="all" joint="lift"/>
         <coordinate name="height" joint="lift" unit="m" offset="0.2" lower="-1" upper="1e-3"/>
         <coordinate name="rx" tool="rx" unit="rad"/>
@@ -51,6 +51,7 @@ def test_what_is_said_arrives(tmp_path: Path) -> None:
         Coordinate("rx", "rad", tool="rx"),
     )
     assert closures.limit_groups == (LimitGroup("reach_of_arm", ("motor",)), LimitGroup("all", ("lift",), (0,)))
+    assert closures.tool_motions == ("x", "y", "rz")
     motor, box, rod = read_springs(closures.springs, path)
     assert isinstance(motor, JointSpring)
     assert motor.name == "7"
