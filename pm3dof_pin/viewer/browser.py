@@ -147,11 +147,15 @@ class Browser:
             self._session = attached["sessionId"]
             for domain in ("Page", "Runtime", "Log", "Network"):
                 self._ask(f"{domain}.enable")
-            metrics = {**self._size, "deviceScaleFactor": 1, "mobile": False}
-            self._ask("Emulation.setDeviceMetricsOverride", metrics)
+            self.resize(width, height)
         except BaseException:
             self.close()
             raise
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page another size [pixels]."""
+        size = {"width": width, "height": height}
+        self._ask("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
 
     def open(self, url: str) -> None:
         """Show a page and wait until it has loaded and drawn.
