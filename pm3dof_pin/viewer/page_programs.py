@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
@@ -21,7 +20,7 @@ from pm3dof_pin.elastic.springs import Spring
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.sensitivity_program import at_zero_errors
-from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, ProgramError, UnknownRobotError
+from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import geometry
@@ -88,7 +87,6 @@ class PagePrograms:
     def __init__(self, robot: Robot, model: ElasticModel | None = None) -> None:
         self.robot = robot
         self._model = ElasticModel(robot) if model is None and robot.springs else model
-        self.sigmas: Vector = np.empty(0)
         self._samples = program_source(robot).samples
         self.place = self._place()
 
@@ -138,22 +136,28 @@ class PagePrograms:
         ]
         return _with_parameters(graph.program("holding", {"forces": forces, "pivot": doubt.pivot}), robot)
 
-    @cached_property
+    @property
     def motion(self) -> _PageProgram | None:
         """Twists of the tool for one unit of each error, then of each drive, then 1 if nothing is in doubt, else 0."""
+        return self._motion_and_sigmas[0]
+
+    @property
+    def sigmas(self) -> Vector:
+        """Standard deviation of each error of `motion`."""
+        return self._motion_and_sigmas[1]
+
+    @cached_property
+    def _motion_and_sigmas(self) -> tuple[_PageProgram | None, Vector]:
         robot = self.robot
-        if robot.tool_frame is None:
-            return None
-        for errors in self._error_parameters():
+        for errors in self._error_parameters() if robot.tool_frame is not None else ():
             try:
                 program, parameters = at_zero_errors(errors)
             except ProgramError as error:
                 _logger.info("no motions of the tool by %d errors in the page: %s", len(errors), error)
                 continue
             if not len(errors) or len(program) <= _MOST_OPERATIONS:
-                self.sigmas = errors.tolerances
-                return _PageProgram(dataclasses.replace(program, name="motion"), parameters)
-        return None
+                return _PageProgram(dataclasses.replace(program, name="motion"), parameters), errors.tolerances
+        return None, np.empty(0)
 
     def _error_parameters(self) -> Iterator[GeometricErrors]:
         """Return the errors that the robot's file declares, if there is one; then none."""
@@ -217,10 +221,9 @@ def declared_errors(robot: Robot) -> GeometricErrors:
     Raises:
         DescriptionError: there is no such file, or it is not of its form.
     """
-    try:
-        file = find_robot(robot.source).errors
-    except UnknownRobotError as error:
-        raise DescriptionError(robot.source, "error file", "the robot was not read from a file") from error
+    if robot.files is None:
+        raise DescriptionError(robot.source, "error file", "the robot was not read from a file")
+    file = robot.files.errors
     if not file.is_file():
         raise DescriptionError(file, "file", "is missing, expected the tolerances of the robot's parts")
     return closable(GeometricErrors.of(robot, file), robot.at([robot.home.q]))

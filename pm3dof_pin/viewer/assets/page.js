@@ -442,7 +442,7 @@ const pm3dof = (() => {
     if (!shares.every(Number.isFinite)) throw "no spring gives under this load";
     entry.paint.forEach((item) => { item.colour = blend(stops, shares[item.leg]); });
     const parts = shares.map((share, leg) => `${names[leg]}: ${fixed(100 * share, 1)} %`);
-    const given = compliance.map((row) => row.reduce((sum, entry, k) => sum + entry * wrench[k], 0));
+    const given = Robot.apply(compliance, wrench);
     const [shift, tilt] = [given.slice(0, 3), given.slice(3)].map((part) => Math.hypot(...part));
     setValues(entry, [...parts, `deflection ${engineering(shift, "m")}, ${engineering(tilt, "rad")}`].join("\n"));
   }
@@ -475,6 +475,6 @@ const pm3dof = (() => {
   }
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
-  const drawing = { viewer, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
+  const drawing = { viewer, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
   return { ...drawing, ...state, on, tell, flip, slide, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

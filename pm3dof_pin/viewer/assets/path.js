@@ -39,7 +39,7 @@
     if (shares) {
       const values = (pose) => {
         const C = robot.compliance(pose);
-        return [C ? Math.hypot(...C.slice(0, 3).map((row) => row.reduce((sum, c, k) => sum + c * shares.live.wrench[k], 0))) : NaN];
+        return [C ? Math.hypot(...Robot.apply(C, shares.live.wrench).slice(0, 3)) : NaN];
       };
       made.push({ title: "deflection under the load", names: ["tool"], unit: "m", values });
     }

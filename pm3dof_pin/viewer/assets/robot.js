@@ -47,41 +47,13 @@ const Robot = (() => {
     return work.map((row, i) => row.slice(n).map((entry, j) => entry * scale[i] * scale[j]));
   }
 
-  // Principal values, the least first, and axes as columns of a right-handed frame, of a symmetric 3 x 3 matrix, by
-  // Jacobi's rotations.
-  function principal(block) {
-    const a = block.map((row) => row.slice());
-    let v = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
-    for (let sweep = 0; sweep < 60; sweep++) {
-      const rest = Math.hypot(a[0][1], a[0][2], a[1][2]);
-      if (rest <= 1e-17 * Math.hypot(a[0][0], a[1][1], a[2][2])) break;
-      for (const [p, q] of [[0, 1], [0, 2], [1, 2]]) {
-        if (a[p][q] === 0) continue;
-        const ratio = (a[q][q] - a[p][p]) / (2 * a[p][q]);
-        const t = (ratio < 0 ? -1 : 1) / (Math.abs(ratio) + Math.sqrt(ratio * ratio + 1));
-        const c = 1 / Math.sqrt(t * t + 1), s = t * c;
-        for (let k = 0; k < 3; k++) [a[k][p], a[k][q]] = [c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]];
-        for (let k = 0; k < 3; k++) [a[p][k], a[q][k]] = [c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]];
-        for (let k = 0; k < 3; k++) [v[k][p], v[k][q]] = [c * v[k][p] - s * v[k][q], s * v[k][p] + c * v[k][q]];
-      }
-    }
-    const order = [0, 1, 2].sort((i, j) => a[i][i] - a[j][j]);
-    const axes = v.map((row) => order.map((column) => row[column]));
-    const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column]));
-    if (dot(cross(x, y), z) < 0) axes.forEach((row) => { row[2] = -row[2]; });
-    return { values: order.map((i) => a[i][i]), axes };
-  }
-
-  // Eigenvalues of a symmetric matrix of any size, by Jacobi's rotations.
-  function eigenvalues(matrix) {
+  // Eigenvalues of a symmetric matrix and axes as columns, by Jacobi's rotations.
+  function eigen(matrix) {
     const a = matrix.map((row) => row.slice()), n = a.length;
+    const v = a.map((_, i) => a.map((__, j) => (i === j ? 1 : 0)));
     for (let sweep = 0; sweep < 60; sweep++) {
-      let rest = 0, size = 0;
-      for (let p = 0; p < n; p++) {
-        size += a[p][p] ** 2;
-        for (let q = p + 1; q < n; q++) rest += a[p][q] ** 2;
-      }
-      if (rest <= 1e-30 * size) break;
+      const rest = Math.hypot(...a.flatMap((row, i) => row.slice(i + 1)));
+      if (rest <= 1e-17 * Math.hypot(...a.map((row, i) => row[i]))) break;
       for (let p = 0; p < n; p++) {
         for (let q = p + 1; q < n; q++) {
           if (a[p][q] === 0) continue;
@@ -90,10 +62,21 @@ const Robot = (() => {
           const c = 1 / Math.sqrt(t * t + 1), s = t * c;
           for (let k = 0; k < n; k++) [a[k][p], a[k][q]] = [c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]];
           for (let k = 0; k < n; k++) [a[p][k], a[q][k]] = [c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]];
+          for (let k = 0; k < n; k++) [v[k][p], v[k][q]] = [c * v[k][p] - s * v[k][q], s * v[k][p] + c * v[k][q]];
         }
       }
     }
-    return a.map((row, k) => row[k]);
+    return { values: a.map((row, k) => row[k]), axes: v };
+  }
+
+  // Principal values, the least first, and axes as columns of a right-handed frame, of a symmetric 3 x 3 matrix.
+  function principal(block) {
+    const { values, axes: v } = eigen(block);
+    const order = [0, 1, 2].sort((i, j) => values[i] - values[j]);
+    const axes = v.map((row) => order.map((column) => row[column]));
+    const [x, y, z] = [0, 1, 2].map((column) => axes.map((row) => row[column]));
+    if (dot(cross(x, y), z) < 0) axes.forEach((row) => { row[2] = -row[2]; });
+    return { values: order.map((i) => values[i]), axes };
   }
 
   function product(a, b) {
@@ -353,7 +336,7 @@ const Robot = (() => {
       const scaled = motions.commands.map((row, i) =>
         row.map((entry, k) => entry * units[k] / (i < 3 ? this.data.length : 1)));
       const columns = units.map((_, k) => scaled.map((row) => row[k]));
-      const values = eigenvalues(columns.map((a) => columns.map((b) => dot(a, b)))).sort((a, b) => b - a);
+      const values = eigen(columns.map((a) => columns.map((b) => dot(a, b)))).values.sort((a, b) => b - a);
       return [Math.sqrt(Math.max(0, values[Math.min(6, values.length) - 1])), Math.sqrt(values[0])];
     }
 
@@ -424,5 +407,5 @@ const Robot = (() => {
     }
   }
 
-  return Object.assign(Robot, { principal, eigenvalues, inverse, product, stretched, turnZTo });
+  return Object.assign(Robot, { apply, principal, inverse, product, stretched, turnZTo });
 })();

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { viewer, node, element, lineOf, on } = pm3dof;
+  const { viewer, blend, node, element, lineOf, on } = pm3dof;
   const { THREE } = MeshCat;
   const AXES = ["x", "y", "z"];
   const state = { layer: 0, axis: 2, part: 1 }; // kept when the panel changes
@@ -42,8 +42,7 @@
       if (!geometry) return;
       const { array } = geometry.attributes.color;
       for (let k = 0; k < array.length / 3; k++) {
-        const at = bytes[first + k] / 255 * (stops.length - 1), below = Math.min(Math.floor(at), stops.length - 2);
-        for (let i = 0; i < 3; i++) array[3 * k + i] = stops[below][i] + (at - below) * (stops[below + 1][i] - stops[below][i]);
+        array.set(blend(stops, bytes[first + k] / 255), 3 * k);
       }
       first += array.length / 3;
       geometry.attributes.color.needsUpdate = true;
