@@ -23,7 +23,7 @@ _LEG = ("B3", "D3", "E3")  # in front, as the camera stands
 _SAME = 1e-9  # [m]
 
 
-def points(configuration: Configuration) -> dict[str, str]:
+def point_names(configuration: Configuration) -> dict[str, str]:
     """Return the frames that are points with a short name, and the tool's, with their mathematical text.
 
     Several at one place have one text: O_e = P.

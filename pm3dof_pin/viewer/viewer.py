@@ -21,7 +21,7 @@ from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, s
 from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.frames import draw_frame
-from pm3dof_pin.viewer.labels import label, measures, points
+from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
 from pm3dof_pin.viewer.scene import Json
@@ -389,7 +389,7 @@ class Viewer(ShownScene):
     def labels(self) -> None:
         """Write the names of points beside them; of the chapter's machine the lengths and angles of Fig. 8.1b too."""
         height, paths = 0.09 * self._radius, []
-        named = [(name, text, None) for name, text in points(self._configuration).items()]
+        named = [(name, text, None) for name, text in point_names(self._configuration).items()]
         others = [(frame, text, place) for text, (frame, place) in measures(self._configuration).items()]
         for number, (name, text, place) in enumerate([*named, *others]):
             body_path, in_body = self._body_at(name)

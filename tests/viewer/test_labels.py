@@ -10,11 +10,11 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.labels import label, measures, points
+from pm3dof_pin.viewer.labels import label, measures, point_names
 
 
 def test_points_of_the_chapters_figure(mechanism: Robot) -> None:
-    found = points(mechanism.home)
+    found = point_names(mechanism.home)
     assert found["O_e"] == "O_{e} = P"
     assert {f"{letter}{leg}" for letter in "BMDEF" for leg in (1, 2, 3)} < set(found)
     assert found["B2"] == "B_{2}"
