@@ -35,19 +35,9 @@ def budget_of(
     pictures: bool,
     formats: list[PictureFormat] | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Compute the budget and write its maps, the least sensitive region among them.
+    """Compute the budget on a grid or at poses, of all sources or those named; write its maps, and draw them.
 
-    Args:
-        sources: the sources with their numbers.
-        where: a grid, or poses within all limits.
-        names: sources or classes to leave in; all of them if empty.
-        eta: weight of the orientation in the tip error [m/rad].
-        out: folder to write to.
-        pictures: whether to draw.
-        formats: of the pictures.
-
-    Returns:
-        What goes into the result of the command, and the files written.
+    Returns what goes into the result of the command, and the files written.
     """
     import numpy as np
 
@@ -90,11 +80,7 @@ def budget_of(
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return the budget as a table, in the words of Table 8.4.
-
-    Args:
-        result: what :func:`budget_of` returned.
-    """
+    """Return what :func:`budget_of` returned as a table, in the words of Table 8.4."""
     columns = ("tip_rms_m", "greatest_tip_rms_m", "worst_tip_m", "left_m", "energy_m")
     rows, last = [], ""
     for line in result["budget"]:

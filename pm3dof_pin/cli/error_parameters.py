@@ -126,13 +126,7 @@ def load_errors(
 
 
 def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:
-    """Return the errors with which the loops close, and say how many are left out.
-
-    Args:
-        errors: the parameters.
-        poses: where the loops are to close; by default at random poses.
-        quiet: whether to say nothing.
-    """
+    """Return the errors with which the loops close at poses, by default random ones, and say how many are left out."""
     import numpy as np
 
     from pm3dof_pin.errors.sensitivity import closable

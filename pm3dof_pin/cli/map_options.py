@@ -121,13 +121,7 @@ Threads = Annotated[
 
 
 def robot_grid(robot: Robot, ranges: Sequence[CoordinateRange], values: Sequence[CoordinateValue] = ()) -> Grid:
-    """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2.
-
-    Args:
-        robot: the robot.
-        ranges: coordinates that vary.
-        values: coordinates that stand still at another value than that of home.
-    """
+    """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2."""
     import numpy as np
 
     names = [entry.name for entry in ranges] + [entry.name for entry in values]
@@ -160,13 +154,7 @@ def robot_grid(robot: Robot, ranges: Sequence[CoordinateRange], values: Sequence
 
 
 def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
-    """Return the ranges of coordinates as `--range` takes them.
-
-    Args:
-        robot: the robot.
-        coordinates: those that vary.
-        counts: number of values of each.
-    """
+    """Return the ranges of coordinates as `--range` takes them, with the number of values of each."""
     import numpy as np
 
     ranges = []

@@ -38,12 +38,9 @@ def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) ->
 
 
 def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:
-    """Remove the pictures of a former run of the same job, and say so.
+    """Remove pictures of a former run that this one has not written, and say so.
 
-    Args:
-        folder: where they are.
-        names: a regular expression of all names, without suffix, that the job's pictures may have.
-        written: files of this run.
+    `names` is a regular expression of all names, without suffix, that the job's pictures may have.
     """
     if not folder.is_dir():
         return

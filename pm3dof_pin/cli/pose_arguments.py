@@ -94,11 +94,7 @@ def load_robot(
     tool_frame: str | None = None,
     package_paths: Sequence[Path] | None = None,
 ) -> Robot:
-    """Load the robot of `--robot`, `--config`, `--tool-frame` and `--package-path`.
-
-    Raises:
-        PM3DofError: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
-    """
+    """Load the robot of `--robot`, `--config`, `--tool-frame` and `--package-path`, see :class:`Robot.load`."""
     from pm3dof_pin.kinematics.robot import Robot
 
     return Robot.load(description_path(name, config), tool_frame=tool_frame, package_paths=package_paths or ())
@@ -115,14 +111,7 @@ def description_path(name: str, config: Path | None) -> str | Path:
 
 @dataclass(frozen=True)
 class PoseChoice:
-    """Which poses: numbers, a named configuration, a file; or nothing of these, which is home.
-
-    Attributes:
-        numbers: the coordinates [deg, m].
-        configuration: name of a configuration.
-        file: file of poses.
-        out: file to write about the poses of `file`.
-    """
+    """Which poses: coordinates [deg, m], a named configuration, a file; or none of these, which is home."""
 
     numbers: Sequence[float] = ()
     configuration: str | None = None
@@ -166,14 +155,10 @@ class PoseChoice:
 def read_poses(
     robot: Robot, path: Path, *, forward: bool = False, placements: bool = False, numbers: Sequence[str] = ()
 ) -> tuple[PoseFile, Poses]:
-    """Read a file of poses and solve them, those out of reach being NaN.
+    """Read a file of poses (`forward`: of commands) and solve them, those out of reach being NaN.
 
-    Args:
-        robot: the robot.
-        path: the file.
-        forward: whether it holds commands instead of coordinates.
-        placements: whether it may hold x_m, y_m, z_m, qw, qx, qy, qz of the tool instead of coordinates.
-        numbers: headings of further columns of numbers, read where they are there.
+    It may hold `placements` of the tool, x_m, y_m, z_m, qw, qx, qy, qz, instead of coordinates; further columns of
+    `numbers` are read where they are there.
 
     Raises:
         DescriptionError: the file cannot be read, or a column or entry of it is wrong.
@@ -210,11 +195,7 @@ def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Arra
 
 
 def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
-    """Find the pose at coordinates (or commands) as they are written on the command line [deg, m], shape=().
-
-    Raises:
-        UnreachablePoseError: it is out of reach.
-    """
+    """Find the pose at coordinates (or commands) [deg, m], shape=(); UnreachablePoseError where it is out of reach."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
     given = robot.command_coordinates if forward else robot.coordinates
@@ -242,13 +223,7 @@ def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], numbers: Seque
 
 
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
-    """Return coordinates in SI units, having checked how many there are and that their units are plausible.
-
-    Args:
-        robot: the robot.
-        coordinates: what the numbers are.
-        numbers: as written on the command line [deg, m].
-    """
+    """Return coordinates given in [deg, m] in SI units, having checked their number and plausible units."""
     import numpy as np
 
     if not coordinates:
@@ -289,13 +264,7 @@ def pose_echo(robot: Robot, q: Vector) -> tuple[dict[str, dict[str, float]], lis
 
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:
-    """Refuse numbers that are in another unit, and say so where they may be.
-
-    Args:
-        robot: the robot.
-        coordinates: what the numbers are.
-        numbers: shape=(n, number of coordinates) [deg, m].
-    """
+    """Refuse numbers, shape=(n, number of coordinates) [deg, m], that are in another unit, and say in which."""
     import numpy as np
 
     table = np.asarray(numbers, dtype=float)

@@ -9,11 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function (done, all) that moves a bar on standard error, if that is a terminal.
-
-    Args:
-        text: what is being done.
-    """
+    """Yield a function (done, all) that moves a bar on standard error, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return

@@ -114,10 +114,7 @@ class ClosuresSchema(Schema):
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
-    """Read and check a closures file.
-
-    Args:
-        path: YAML file with the keys of :class:`ClosuresFile`.
+    """Read and check a closures file, YAML with the keys of :class:`ClosuresFile`.
 
     Raises:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.

@@ -60,13 +60,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class LimitGroup:
-    """A name for several limits of one kind.
-
-    Attributes:
-        name: its name.
-        joints: joints whose ranges belong to it.
-        closures: positions of the closures whose swing limits belong to it.
-    """
+    """A name for several limits of one kind: ranges of joints, and swing limits of closures, by their positions."""
 
     name: str
     joints: tuple[str, ...] = ()

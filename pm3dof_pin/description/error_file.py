@@ -75,11 +75,7 @@ class ErrorFileSchema(Schema):
 
 
 def read_error_file(path: Path | str) -> ErrorFile:
-    """Read and check an error file.
-
-    Args:
-        path: YAML file with the keys `classes`, and `command_zeros` and `sources` if there are such; see
-            `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
+    """Read and check an error file, YAML as `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
 
     Raises:
         DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
@@ -103,13 +99,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
 
 
 def error_file_text(entries: Sequence[ErrorEntry], *, comment: str, command_zeros: Mapping[str, str]) -> str:
-    """Return an error file as text; see :func:`read_error_file`.
-
-    Args:
-        entries: its lines; those of one class have the tolerances of the first of them.
-        comment: what stands above it, without the signs of a comment.
-        command_zeros: see :class:`ErrorFile`.
-    """
+    """Return an error file as text below a comment; entries of one class have the tolerances of the first of them."""
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
     if command_zeros:
         zeros = ", ".join(f"{joint}: {frame}" for joint, frame in command_zeros.items())

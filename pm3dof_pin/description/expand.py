@@ -51,23 +51,14 @@ def expand_xacro(
     """Expand a xacro file into URDF text.
 
     The text depends on the contents of the files only: it holds no path, no date, no comments of the sources, and its
-    attributes are in a fixed order. Numbers keep every digit.
-
-    The file runs in a process that may read files of its own package only (see
-    :func:`~pm3dof_pin.description.own_files.package_of`) and those of `package_paths` and `mappings`; it has no
-    environment, and expressions that lead to the interpreter are refused. Files that need more are for
-    :func:`trust_xacro`.
-
-    Args:
-        path: the xacro file.
-        mappings: values of the file's `xacro:arg`, by name. The description of the tripod has one, `config`: the path
-            of its parameter file; a relative path counts from the folder of the xacro files.
-        package_paths: folders with files that it may read; `$(find x)` is the folder x in one of them, or of them.
+    attributes are in a fixed order. Numbers keep every digit. The file runs in a process that may read files of its own
+    package only (see :func:`~pm3dof_pin.description.own_files.package_of`) and those of `package_paths` (for `$(find
+    x)`) and `mappings` (values of the file's `xacro:arg`); it has no environment, and expressions that lead to the
+    interpreter are refused. Files that need more are for :func:`trust_xacro`.
 
     Raises:
-        DescriptionError: the file or one that it reads is missing, is no XML, or cannot be evaluated (a quantity that
-            is missing from the parameter file is named), does what it may not do, or a number of the result is not
-            finite.
+        DescriptionError: a file is missing, is no XML, cannot be evaluated (a quantity missing from the parameter file
+            is named), does what it may not do, or a number of the result is not finite.
     """
     path, mappings = Path(path), dict(mappings or {})
     text = _expanded_here(path, mappings) if _trusted.get() else _expanded_apart(path, mappings, package_paths)

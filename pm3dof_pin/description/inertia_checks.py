@@ -22,14 +22,10 @@ def inertia_matrix(moments: Sequence[float]) -> Matrix:
 
 
 def inertia_problem(mass: float, inertia: Matrix) -> str:
-    """Tell why no body has these moments of inertia, or nothing if one may.
+    """Tell why no body has this mass [kg] and these moments of inertia, shape=(3, 3) [kg m^2], or nothing if one may.
 
     The principal moments about the centre of mass are none negative and none above the sum of the other two, each by
     :data:`TOLERANCE` of the greatest, or by mass times the square of a micrometre.
-
-    Args:
-        mass: mass [kg].
-        inertia: moments about the centre of mass, shape=(3, 3) [kg m^2].
     """
     least, middle, greatest = (float(moment) for moment in np.linalg.eigvalsh(inertia))
     slack = max(TOLERANCE * abs(greatest), mass * _GYRATION**2)

@@ -19,15 +19,10 @@ _MOST_BYTES = 512 * 2**20
 
 
 def find_mesh(files: RobotFiles, name: str) -> Path:
-    """Find a mesh that a URDF names.
+    """Find a mesh by its name in a URDF, relative to the robot's folder or as `package://x/`.
 
     Only mesh files are found, and only those of the robot's own folder, of the package that the name says, and of
     folders that were named as package paths; symbolic links are followed before that is judged.
-
-    Args:
-        files: the robot; relative names count from its folder, `package://x/` from a folder `x` that it is in, that is
-            one of its package paths, or that is in one of these and has a package.xml.
-        name: file name as written in the URDF.
 
     Raises:
         DescriptionError: the file is not there, is no mesh, or is one of elsewhere.
@@ -62,14 +57,7 @@ def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[P
 
 
 def read_meshes(path: Path | str) -> list[trimesh.Trimesh]:
-    """Read a file of meshes, each placed where the file has it.
-
-    Args:
-        path: the file.
-
-    Raises:
-        DescriptionError: it cannot be read.
-    """
+    """Read a file of meshes, each placed where the file has it; DescriptionError where that fails."""
     import trimesh
 
     try:

@@ -93,10 +93,7 @@ class Mjcf:
 
 
 def read_mjcf(path: Path) -> Mjcf:
-    """Read an MJCF file.
-
-    Args:
-        path: the file; files that it includes are read from where it says.
+    """Read an MJCF file and those that it includes.
 
     Raises:
         DescriptionError: a file is unreadable or no XML, a number is none, or the file has an element that is not read.

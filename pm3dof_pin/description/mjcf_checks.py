@@ -47,11 +47,7 @@ _SECTIONS = ("worldbody", "default", "equality", "keyframe", "option")
 
 
 def check_mjcf(root: ElementTree.Element, path: Path) -> None:
-    """Check the numbers of an MJCF file that Pinocchio reads, and its size.
-
-    Args:
-        root: the element <mujoco>, files that it includes being part of it.
-        path: the file, for messages.
+    """Check the numbers of an MJCF file that Pinocchio reads, and its size; included files are part of it.
 
     Raises:
         DescriptionError: a number is none, not finite, negative where none may be, or beyond physical reach; a

@@ -34,17 +34,7 @@ def is_within(path: Path, folders: Iterable[Path]) -> bool:
 
 
 def require_own(path: Path, folders: Iterable[Path], described: Path, place: str) -> None:
-    """Refuse a file from elsewhere.
-
-    Args:
-        path: the file.
-        folders: where files may come from.
-        described: the description that names it, for messages.
-        place: where it names it.
-
-    Raises:
-        DescriptionError: it is in none of the folders.
-    """
+    """Refuse a file from outside some folders, naming the description and the place where it is named."""
     folders = list(folders)
     if not is_within(path, folders):
         listed = ", ".join(map(str, folders))

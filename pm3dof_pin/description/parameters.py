@@ -49,11 +49,9 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One entry of the YAML file: a number or a list of numbers with its origin.
+    """One entry of the YAML file: a number or numbers in `unit`, with their origin.
 
     Attributes:
-        value: the number or numbers as printed, in `unit`.
-        unit: unit of `value`.
         symbol: the chapter's sign, or "none".
         status: "printed", "inferred" or "chosen".
         source: table, equation or reason.
@@ -74,12 +72,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class RoundSection:
-    """A round bar or tube, beside the solid bar whose stiffness and mass are known.
-
-    Attributes:
-        radius: outer radius [m].
-        bore: radius of the bore, 0 for a solid bar [m].
-        reference_radius: radius of the solid bar whose numbers are known [m].
+    """A round bar or tube [m], beside the solid bar of `reference_radius` whose stiffness and mass are known.
 
     Raises:
         InvalidValueError: the radius is not greater than the bore, or a radius is not positive.
@@ -202,10 +195,7 @@ class TripodParameters:
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> TripodParameters:
-        """Read the parameters of a tripod.
-
-        Args:
-            path: YAML file with the layout of `robots/pm3dof_description/config/pm3dof.yaml`, which is the default.
+        """Read the parameters of a tripod, laid out as `robots/pm3dof_description/config/pm3dof.yaml`, the default.
 
         Raises:
             DescriptionError: a number is missing, is no finite number, has an unknown unit or a wrong sign or length.
@@ -294,11 +284,7 @@ def find_parameters(robot: str, name: Path | str) -> Path:
 
 
 def read_quantities(path: Path | str) -> dict[str, Parameter]:
-    """Read every quantity of any robot's parameter file, keyed "section.name".
-
-    Raises:
-        DescriptionError: an entry lacks a key, has an unknown unit or status, or is not made of finite numbers.
-    """
+    """Read every quantity of any robot's parameter file, keyed "section.name"; DescriptionError for a bad entry."""
     path = Path(path)
     return _quantities(path, read_parameters(path))
 

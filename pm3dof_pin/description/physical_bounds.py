@@ -14,10 +14,7 @@ class Bounds:
     """Magnitudes that a kind of number has.
 
     Attributes:
-        unit: unit of the numbers, as messages write it.
-        greatest: greatest magnitude.
         least: least magnitude; zero counts as one only if this is zero.
-        negative: whether the numbers may be negative.
         slip: what a number beyond the greatest may be.
     """
 
@@ -55,15 +52,7 @@ NOT_NEGATIVE = Bounds("", 1e30)
 
 
 def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
-    """Read a number as C++ does, which knows no other signs, words or separators than these, and judge it.
-
-    Args:
-        text: what a file has.
-        bounds: what it may be.
-
-    Returns:
-        The number, and what is wrong with it, or nothing.
-    """
+    """Read a number as C++ does, with no other signs, words or separators; return it, and what is wrong with it."""
     word = text.strip()
     if not _NUMBER.fullmatch(word):
         comma = ": a decimal point, not a comma" if _DECIMAL_COMMA.fullmatch(word) else ""

@@ -48,11 +48,7 @@ class RobotFiles:
 
     @property
     def urdf(self) -> Path:
-        """The tree as a URDF.
-
-        Raises:
-            DescriptionError: it is none.
-        """
+        """The tree as a URDF; DescriptionError if it is none."""
         if self.format != "urdf":
             raise DescriptionError(self.path, "file", f"expected URDF for this, not {self.format.upper()}")
         return self.path

@@ -46,15 +46,9 @@ class Schema(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 def checked(data: Any, schema: type[T], path: Path | str, element: str = "") -> T:
-    """Return plain data as an object of the schema.
+    """Return plain data as an object of a schema, naming file and element in messages.
 
     A number may be text, since YAML 1.1 reads 9.5e7, without a sign in the exponent, as text.
-
-    Args:
-        data: what the file says.
-        schema: type to make of it.
-        path: the file, for messages.
-        element: where the data stands in the file, for messages.
 
     Raises:
         DescriptionError: the data is of another form, has an unknown key, or holds a number that is not finite.

@@ -73,12 +73,7 @@ class Load(_Numbers, frozen=True):
 
 
 class Clearance(_Numbers, frozen=True):
-    """Play of passive joints.
-
-    Attributes:
-        at: joints or frames that move about within the play.
-        play_m: how far they move to either side, along each of their axes [m].
-    """
+    """Play of passive joints: how far those named move to either side, along each of their axes [m]."""
 
     at: tuple[Name, ...] = ()
     play_m: NotNegative = 0.0
@@ -105,22 +100,13 @@ class Drives(_Numbers, frozen=True):
 
 
 class Spectrum(_Numbers, frozen=True):
-    """A one-sided power spectral density that is constant between edges, and zero beyond them.
-
-    Attributes:
-        edges_Hz: growing frequencies, one more than levels [Hz].
-        levels: densities between them [unit^2/Hz].
-    """
+    """A one-sided power spectral density [unit^2/Hz], constant between growing edges [Hz], zero beyond them."""
 
     edges_Hz: tuple[NotNegative, ...]
     levels: tuple[NotNegative, ...]
 
     def __post_init__(self) -> None:
-        """Check the numbers; msgspec makes a ValueError an error of the file.
-
-        Raises:
-            ValueError: edges that do not grow, or another number of levels than of bands.
-        """
+        """Check the edges and their number; msgspec makes a ValueError an error of the file."""
         if len(self.edges_Hz) != len(self.levels) + 1 or any(b <= a for a, b in pairwise(self.edges_Hz)):
             raise ValueError("growing edges_Hz, one more than levels")
 
@@ -143,16 +129,7 @@ class VibrationNumbers(_Numbers, frozen=True):
 
 
 class SourceNumbers(_Numbers, frozen=True):
-    """The numbers of all sources of error of a robot, beside the tolerances of its geometry.
-
-    Attributes:
-        waviness: of the drives.
-        thermal: growth.
-        load: what deflects it.
-        clearance: of passive joints.
-        drives: backlash, encoders, servos.
-        vibration: what shakes it.
-    """
+    """The numbers of all sources of error of a robot, beside the tolerances of its geometry."""
 
     waviness: Waviness = Waviness()
     thermal: Thermal = Thermal()

@@ -56,13 +56,9 @@ _logger = logging.getLogger(__name__)
 def check_urdf(root: ElementTree.Element, path: Path | str) -> dict[str, str]:
     """Check every number and name of a URDF that Pinocchio and the exports read.
 
-    Args:
-        root: the element <robot>. Shapes that URDF does not have are taken out of it, with a warning, since urdfdom
-            would drop those after them as well; so are spaces around numbers, which urdfdom does not read.
-        path: the file, for messages.
-
-    Returns:
-        By link, what is wrong with its moments of inertia though kinematics and statics do without them.
+    Shapes that URDF does not have are taken out of the tree, with a warning, since urdfdom would drop those after them
+    as well; so are spaces around numbers, which urdfdom does not read. Returns, by link, what is wrong with its moments
+    of inertia though kinematics and statics do without them.
 
     Raises:
         DescriptionError: a number is none, not finite, negative where none may be, or beyond physical reach; a mass is

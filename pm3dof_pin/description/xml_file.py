@@ -16,10 +16,7 @@ MOST_DEPTH = 200
 
 
 def read_xml(path: Path | str) -> ElementTree.Element:
-    """Read the root element of an XML file; comments are left out.
-
-    Args:
-        path: the file. It may not declare entities, which can grow without end.
+    """Read the root element of an XML file without comments; entities, which can grow without end, are refused.
 
     Raises:
         DescriptionError: the file is unreadable, too large, nested too deeply, declares entities, or is no XML, with
@@ -38,11 +35,7 @@ def read_xml(path: Path | str) -> ElementTree.Element:
 
 
 def read_bytes(path: Path | str) -> bytes:
-    """Read a file of moderate size.
-
-    Raises:
-        DescriptionError: it is unreadable or too large.
-    """
+    """Read a file of moderate size; DescriptionError where it is unreadable or too large."""
     try:
         with Path(path).open("rb") as file:
             content = file.read(MOST_BYTES + 1)

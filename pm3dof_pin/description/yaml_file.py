@@ -18,10 +18,7 @@ _MOST_ENTRIES = 1_000_000
 
 
 def read_mapping(path: Path | str) -> dict[str, Any]:
-    """Read a YAML file whose top level is a mapping.
-
-    Args:
-        path: file to read; only plain data is accepted, no Python objects.
+    """Read a YAML file whose top level is a mapping of plain data.
 
     Raises:
         DescriptionError: the file is missing, too large or nested too deeply, is no YAML, or is no mapping.

@@ -36,19 +36,14 @@ _NAMES = {"name", "type", "joint", "at", "unit", "frame", "frame_a", "frame_b", 
 
 
 def closures_text(xacro: Path, config: Path) -> str:
-    """Expand the xacro of a closures file and write it as YAML.
+    """Expand the xacro of a closures file with a parameter file and write it as YAML.
 
     Its root element holds, in any order: `<closure frame_a= frame_b= type=>` for each loop, with `swing_rad=` if there
     is such a limit and `limits=` if it belongs to a group of limits; `<actuated joint=>`, with `command=`, the name of
-    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`, with
-    `motions=` if not all six components of its twist count as its motion; `<motion joint=>`;
-    `<coordinate>` with its keys as attributes, and its range as `lower=` and `upper=`; `<limits name= joint=>` for a
-    joint in a group of limits; `<spring>` with the keys of its type as attributes (a matrix as its numbers, row after
-    row) or, if they are mappings, as children.
-
-    Args:
-        xacro: the file.
-        config: parameter file that it is expanded with.
+    what its counter shows, and that one's `unit=`, `offset=`, `scale=`; `<tool frame=>`, with `motions=` if not all six
+    components of its twist count as its motion; `<motion joint=>`; `<coordinate>` with its keys as attributes, and its
+    range as `lower=` and `upper=`; `<limits name= joint=>` for a joint in a group of limits; `<spring>` with the keys
+    of its type as attributes (a matrix as its numbers, row after row) or, if they are mappings, as children.
 
     Raises:
         DescriptionError: the file cannot be expanded, or an element is of another form.

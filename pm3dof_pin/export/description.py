@@ -36,17 +36,10 @@ _WORDS = re.compile(r"([\s\",\[\]{}]+)")
 
 
 def description_files(robot: str = "pm3dof", *, config: Path | str | None = None) -> dict[str, str]:
-    """Return every generated file of a robot's description.
+    """Return the text of every generated file of a packaged robot's description, by its path in the folder.
 
-    Args:
-        robot: a robot that comes with the package, the xacro files of which are read.
-        config: parameter file, laid out as that of the robot, which is the default.
-
-    Returns:
-        Text of each file by its path in the folder of the description: `urdf/pm3dof.urdf`, its closures file and its
-        SRDF; what other tools read, such as `mjcf/pm3dof.xml`; what makes the folder a ROS 2 package; and, without
-        `config`, the xacro files that it shares with other robots. A format that cannot say what this robot is, such
-        as a body that moves and has no mass, is left out, and logged.
+    With another parameter file of the same layout, the xacro files that it shares with other robots are left out. So
+    is, and logged, a format that cannot say what this robot is, such as a body that moves and has no mass.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -60,16 +53,10 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
 
 
 def temporary_description(robot: str, config: Path | str) -> Path:
-    """Write the description of a robot with other parameters to a folder that lasts as long as Python.
+    """Write the description of a packaged robot with other parameters to a folder that lasts as long as Python.
 
-    It has the URDF, the closures file, the SRDF and a copy of the parameter file.
-
-    Args:
-        robot: a robot that comes with the package, the xacro files of which are read.
-        config: parameter file, laid out as that of the robot, or the name of one beside that.
-
-    Returns:
-        The URDF.
+    It has the URDF, which is returned, the closures file, the SRDF and a copy of the parameter file, named by its path
+    or as one beside the robot's own.
 
     Raises:
         UnknownRobotError: no such robot comes with the package.
@@ -113,14 +100,7 @@ def _described(robot: str, config: Path | str | None) -> tuple[str, dict[str, st
 
 
 def shared_xacro(robot: str) -> dict[str, str]:
-    """Return the xacro files that a robot shares with another one, so that its folder is a package by itself.
-
-    Args:
-        robot: a robot that comes with the package.
-
-    Returns:
-        Text of each file by its path in the folder of the description, `xacro/shared/...`.
-    """
+    """Return the xacro files that a robot shares with another one, so that its folder is a package by itself."""
     folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}" / "xacro"
     texts = [path.read_text(encoding="utf-8") for path in folder.glob("*.xacro")]
     included = sorted({found for text in texts for found in _SHARED.findall(text)})

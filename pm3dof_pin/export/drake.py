@@ -28,9 +28,6 @@ def drake_text(robot: RobotDocument) -> str:
     Drake's URDF has no weld: a 6d closure is three ball constraints, at the origin of the two frames and out on their x
     and y axes. These are nine equations of rank six; the forces in the three are not unique, what they add up to is. A
     plant takes ball constraints only if it is discrete and solved by SAP.
-
-    Args:
-        robot: the robot.
     """
     root = urdf_element(robot.with_meshes_of(MESH_KINDS))
     _fix_to_world(root, robot.urdf.root.name)

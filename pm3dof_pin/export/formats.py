@@ -33,15 +33,7 @@ FORMATS = tuple(_WRITERS)
 
 
 def exported_files(robot: RobotDocument, format_name: str) -> dict[str, str]:
-    """Write a robot in a format, as text.
-
-    Args:
-        robot: the robot.
-        format_name: one of :data:`FORMATS`.
-
-    Returns:
-        Text of each file by its path in the folder of the export. Mesh files are not among them: see
-        :attr:`RobotDocument.meshes`.
+    """Write a robot in one of :data:`FORMATS`: texts by path; for meshes see :attr:`RobotDocument.meshes`.
 
     Raises:
         InvalidValueError: no such format.

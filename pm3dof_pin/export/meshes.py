@@ -20,11 +20,7 @@ _REWRITTEN = ".obj"  # every tool reads it
 
 
 class Meshes:
-    """The meshes that a URDF names.
-
-    Args:
-        sources: path of each file, by its name as written in the URDF.
-        kinds: suffixes of files that the tool reads, such as `.stl`; all by default.
+    """The meshes that a URDF names, by their names in it, for a tool that reads files of some kinds.
 
     Attributes:
         copies: path of each file, by its path in the folder of an export.
@@ -40,26 +36,14 @@ class Meshes:
 
     @classmethod
     def of_urdf(cls, files: RobotFiles, names: Iterable[str]) -> Meshes:
-        """Find the meshes of a URDF.
-
-        Args:
-            files: the robot, a URDF.
-            names: file names as written in it, see :func:`~pm3dof_pin.description.mesh_files.find_mesh`.
-
-        Raises:
-            DescriptionError: a file is not there, is no mesh, or is one of elsewhere.
-        """
+        """Find the meshes of a URDF, see :func:`~pm3dof_pin.description.mesh_files.find_mesh`."""
         return cls({name: find_mesh(files, name) for name in dict.fromkeys(names)})
 
     def __len__(self) -> int:
         return len(self.copies)
 
     def for_kinds(self, kinds: Collection[str]) -> Meshes:
-        """Return the meshes for a tool that reads files of some kinds only; the others become OBJ files.
-
-        Args:
-            kinds: suffixes of the files that it reads, in small letters, such as `.stl`.
-        """
+        """Return the meshes for a tool that reads files of some suffixes only; the others become OBJ files."""
         return Meshes(self._sources, kinds)
 
     def exported(self, name: str) -> str:

@@ -30,9 +30,6 @@ def mjcf_text(robot: RobotDocument) -> str:
     between two sites closes the right loop whichever configuration the file is loaded in, which one between two bodies
     does not. Actuated joints have a force actuator of their name. The named configurations are keyframes.
 
-    Args:
-        robot: the robot.
-
     Raises:
         DescriptionError: the end of a branch moves and has no mass, which MuJoCo refuses.
         ConvergenceError: the loops do not close near the home configuration.

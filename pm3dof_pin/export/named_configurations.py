@@ -30,17 +30,11 @@ _SECTIONS = {
 
 
 def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
-    """Expand the xacro of an SRDF and complete it.
+    """Expand the xacro of an SRDF with a parameter file and complete it by what URDF and closures file say.
 
     Its named configurations (`group_state`) hold the joints that make them what they are; the others follow from
     closing the loops. One that cannot be reached within the limits of all joints is left out, and logged. The passive
     joints are all those that the closures file does not name as actuated.
-
-    Args:
-        xacro: the file.
-        config: parameter file that it is expanded with.
-        urdf: text of the robot's URDF.
-        closures: text of its closures file.
 
     Raises:
         DescriptionError: the file cannot be expanded, or a value in it is no number.

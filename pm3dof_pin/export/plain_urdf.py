@@ -15,12 +15,7 @@ _BANNER = "The URDF of {}, its meshes where `pm3dof export` puts them. Generated
 
 
 def description_texts(robot: RobotDocument, mesh_prefix: str = "") -> dict[str, str]:
-    """Return URDF, closures file, error file and SRDF, by their names: what pm3dof-pin loads a robot from.
-
-    Args:
-        robot: the robot.
-        mesh_prefix: what file names of meshes, `meshes/...`, begin with.
-    """
+    """Return URDF, closures file, error file and SRDF, by name; names of meshes begin with a prefix."""
     files = {
         CLOSURES_SUFFIX: robot.files.closures,
         ".errors.yaml": robot.files.errors if robot.files.errors.is_file() else None,
@@ -44,24 +39,14 @@ def _with_tool_frame(robot: RobotDocument, closures: str | None, tool_frame: str
 
 
 def urdf_text(robot: RobotDocument, mesh_prefix: str = "") -> str:
-    """Return the URDF of a robot, to the letter if it has no meshes.
-
-    Args:
-        robot: the robot.
-        mesh_prefix: what file names of meshes, `meshes/...`, begin with, such as `package://x/`.
-    """
+    """Return the URDF of a robot, to the letter if it has no meshes; their names get a prefix, as `package://x/`."""
     if not len(robot.meshes):
         return robot.urdf.text
     return document_text(urdf_element(robot, mesh_prefix), _BANNER.format(robot.name))
 
 
 def urdf_element(robot: RobotDocument, mesh_prefix: str = "") -> ElementTree.Element:
-    """Return a copy of a robot's URDF with the meshes where an export puts them.
-
-    Args:
-        robot: the robot.
-        mesh_prefix: what file names of meshes, `meshes/...`, begin with.
-    """
+    """Return a copy of a robot's URDF with the names of the meshes where an export puts them, after a prefix."""
     root = copy.deepcopy(robot.urdf.element)
     for mesh in root.iter("mesh"):
         mesh.set("filename", mesh_prefix + robot.meshes.exported(mesh.get("filename", "")))

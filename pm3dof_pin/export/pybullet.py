@@ -18,24 +18,14 @@ _GREATEST_FORCE = 1e6
 
 
 def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
-    """Close the loops of a robot in PyBullet, and let go of its joints.
+    """Close the loops of a robot in PyBullet, and let go of its joints; return the constraint of each closure.
 
     PyBullet reads no loops from files, counts the points of a constraint from the centres of mass of the links, and
     brakes every joint by a motor of its own, which would hold a closed mechanism fast. A 3d closure becomes a
     `JOINT_POINT2POINT`, a 6d closure a `JOINT_FIXED`. A fixed link, such as a frame, of which the URDF gives no inertia
-    is freed of the 1 kg that PyBullet puts there.
-
-    Load the URDF with `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without merging fixed
-    links.
-
-    Args:
-        client: id of the physics server, as `pybullet.connect` returns it.
-        body: id of the robot, as `pybullet.loadURDF` returns it.
-        robot: what was loaded: a robot that comes with the package, or the path of its URDF, the closures file beside
-            it.
-
-    Returns:
-        Id of the constraint of each closure, in the order of the closures file.
+    is freed of the 1 kg that PyBullet puts there. `client` and `body` are ids of `pybullet.connect` and
+    `pybullet.loadURDF`, the latter with `useFixedBase=True` and `flags=pybullet.URDF_USE_INERTIA_FROM_FILE`, without
+    merging fixed links.
 
     Raises:
         UnknownRobotError: no such robot.

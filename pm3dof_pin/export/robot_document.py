@@ -29,14 +29,10 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RobotDocument:
-    """A robot, read and checked.
+    """A robot, read and checked: its tree, the same in Pinocchio with loop closures, and its mesh files.
 
     Attributes:
-        files: where it was read.
-        urdf: its tree.
-        mechanism: the same in Pinocchio, with loop closures.
         allowed_by_srdf: pairs of links that the SRDF keeps from colliding.
-        meshes: mesh files of the shapes.
     """
 
     files: RobotFiles
@@ -92,11 +88,7 @@ class RobotDocument:
 
     @cached_property
     def home(self) -> Configuration:
-        """The home configuration of the mechanism, of which other tools need that its loops are closed.
-
-        Raises:
-            ConvergenceError: they cannot be closed near it.
-        """
+        """The home configuration with its loops closed, for other tools; ConvergenceError where they do not close."""
         home = self.mechanism.home
         return home if home.closure_residual <= CLOSURE_TOLERANCE else self.mechanism.assemble(home)
 
@@ -113,9 +105,6 @@ class RobotDocument:
         """Return the robot with mass and inertia in everything that moves, for a tool that needs them.
 
         A link without mass between two joints, such as the cross of a universal joint, gets a negligible one.
-
-        Args:
-            tool: who cannot do without, for messages.
 
         Raises:
             DescriptionError: a moving link that carries nothing, with all that is fixed to it, has none.
@@ -142,11 +131,7 @@ class RobotDocument:
         return replace(self, urdf=replace(self.urdf, links=links))
 
     def with_meshes_of(self, kinds: Collection[str]) -> RobotDocument:
-        """Return the robot for a tool that reads mesh files of some kinds only; the others become OBJ files.
-
-        Args:
-            kinds: suffixes of the files that it reads, in small letters, such as `.stl`.
-        """
+        """Return the robot for a tool that reads mesh files of some suffixes only; the others become OBJ files."""
         return replace(self, meshes=self.meshes.for_kinds(kinds))
 
 
@@ -159,11 +144,7 @@ def read_robot(
 ) -> RobotDocument:
     """Read a robot for export, as a plain URDF where it is written in something else or has joints that URDF lacks.
 
-    Args:
-        name_or_path: name or path of a robot, see :func:`~pm3dof_pin.description.robots.find_robot`.
-        meshes: whether shapes that are meshes are kept.
-        tool_frame: frame meant by "the tool", where the description does not say or says another.
-        package_paths: folders that ROS packages are in.
+    For the arguments see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
     Raises:
         UnknownRobotError: no such robot.

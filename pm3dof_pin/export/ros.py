@@ -152,22 +152,12 @@ def ros_files(
     license_name: str = UNDECLARED_LICENSE,
     version: str = "0.0.0",
 ) -> dict[str, str]:
-    """Write a ROS 2 package (ament_cmake) around a robot.
+    """Write a ROS 2 package (ament_cmake) around a robot, its folder to be named :func:`ros_package_name`.
 
     The launch file starts `robot_state_publisher`, `joint_state_publisher_gui` and RViz. Frames in ROS are a tree:
     sliders move the joints one by one and open the loops, so publish the joint positions of an assembled configuration
-    to see them closed.
-
-    Args:
-        robot: the robot.
-        maintainer: who looks after the package, for its manifest.
-        email: address of the maintainer.
-        license_name: its license, for its manifest.
-        version: its version, for its manifest; by default what `ros2 pkg create` writes.
-
-    Returns:
-        Text of each file by its path in the package's folder, which is to be named :func:`ros_package_name`. URDF,
-        closures file and SRDF are among them, so that pm3dof-pin can load the robot from there.
+    to see them closed. URDF, closures file and SRDF are among the files, so that pm3dof-pin can load the robot from
+    there.
     """
     package = ros_package_name(robot.name)
     size = robot.mechanism.characteristic_length

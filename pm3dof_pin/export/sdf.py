@@ -22,13 +22,9 @@ def sdf_text(robot: RobotDocument) -> str:
 
     Links that move or have mass are links, on the joints of their names. Links without mass at the end of a fixed joint
     are frames, and their shapes are those of the link that carries them. Each loop closure is one more joint,
-    `<frame_a>_<frame_b>`: of type `ball` (3d) or `fixed` (6d). The root is fixed to the world.
-
-    The poses are those of the home configuration, with the loops closed, and every joint is at zero there: where home
-    is not at zero in the URDF, coordinates and limits count from home.
-
-    Args:
-        robot: the robot.
+    `<frame_a>_<frame_b>`: of type `ball` (3d) or `fixed` (6d). The root is fixed to the world. The poses are those of
+    the home configuration, with the loops closed, and every joint is at zero there: where home is not at zero in the
+    URDF, coordinates and limits count from home.
 
     Raises:
         DescriptionError: the end of a branch moves and has no mass, which SDFormat cannot say.

@@ -27,12 +27,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 @dataclass(frozen=True)
 class Origin:
-    """A placement as a URDF writes it: angles, not matrices, so that no digit changes on the way.
-
-    Attributes:
-        position: x, y, z [m].
-        roll_pitch_yaw: angles about fixed axes x, y, z, in this order [rad].
-    """
+    """A placement as a URDF writes it [m, rad]: roll, pitch, yaw, not matrices, so that no digit changes on the way."""
 
     position: tuple[float, ...] = (0.0, 0.0, 0.0)
     roll_pitch_yaw: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -68,13 +63,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass and inertia of a link.
-
-    Attributes:
-        mass: [kg].
-        origin: centre of mass and axes of the moments.
-        moments: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass [kg m^2].
-    """
+    """Mass [kg] of a link, its centre, and ixx, iyy, izz, ixy, ixz, iyz about that, in its axes [kg m^2]."""
 
     mass: float
     origin: Origin
@@ -96,15 +85,11 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Shape:
-    """A visual or collision shape of a link.
+    """A visual or collision shape of a link; texts are empty and the colour None where the URDF says none.
 
     Attributes:
-        name: its name, or an empty text.
         kind: box, cylinder, sphere or mesh.
         sizes: edges of a box; radius and length of a cylinder; radius of a sphere; scales of a mesh [m, 1].
-        mesh: file name of a mesh as written, or an empty text.
-        origin: placement in the link.
-        colour: red, green, blue, opacity; None if the URDF gives none.
     """
 
     name: str
@@ -117,14 +102,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Link:
-    """A link.
-
-    Attributes:
-        name: its name.
-        inertial: mass and inertia; None if the URDF gives none.
-        visuals: shapes to be drawn.
-        collisions: shapes that touch.
-    """
+    """A link, its inertial None if the URDF gives none."""
 
     name: str
     inertial: Inertial | None
@@ -139,21 +117,11 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint.
+    """A joint, its child placed in the parent at zero; numbers in SI units are None where the URDF gives none.
 
     Attributes:
-        name: its name.
         kind: fixed, revolute, continuous or prismatic.
-        parent: link it hangs on.
-        child: link that it moves.
-        origin: placement of the child in the parent at zero.
         axis: unit vector in the axes of the child.
-        lower: least coordinate [m, rad], or None.
-        upper: greatest coordinate [m, rad], or None.
-        effort: greatest force [N, N m], or None.
-        velocity: greatest rate [m/s, rad/s], or None.
-        damping: [N s/m, N m s/rad].
-        friction: [N, N m].
     """
 
     name: str
@@ -177,16 +145,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class UrdfDocument:
-    """A URDF, read.
-
-    Attributes:
-        path: the file.
-        element: the XML; not to be changed.
-        text: the file as it is.
-        name: name of the robot.
-        links: links by name, in the order of the file.
-        joints: joints in the order of the file.
-    """
+    """A URDF, read: its XML (not to be changed), its text, and links and joints in the order of the file."""
 
     path: Path
     element: ElementTree.Element
@@ -233,11 +192,7 @@ def quaternion_product(one: Quaternion, other: Quaternion) -> Quaternion:
 
 
 def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:
-    """Read a URDF that Pinocchio has read already, so that its tree is known to be one.
-
-    Args:
-        path: the file.
-        meshes: whether shapes that are meshes are kept.
+    """Read a URDF that Pinocchio has read already, so that its tree is known to be one, with or without meshes.
 
     Raises:
         DescriptionError: a number is none, or a joint or shape is of a kind that the exports do not know.

@@ -19,11 +19,6 @@ def number_text(number: float) -> str:
 
 
 def document_text(root: ElementTree.Element, banner: str) -> str:
-    """Write an XML document.
-
-    Args:
-        root: its element; gets indented.
-        banner: a comment to stand on top.
-    """
+    """Write an XML element as a document, indented, below a banner."""
     ElementTree.indent(root, "  ")
     return f'<?xml version="1.0"?>\n<!-- {comment_text(banner)} -->\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -50,14 +50,7 @@ _LONGEST_LABEL = 48  # letters beside the bar of colours
 
 @dataclass(eq=False)
 class _Outlines:
-    """Outlines of the planes that are drawn, found once for all quantities.
-
-    Attributes:
-        limits: the limits of the robot over two coordinates, the others fixed; without them planes end at the last
-            poses within.
-        beyond: whether values beyond joint limits are drawn, so that only the reach ends a plane.
-        found: meshes by plane and what is inside.
-    """
+    """Outlines of the drawn planes, within the limits over two coordinates or only the reach, found once for all."""
 
     limits: LimitsOver | None
     beyond: bool
@@ -79,20 +72,7 @@ class _Outlines:
 
 
 def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: str, outlines: _Outlines) -> Figure:
-    """Draw one quantity of an atlas.
-
-    Of more than three dimensions the last three are drawn, the others standing at the middle of their values.
-
-    Args:
-        values: over dimensions with coordinates that have a unit; NaN where a pose is excluded.
-        flags: the limits that poses break.
-        name: of the quantity, for the title.
-        unit: its unit, for the colour bar.
-        outlines: of its planes.
-
-    Raises:
-        InvalidValueError: no value to draw, or a dimension without a unit.
-    """
+    """Draw one quantity, of more than three dimensions the last three, the others in the middle of their values."""
     for dim in values.dims:
         if "units" not in values[dim].attrs:
             raise InvalidValueError("values", f"dimensions {values.dims}", "coordinates of a robot, one entry a pose")
@@ -151,15 +131,10 @@ def _long(lines: Array, mesh: OutlinedMesh) -> bool:
 
 
 def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:
-    """Draw every quantity of an atlas that has one number, or one list of numbers, at a pose; matrices are left out.
+    """Draw every quantity of an atlas that is a number, or a list of numbers, at a pose, by `<quantity>[_<entry>]`.
 
-    Args:
-        dataset: result of :func:`~pm3dof_pin.maps.atlas.open_atlas`.
-        robot: the robot of the atlas: with it, the planes end where its limits do, found to 1e-6 of a cell, and values
-            between the last pose within and there are extrapolated; without it, they end at the last poses within.
-
-    Returns:
-        Figures by `<quantity>` or `<quantity>_<entry>`; none for a quantity without a finite value.
+    With the robot, the planes end where its limits do, found to 1e-6 of a cell, and values between the last pose within
+    and there are extrapolated; without it, they end at the last poses within.
     """
     figures = {}
     flags = dataset[BROKEN_LIMITS].load()

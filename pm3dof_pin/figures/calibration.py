@@ -32,11 +32,7 @@ _MICROMETRES = 1e6
 
 
 def held_out_picture(held_out: HeldOut) -> Figure:
-    """Draw the share of held-out poses whose tip error stays below a size: before, after, floor, noise.
-
-    Args:
-        held_out: errors at poses that the calibration was not shown.
-    """
+    """Draw the share of held-out poses whose tip error stays below a size: before, after, floor, noise."""
     curves = (
         ("as described", held_out.before, BEFORE, "-"),
         ("corrected", held_out.after, AFTER, "-"),
@@ -63,11 +59,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
 
 
 def parameters_picture(found: Identification) -> Figure:
-    """Draw every identified parameter with two standard deviations, in units of its tolerance.
-
-    Args:
-        found: the identification.
-    """
+    """Draw every identified parameter with two standard deviations, in units of its tolerance."""
     values = found.values / found.errors.tolerances
     spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
     places = np.arange(len(values))[::-1]
@@ -85,11 +77,7 @@ def parameters_picture(found: Identification) -> Figure:
 
 
 def residuals_picture(found: Identification) -> Figure:
-    """Draw the residual of every measurement in units of its sigma; outliers stand out.
-
-    Args:
-        found: the identification.
-    """
+    """Draw the residual of every measurement in units of its sigma; outliers stand out."""
     size = np.sqrt(np.mean(found.normalized_residuals**2, axis=1))
     outliers = np.zeros(len(size), dtype=bool)
     outliers[list(found.outliers)] = True
@@ -113,11 +101,7 @@ def residuals_picture(found: Identification) -> Figure:
 
 
 def workspace_picture(errors: WorkspaceErrors) -> Figure:
-    """Draw the maps of the tip error before and after, and of the floor if it is known, all with one scale of colours.
-
-    Args:
-        errors: errors over two coordinates.
-    """
+    """Draw the maps of the tip error before and after, and of the floor if known, with one scale of colours."""
     fields = [errors.before, errors.after, *([] if errors.floor is None else [errors.floor])]
     scale = color_scale(_MICROMETRES * np.stack(fields))
     meshes = [outlined_mesh(*errors.coordinates, np.isfinite(field), errors.within) for field in fields]

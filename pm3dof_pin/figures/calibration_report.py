@@ -56,17 +56,7 @@ def report_as_html(
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
 ) -> str:
-    """Return the report of a calibration; the same calibration gives the same bytes.
-
-    Args:
-        calibration: what to report.
-        robot: its name.
-        held_out: errors on poses it was not shown.
-        maps: errors over the workspace.
-        validation: errors on another file of measurements.
-        objections: what speaks against it.
-        judgement: what to expect of the machine.
-    """
+    """Return the report of a calibration; the same calibration gives the same bytes."""
     options, found = calibration.options, calibration.identification
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",

@@ -26,12 +26,10 @@ _STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class ColorScale:
-    """Values at which the colours step.
+    """Growing values at which the colours step, and on which sides values lie beyond them.
 
     Attributes:
-        levels: growing.
         logarithmic: whether equal steps of colour are equal ratios.
-        extend: on which sides values lie beyond the levels.
         note: what a reader has to be told, or "".
     """
 
@@ -77,12 +75,9 @@ class ColorScale:
 
 
 def color_scale(values: Array, also: Array | None = None, count: int = 16) -> ColorScale:
-    """Return the scale for values that are drawn, all panels of a picture together.
+    """Return the scale of about `count` steps for all finite values that are drawn in a picture.
 
-    Args:
-        values: of any shape; what is not finite does not count.
-        also: values that are drawn too but do not count where the bulk of them is looked for.
-        count: of steps, about.
+    `also` are values that are drawn too but do not count where the bulk of them is sought.
     """
     finite = np.asarray(values, dtype=float)
     finite = finite[np.isfinite(finite)]
@@ -114,12 +109,7 @@ def color_scale(values: Array, also: Array | None = None, count: int = 16) -> Co
 
 
 def number(value: float, decimals: int = 0) -> str:
-    """Return a number as it is written beside an axis: 0.05, 1500, or a power of ten.
-
-    Args:
-        value: the number.
-        decimals: how many it has at least, so that numbers above each other are aligned.
-    """
+    """Return a number as written beside an axis: 0.05, 1500, or a power of ten; with so many decimals at least."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
         return f"{value:.{max(decimals, _decimals(value))}f}".replace("-", "\N{MINUS SIGN}")
     exponent = math.floor(math.log10(abs(value)) + 1e-9)

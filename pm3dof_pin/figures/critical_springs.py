@@ -24,13 +24,10 @@ _FAINT, _FULL = 0.25, 1.0  # opacity of a spring that leads with nothing, and of
 
 
 def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figure:
-    """Draw, axis by axis, the spring that gives most, the more intense the greater its share.
+    """Draw over two coordinates, axis by axis, the spring that gives most, the more intense the greater its share.
 
-    Between the poses of the section the shares are interpolated, so that regions have smooth edges.
-
-    Args:
-        section: :attr:`~pm3dof_pin.maps.workspace_evaluation.WorkspaceEvaluation.dataset` over two coordinates.
-        within: the limits over the section, which give it its exact outline.
+    The section is that of a :class:`~pm3dof_pin.maps.workspace_evaluation.WorkspaceEvaluation`, its outline that of
+    `within`; between poses the shares are interpolated, so that regions have smooth edges.
     """
     critical, shares = section[CRITICAL], section[SHARES]
     first, second = (str(dim) for dim in critical.dims[:2])

@@ -21,12 +21,7 @@ _TURN = 0.07  # radius of the corners of boxes [inch]
 
 @dataclass(frozen=True)
 class Box:
-    """A box of a diagram.
-
-    Attributes:
-        x, y: its centre [inch].
-        width, height: its sides [inch].
-    """
+    """A box of a diagram: its centre and sides [inch]."""
 
     x: float
     y: float
@@ -55,11 +50,7 @@ class Box:
 
 
 class Diagram:
-    """A sheet in inches, origin at its lower left corner; to be filled inside :func:`house_style`.
-
-    Attributes:
-        figure: what is drawn.
-    """
+    """A sheet in inches, origin at its lower left corner; to be filled inside :func:`house_style`."""
 
     figure: Figure
 
@@ -79,16 +70,7 @@ class Diagram:
         fill: str,
         dashed: bool = False,
     ) -> Box:
-        """Draw a box with a bold head and lines of text below it.
-
-        Args:
-            centre: of the box [inch].
-            size: width and height [inch].
-            head: first line.
-            text: further lines.
-            fill: key of :data:`FILLS`.
-            dashed: dashed rim.
-        """
+        """Draw a box [inch] with a bold head and lines of text below it, filled by a key of :data:`FILLS`."""
         (x, y), (width, height) = centre, size
         made = Box(x, y, width, height)
         pattern = (0, (4, 3)) if dashed else "solid"

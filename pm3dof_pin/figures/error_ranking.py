@@ -16,11 +16,7 @@ COMPENSABLE_COLOR, UNCOMPENSABLE_COLOR = "#56B4E9", "#D55E00"
 
 
 def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
-    """Draw the tip error that each of the most critical parameters causes within its tolerance.
-
-    Args:
-        ranking: result of :meth:`ErrorMap.ranking <pm3dof_pin.errors.error_map.ErrorMap.ranking>`.
-        most: number of parameters shown.
+    """Draw the tip errors of an :class:`ErrorMap`'s most critical parameters within their tolerances.
 
     Raises:
         InvalidValueError: there is nothing to show.

@@ -58,14 +58,9 @@ def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
 
 
 def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:
-    """Return in what numbers are drawn, and how that is written: 1e-6 and "µm" for errors of some 1e-4 m.
+    """Return what to divide finite values by, and the unit they are then in: 1e-6 and "µm" for errors of some 1e-4 m.
 
-    Args:
-        values: the numbers in the unit; what is not finite does not count.
-        unit: of SI, "1", "mixed", or any other.
-
-    Returns:
-        What to divide by, and the unit; "" for plain numbers.
+    The unit is "" for plain numbers.
     """
     sizes = np.abs(np.asarray(values, dtype=float))
     greatest = float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))

@@ -36,15 +36,12 @@ _FEWEST = 4  # poses of a slice that are worth a picture
 
 
 def least_sensitive_region(dataset: xr.Dataset, limits: LimitsOver | None = None) -> Figure:
-    """Draw the tip error of all sources, with the least sensitive region outlined.
+    """Draw the tip error of a budget map, up to six slices of three coordinates, the least sensitive region outlined.
 
-    Args:
-        dataset: result of :func:`~pm3dof_pin.maps.error_budget_map.budget_map` over two or three coordinates; of a
-            third one up to six slices are drawn.
-        limits: from coordinates and values of others to the limits over them, which give the slices their exact edges.
+    `limits` make the limits over coordinates at values of others, which give the slices their exact edges.
 
     Raises:
-        InvalidValueError: the dataset is over another number of coordinates.
+        InvalidValueError: the dataset is not over two or three coordinates.
     """
     dims = [str(dim) for dim in dataset["tip_rms"].dims]
     if len(dims) not in (2, 3):

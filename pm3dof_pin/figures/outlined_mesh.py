@@ -48,11 +48,7 @@ class OutlinedMesh:
     fillable: Mask
 
     def values(self, field: Array) -> Array:
-        """Return the values at the points: linear between poses of the grid, extrapolated from the last ones inside.
-
-        Args:
-            field: values over the grid, NaN where a pose is excluded, shape=(n, m).
-        """
+        """Return a field over the grid at the points: linear between poses, extrapolated from the last ones inside."""
         filled, positive = np.where(np.isfinite(field), field, np.nan), bool(np.nanmin(field) > 0.0)
         filled = _extended(np.log(filled) if positive else filled, self.fillable)
         found = np.asarray(RegularGridInterpolator(self.axes, filled)(self.points))
@@ -82,12 +78,8 @@ def outlined_mesh(
 ) -> OutlinedMesh:
     """Divide the part of a section that is within the limits into triangles.
 
-    Args:
-        first: values of the first coordinate, growing, shape=(n,).
-        second: values of the second, shape=(m,).
-        inside: poses that have a value, shape=(n, m).
-        within: the limits over the section; without them the mesh ends at the last poses inside.
-        excluded: poses that a limit excludes, shape=(n, m); by default all that have no value.
+    `inside` are the poses of the grid with a value. Without limits, the mesh ends at the last of these; `excluded` are
+    those that a limit excludes, by default all others.
     """
     axes = (np.asarray(first, dtype=float), np.asarray(second, dtype=float))
     fillable = ~inside if excluded is None else excluded & ~inside
@@ -117,12 +109,7 @@ def outlined_mesh(
 
 
 class _Sides:
-    """Places where the outline crosses sides of cells, numbered after the nodes.
-
-    Attributes:
-        points: the places, shape=(c, 2).
-        along: numbers of the places on sides along the first and along the second coordinate, -1 where there are none.
-    """
+    """Places, shape=(c, 2), where the outline crosses sides of cells, and their numbers by side, -1 for none."""
 
     def __init__(self, x: Array, y: Array, nodes: Mask, within: Within | None, start: int) -> None:
         places: list[Array] = []

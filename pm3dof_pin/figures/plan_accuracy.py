@@ -35,13 +35,7 @@ STRATEGY_NAMES: Mapping[Strategy, str] = {
 def plan_accuracy(
     counts: Sequence[int], curves: Mapping[Strategy, NDArray[np.float64]], minimum: int | None = None
 ) -> Figure:
-    """Draw the predicted tip error, the mean over seeds with its range.
-
-    Args:
-        counts: numbers of poses.
-        curves: results of :meth:`PlanningProblem.accuracy_curve
-            <pm3dof_pin.calibration.planning.PlanningProblem.accuracy_curve>` for these counts, by strategy [m].
-        minimum: least number of poses that identify all that can be identified, if it is to be marked.
+    """Draw the predicted tip error [m] by strategy over numbers of poses, the mean over seeds with its range.
 
     Raises:
         InvalidValueError: a curve does not have as many rows as there are counts.

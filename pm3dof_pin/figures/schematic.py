@@ -32,9 +32,6 @@ def schematic_figure(tripod: Tripod) -> Figure:
     Four views: the whole machine in orthographic projection, its base and its moving platform from above, and one leg
     in the vertical plane of its guideway.
 
-    Args:
-        tripod: the machine.
-
     Raises:
         UnreachablePoseError: the guideways do not rise to the height of the middle platform.
     """
@@ -50,15 +47,7 @@ def schematic_figure(tripod: Tripod) -> Figure:
 
 
 class _Points:
-    """Named points of the machine at home, base frame [m].
-
-    Attributes:
-        tripod: the machine.
-        base, slider, ball: B_i, D_i and E_i, shape=(n, 3).
-        middle: M_i, where the line of a guideway reaches the height of the clamp, shape=(n, 3).
-        tool, clamp, origin: O_e (which is P), the clamp of the passive leg and O_b, shape=(3,).
-        rotation: orientation of the platform, shape=(3, 3).
-    """
+    """Named points of the machine at home, base frame [m]; of `middle`, guideways reach the height of the clamp."""
 
     def __init__(self, tripod: Tripod) -> None:
         self.tripod = tripod

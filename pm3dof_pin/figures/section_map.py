@@ -51,17 +51,10 @@ def section_map(
 ) -> Figure:
     """Draw one variable of a section as a surface and as filled contours, as wide as two columns of a journal.
 
-    Shown are the values at the poses of the section and along its outline, with flat triangles between them.
-
-    Args:
-        section: a dataset over two dimensions, as that of :func:`~pm3dof_pin.maps.grid_map.quantity_map`; its scalar
-            coordinates stand in the title.
-        variable: name of the variable, for example "stiffness_theta_x".
-        outline: the same variables along a closed line, which gives the map its smooth edge; without it the map ends at
-            the last poses within the limits. Where its `at_grid_end` is true the grid ends there and no limit.
-        entry: label along the variable's own dimension, if it has one; of a matrix an entry of the diagonal.
-        within: in place of an outline, the limits over the section: its outline is then found, and the values there are
-            extrapolated from the last poses within.
+    Shown are the values at the poses of the section and along its outline, with flat triangles between them. The
+    outline is a dataset along a closed line (`at_grid_end` where no limit makes it); or it is found by the limits
+    `within`, and the values there are extrapolated; without both, the map ends at the last poses. `entry` is the label
+    along the variable's own dimension; of a matrix an entry of the diagonal.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.

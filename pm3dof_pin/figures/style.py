@@ -73,11 +73,7 @@ _UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a f
 
 
 def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return colour and words for each limit of a robot.
-
-    Args:
-        names: of the limits, from the lowest bit on.
-    """
+    """Return colour and words for each limit of a robot, named from the lowest bit on."""
     if set(names) <= set(LIMIT_COLORS):
         return {name: (LIMIT_COLORS[name], LIMIT_NAMES[name]) for name in names}
     others = [name for name in names if name != "reach"]
@@ -98,26 +94,14 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure that needs no screen, to be filled inside :func:`house_style`.
-
-    Args:
-        width: width [inch].
-        height: height [inch].
-    """
+    """Return an empty figure [inch] that needs no screen, to be filled inside :func:`house_style`."""
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_figure(figure: Figure, path: Path | str) -> Path:
-    """Write a figure; equal figures give equal bytes.
-
-    Args:
-        figure: what to write.
-        path: file to write; PDF or SVG if its name ends so, else PNG.
-
-    Returns:
-        The path written.
+    """Write a figure as PDF, SVG or PNG by the suffix, and return the path; equal figures give equal bytes.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
@@ -129,12 +113,7 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
 
 
 def save_pictures(figure: Figure, path: Path | str, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write a figure in several formats; files of its name in others, of a former run, are removed.
-
-    Args:
-        figure: what to write.
-        path: file to write, with any suffix.
-        formats: of :data:`FORMATS`.
+    """Write a figure in several of :data:`FORMATS`; files of its name in others, of a former run, are removed.
 
     Raises:
         OutputError: a file cannot be written.

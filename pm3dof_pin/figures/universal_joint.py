@@ -21,12 +21,7 @@ _HALF = 0.075  # half the width of a platform that is drawn [m]
 
 
 def universal_joint_figure(robots: Mapping[str, Robot], height: float) -> Figure:
-    """Draw passive leg and platform, and the stiffness felt, while the platform tilts about y at one height.
-
-    Args:
-        robots: two of them by their titles, with coordinates theta_x, theta_y, z_e.
-        height: z_e [m].
-    """
+    """Draw the passive leg and the felt stiffness of two robots while the platform tilts about y at a height [m]."""
     with house_style():
         figure = new_figure(9.6, 5.4)
         grid = figure.add_gridspec(

@@ -35,27 +35,18 @@ _HALVINGS = 14
 
 @dataclass(frozen=True, eq=False)
 class PrintedRanges:
-    """Ranges of the coordinates that are drawn beside the reachable set.
-
-    Attributes:
-        ranges: least and greatest of each coordinate, shape=(3, 2) [m, rad].
-        label: what they are.
-    """
+    """Labelled ranges of the coordinates, shape=(3, 2) [m, rad], that are drawn beside the reachable set."""
 
     ranges: Array
     label: str = "printed ranges"
 
 
 def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None) -> Figure:
-    """Draw the reachable set with the limit that ends it in colour.
+    """Draw the reachable set with the limit that ends it in colour, printed ranges beside it.
 
     Star-shaped sections are joined to a solid; of others, which may have holes or several parts, the boundary points
     are drawn. Where one limit takes over from another between two rays, the limits are asked again. Of two coordinates
     the one section is drawn.
-
-    Args:
-        workspace: the reachable set.
-        printed: ranges to be drawn for comparison.
     """
     sheet = _Sheet(workspace, printed)
     with house_style():
@@ -73,17 +64,7 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
 
 
 class _Sheet:
-    """What is drawn: coordinates in the units of the picture, colours of the limits, and the ends of the axes.
-
-    Attributes:
-        workspace: the reachable set.
-        units: of the coordinates.
-        labels: words on their axes.
-        same_unit: whether both coordinates of the sections have one unit.
-        printed: ranges to be drawn, shape=(3, 2), or None.
-        limits: ends of the axes, shape=(3, 2).
-        styles: colour and words of each limit.
-    """
+    """What is drawn: coordinates in the units of the picture, colours of the limits, and the ends of the axes."""
 
     def __init__(self, workspace: Workspace, printed: PrintedRanges | None) -> None:
         space = workspace.space

@@ -87,12 +87,7 @@ class Atlas:
     engine: Engine = "program"
 
     def __post_init__(self) -> None:
-        """Check names and path.
-
-        Raises:
-            InvalidValueError: an unknown quantity, a grid without dimensions, or a path that ends neither in .nc nor in
-                .zarr.
-        """
+        """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
         if not self.grid.axes:
             raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
         if self.path.suffix not in (".nc", ".zarr"):

@@ -23,12 +23,7 @@ Checksums: TypeAlias = Mapping[str, int | None]
 
 @dataclass(frozen=True)
 class Journal:
-    """The journal of one atlas.
-
-    Attributes:
-        path: the file.
-        specification: what tells atlases apart; the first line.
-    """
+    """The journal of one atlas; its first line is the specification that tells atlases apart."""
 
     path: Path
     specification: str

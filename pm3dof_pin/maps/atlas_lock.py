@@ -24,9 +24,6 @@ def exclusive_run(path: Path) -> Iterator[None]:
     The lock is the operating system's, on the file `.<name>.lock` beside the atlas, which says who holds it. A file
     that nobody holds is what a killed run left, and is taken over.
 
-    Args:
-        path: the atlas.
-
     Raises:
         OutputError: another run holds the lock, or the folder cannot be written.
     """
@@ -50,11 +47,7 @@ def exclusive_run(path: Path) -> Iterator[None]:
 
 
 def _acquire(place: Path) -> int:
-    """Lock the file and write into it who holds it; return its descriptor.
-
-    Raises:
-        BlockingIOError: another process holds it.
-    """
+    """Lock the file, write into it who holds it and return its descriptor; BlockingIOError if another process does."""
     while True:
         descriptor = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
         try:

@@ -42,15 +42,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """One array of an atlas.
-
-    Attributes:
-        name: its name.
-        own_dims: sizes of its own dimensions, after those of the grid.
-        dtype: its type on disk.
-        fill_value: what stands where nothing was written.
-        attributes: what it says of itself.
-    """
+    """One array of an atlas; `own_dims` are the sizes of its dimensions after those of the grid."""
 
     name: str
     own_dims: Mapping[str, int]
@@ -61,14 +53,12 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class AtlasStore:
-    """The arrays of an atlas: first in a Zarr store `<name>.parts` beside the result, then the result.
+    """The arrays of an atlas: first in a Zarr store `<name>.parts` beside the result, then in it, `.nc` or `.zarr`.
 
     Attributes:
-        path: the result, `.nc` or `.zarr`.
         coordinates: values and attributes of the grid's dimensions.
         block_shape: shape of the blocks, which are the chunks.
         variables: the arrays; the map of broken limits is the last one.
-        attributes: what the atlas says of itself.
     """
 
     path: Path
@@ -94,10 +84,7 @@ class AtlasStore:
         return Journal(self.parts / _JOURNAL, hashlib.sha256(text.encode()).hexdigest())
 
     def open(self) -> set[Block]:
-        """Make the store, or go on with the one that is there; damage in it is repaired, and logged as a warning.
-
-        Returns:
-            The finished blocks.
+        """Make the store, or repair and continue the one that is there; return the finished blocks.
 
         Raises:
             OutputError: the result cannot take its place, there is no room for it, or another atlas is unfinished.
@@ -214,11 +201,7 @@ class AtlasStore:
             array[place] = np.asarray(values).astype(array.dtype, copy=False)
 
     def read(self, name: str, place: Place) -> Any:
-        """Read the values of one array at one block.
-
-        Raises:
-            OSError: the block is not what was written.
-        """
+        """Read the values of one array at one block; OSError where they are not what was written."""
         try:
             return self._arrays[name][place]
         except (ValueError, RuntimeError) as error:
@@ -239,11 +222,7 @@ class AtlasStore:
         shutil.rmtree(self.parts)
 
     def finish(self, blocks: Iterable[Place]) -> Path:
-        """Make the result of the finished blocks and return its path.
-
-        Raises:
-            OSError: the disk is full, a block cannot be read, or the like.
-        """
+        """Make the result of the finished blocks and return its path; OSError for a full disk or a damaged block."""
         if self.path.suffix == ".nc":
             try:
                 self._copy_to_netcdf(blocks)

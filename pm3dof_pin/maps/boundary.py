@@ -15,14 +15,9 @@ if TYPE_CHECKING:
 
 
 def workspace_boundary(workspace: Workspace) -> xr.Dataset:
-    """Return the boundary points of all sections of a workspace.
+    """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
 
-    Args:
-        workspace: the reachable set.
-
-    Returns:
-        A dataset over `point` with the coordinates of the points [m, rad] and the variable `binding_limits`, the sum of
-        the limits that end the reachable set there.
+    These are sums of the limits that end the reachable set there.
     """
     import xarray as xr
 

@@ -32,11 +32,7 @@ _Variables = dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]
 
 
 def whole_workspace_grid(robot: Robot, points: int) -> Grid:
-    """Make a grid over all coordinates that have ranges; the others stay at home.
-
-    Args:
-        robot: the robot.
-        points: number of values of each coordinate.
+    """Make a grid of `points` values of each coordinate that has a range; the others stay at home.
 
     Raises:
         InvalidValueError: no coordinate has a range, or the grid would have far too many poses.
@@ -60,19 +56,12 @@ def budget_map(
     names: Sequence[str] = (),
     part: float = LEAST_SENSITIVE_PART,
 ) -> tuple[xr.Dataset, ErrorBudget]:
-    """Compute the errors of all sources over a grid of the robot's coordinates, of any number of dimensions.
+    """Compute the errors of all sources, or those named, over a grid of the robot's coordinates, of any dimension.
 
-    Args:
-        sources: the sources with their numbers.
-        grid: poses of the robot as described.
-        eta: weight of the orientation in the tip error [m/rad].
-        names: sources or their classes; all of them if empty.
-        part: part of the poses within the limits that counts as the least sensitive region.
-
-    Returns:
-        A dataset over the dimensions of the grid, NaN where a pose breaks a limit: `tip_rms`, `worst_tip`, `left_rms`
-        and `energy` of all sources together, `tip_rms_<source>` of each alone, `least_sensitive` and `broken_limits`;
-        and the budget over the poses within the limits, in the order of the grid.
+    Returns a dataset over the grid, NaN where a pose breaks a limit: `tip_rms`, `worst_tip`, `left_rms` and `energy` of
+    all sources together, `tip_rms_<source>` of each alone, `least_sensitive` (the best `part` of the poses) and
+    `broken_limits`; and the budget over the poses within the limits. `eta` weighs the orientation in the tip error
+    [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
@@ -94,12 +83,7 @@ def budget_map(
 
 
 def budget_table(budget: ErrorBudget, *, part: float = LEAST_SENSITIVE_PART) -> xr.Dataset:
-    """Return the same along one dimension, `pose`, for poses that are no grid; coordinates and commands beside them.
-
-    Args:
-        budget: the budget at the poses.
-        part: see :func:`budget_map`.
-    """
+    """Return the same along one dimension, `pose`, for poses that are no grid; coordinates and commands beside them."""
     import xarray as xr
 
     robot, poses = budget.poses.robot, budget.poses

@@ -37,16 +37,8 @@ def error_section(
 ) -> tuple[xr.Dataset, ErrorMap]:
     """Compute the first-order errors of the tool over a grid of the robot's coordinates.
 
-    Args:
-        errors: the parameters, with their tolerances.
-        grid: poses of the robot as described; see :func:`~pm3dof_pin.errors.error_map.section_grid`.
-        eta: weight of the orientation in the tip error [m/rad].
-        distribution: what the tolerances are.
-        engine: what closes the loops and computes the sensitivities.
-
-    Returns:
-        A dataset over the dimensions of the grid with the variables of :data:`QUANTITIES`, NaN where a pose breaks a
-        limit, and `broken_limits`; and the error map over the poses within the limits, in the order of the grid.
+    Returns the variables of :data:`QUANTITIES` over the grid, NaN where a pose breaks a limit, and `broken_limits`; and
+    the error map over the poses within the limits. `eta` weighs the orientation in the tip error [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
@@ -77,17 +69,9 @@ def error_section(
 
 
 def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, directions: int = 240) -> xr.Dataset | None:
-    """Compute the errors along the edge of a section over two coordinates, for a picture that ends there smoothly.
+    """Compute the errors at points along the edge of a section over two coordinates, so that a picture ends smoothly.
 
-    Args:
-        errors: the parameters of the section.
-        grid: its grid.
-        section: result of :func:`error_section`, whose eta and distribution are taken.
-        directions: number of points of the outline.
-
-    Returns:
-        A dataset along the dimension `point`; None if the edge is not one line that can be seen from the middle of the
-        grid.
+    None if the edge is not one line that can be seen from the middle of the grid.
     """
     import xarray as xr
 

@@ -19,14 +19,7 @@ _SMALLEST = 6e-5  # size of the window, against the first one, at which an extre
 
 
 def sampled_extremes(boundary: Array) -> Array:
-    """Return those of the boundary points that have the least and greatest first coordinate, then second.
-
-    Args:
-        boundary: (radius, azimuth, level) of points, shape=(m, 3).
-
-    Returns:
-        shape=(4, 3).
-    """
+    """Return the points (radius, azimuth, level) of least and greatest first and second coordinate, (4, 3)."""
     best: Array = boundary[np.argmax(_directions(boundary[:, 0], boundary[:, 1]) @ _OUTWARD.T, axis=0)]
     return best
 
@@ -38,15 +31,10 @@ def extreme_values(space: LimitSpace, extremes: Array) -> Array:
 
 
 def window(half_width: float, half_level: float = 0.0) -> Array:
-    """Return offsets (azimuth, level) of the rays that :func:`refined_extremes` sends around an extreme.
+    """Return offsets (azimuth, level) of the rays that :func:`refined_extremes` sends around an extreme, shape=(k, 2).
 
-    Args:
-        half_width: greatest offset of the azimuth [rad].
-        half_level: greatest offset of the level, 0 to stay in a section. A corner wanders over the azimuth as the level
-            grows, by about 1 deg for 1 mm of height on the chapter's machine: the width has to be enough to follow it.
-
-    Returns:
-        shape=(k, 2).
+    A corner wanders over the azimuth as the level grows, by about 1 deg for 1 mm of height on the chapter's machine:
+    the half width [rad] has to be enough to follow it. A half level of 0 stays in a section.
     """
     azimuths = half_width * np.linspace(-1.0, 1.0, 33 if half_level else 9)
     levels = half_level * np.linspace(-1.0, 1.0, 5) if half_level else np.zeros(1)
@@ -54,17 +42,9 @@ def window(half_width: float, half_level: float = 0.0) -> Array:
 
 
 def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
-    """Move extreme boundary points to where they are extreme between the rays, and between the levels.
+    """Move extreme boundary points, shape=(n, 4, 3), to where they are extreme between the rays and the levels.
 
     The window around each moves to the best of its rays, and shrinks when that one is not at its edge.
-
-    Args:
-        space: coordinates and limits.
-        starts: results of :func:`sampled_extremes`, shape=(n, 4, 3).
-        window: result of :func:`window`.
-
-    Returns:
-        shape=(n, 4, 3), like `starts`.
     """
     outward = np.tile(_OUTWARD, (len(starts), 1))
     extremes, size = starts.reshape(-1, 3).copy(), np.ones(len(outward))
@@ -88,17 +68,7 @@ def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
 
 
 def _outermost_radii(space: LimitSpace, outward: Array, rays: Array, radii: Array) -> Array:
-    """Radius at which the best ray (azimuth, level) of each m crosses the boundary near the radius given for its m.
-
-    Args:
-        space: coordinates and limits.
-        outward: what is to be greatest, shape=(m, 2).
-        rays: shape=(m, k, 2).
-        radii: shape=(m,).
-
-    Returns:
-        shape=(m, k); NaN for rays without a crossing, and for those found to end less far out than another of their m.
-    """
+    """Return the points (radius, azimuth, level) of least and greatest first, then second coordinate, (4, 3)."""
     count = rays.shape[1]
     samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), count, axis=0)
     azimuths, levels = rays.reshape(-1, 2).T

@@ -26,17 +26,7 @@ def quantity_map(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> xr.Dataset:
-    """Compute quantities over a grid.
-
-    Args:
-        mapped: the robot.
-        grid: the poses.
-        quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`.
-        engine: what computes.
-        threads: the number of processors by default.
-
-    Returns:
-        See :func:`grid_dataset`; NaN where a pose breaks a limit or cannot be reached.
+    """Compute quantities over a grid, see :func:`grid_dataset`; NaN where a pose breaks a limit or is out of reach.
 
     Raises:
         InvalidValueError: an unknown quantity, or one that the robot does not have.
@@ -61,17 +51,9 @@ def quantity_map(
 def grid_dataset(
     grid: Grid, poses: Poses, variables: Mapping[str, tuple[tuple[str, ...], Array, dict[str, Any]]], title: str
 ) -> xr.Dataset:
-    """Return variables over a grid as a dataset.
+    """Return variables (dimensions, values, attributes) over a grid as a dataset, with `broken_limits` of its poses.
 
-    Args:
-        grid: the grid.
-        poses: its poses.
-        variables: by name, dimensions, values and attributes.
-        title: what the dataset is.
-
-    Returns:
-        The variables and `broken_limits`, whose attributes name the limits; coordinates with their units, those that
-        stand still as scalars.
+    Coordinates have their units; those that stand still are scalars.
     """
     import xarray as xr
 

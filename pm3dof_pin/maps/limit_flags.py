@@ -23,12 +23,7 @@ def flag_type(names: tuple[str, ...]) -> np.dtype[Any]:
 
 
 def flag_attributes(names: tuple[str, ...], long_name: str) -> dict[str, object]:
-    """Return the attributes of a variable that holds sums of flags.
-
-    Args:
-        names: of the flags, from the lowest bit on.
-        long_name: what the variable is.
-    """
+    """Return the attributes of a variable that holds sums of flags, named from the lowest bit on."""
     return {
         "long_name": long_name,
         "flag_masks": np.array([1 << bit for bit in range(len(names))], dtype=flag_type(names)),

@@ -92,14 +92,9 @@ def robot_space(
     *,
     engine: Engine = "program",
 ) -> LimitSpace:
-    """Return coordinates of a robot with its limits over them; declared ranges of coordinates are not among these.
+    """Return two or three coordinates of a robot with its limits over them; declared ranges are not among these.
 
-    Args:
-        robot: the robot.
-        names: two coordinates of the sections, and one along which they are stacked; by default the first ones, with
-            those of one unit in the sections.
-        fixed: values of other coordinates; home by default [m, rad].
-        engine: what closes the loops.
+    By default the first coordinates, with those of one unit in the sections; others are at home unless fixed [m, rad].
 
     Raises:
         InvalidValueError: an unknown coordinate, or fewer than two or more than three.
@@ -140,14 +135,7 @@ def robot_space(
 def limits_over(
     robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, *, engine: Engine = "program"
 ) -> Callable[[Array], Flags]:
-    """Return the limits of a robot over some of its coordinates, see :attr:`LimitSpace.broken_limits`.
-
-    Args:
-        robot: the robot.
-        names: of the coordinates.
-        fixed: values of others; home by default [m, rad].
-        engine: what closes the loops.
-    """
+    """Return a robot's limits over some coordinates, see :attr:`LimitSpace.broken_limits`; others at home or fixed."""
     places = [robot.coordinates.index(robot.coordinate(name)) for name in names]
     home = np.array(robot.home_coordinates)
     for name, value in (fixed or {}).items():

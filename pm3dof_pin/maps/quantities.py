@@ -43,14 +43,7 @@ _RIGID = 1e-12  # an axis that gives less than this part of the softest of its k
 
 
 class MappedRobot:
-    """A robot whose quantities are mapped; its springs are read when a quantity asks for them.
-
-    Args:
-        robot: the robot, with the springs of its description; or an elastic model.
-
-    Attributes:
-        robot: the robot.
-    """
+    """A robot, or an elastic model, whose quantities are mapped; its springs are read when a quantity asks for them."""
 
     def __init__(self, robot: Robot | ElasticModel) -> None:
         self.robot = robot.rigid if isinstance(robot, ElasticModel) else robot
@@ -61,11 +54,7 @@ class MappedRobot:
 
     @cached_property
     def elastic(self) -> ElasticModel:
-        """The robot with its springs.
-
-        Raises:
-            DescriptionError: the description has no springs.
-        """
+        """The robot with its springs; DescriptionError where the description has none."""
         return self._given if isinstance(self._given, ElasticModel) else ElasticModel(self._given)
 
     @cached_property
@@ -108,14 +97,7 @@ class MappedRobot:
 
 
 class Evaluation:
-    """A robot at a batch of poses; what several quantities need is computed once.
-
-    Args:
-        mapped: the robot.
-        poses: the poses; those that were not solved give NaN.
-        engine: what computes.
-        threads: the number of processors by default. No result depends on it.
-    """
+    """A robot at a batch of poses (unsolved ones give NaN); what several quantities need is computed once."""
 
     def __init__(
         self, mapped: MappedRobot, poses: Poses, *, engine: Engine = "program", threads: int | None = None
@@ -135,15 +117,7 @@ class Evaluation:
         return self._elastic[quantity.name]
 
     def at_each(self, shape: tuple[int, ...], compute: Callable[[Array], Array]) -> Array:
-        """Compute something pose by pose.
-
-        Args:
-            shape: shape of one result.
-            compute: from q, shape=(nq,), to a result; a pose at which it raises an error of the package gives NaN.
-
-        Returns:
-            shape=(..., *shape).
-        """
+        """Compute a result of a shape from each q, shape=(..., *shape); an error of the package gives NaN."""
         values = np.full((*self.poses.shape, *shape), np.nan)
         for index in zip(*np.nonzero(self.poses.solved), strict=True):
             try:
@@ -155,12 +129,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A dimension of a quantity beside those of the poses.
-
-    Attributes:
-        name: its name.
-        labels: from the robot to the names of the entries along it.
-    """
+    """A named dimension of a quantity beside those of the poses, its labels a function of the robot."""
 
     name: str
     labels: Callable[[MappedRobot], tuple[str, ...]]
@@ -214,15 +183,7 @@ def quantity(
     dims: tuple[Dimension, ...] = (),
     exists: Callable[[MappedRobot], bool] = _always,
 ) -> Callable[[Callable[[Evaluation], Array]], Callable[[Evaluation], Array]]:
-    """Make a function of an :class:`Evaluation` a quantity; the arguments are the attributes of :class:`Quantity`.
-
-    Args:
-        names: its names, all of them accepted.
-        unit: its unit.
-        long_name: what it is.
-        dims: its own dimensions.
-        exists: whether a robot has it.
-    """
+    """Make a function of an :class:`Evaluation` a quantity by one or several names; see :class:`Quantity`."""
 
     def register(compute: Callable[[Evaluation], Array]) -> Callable[[Evaluation], Array]:
         for name in names:
@@ -235,12 +196,8 @@ def quantity(
 def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -> tuple[Quantity, ...]:
     """Return the quantities of the given names, in that order, each once.
 
-    Args:
-        names: names of :data:`QUANTITIES`.
-        mapped: the robot that must have them, if there is one already.
-
     Raises:
-        InvalidValueError: a name that is not in :data:`QUANTITIES`, one that the robot does not have, or none at all.
+        InvalidValueError: no names, an unknown one, or one that the robot, if given, does not have.
     """
     known = {name: entry for name, entry in QUANTITIES.items() if mapped is None or entry.exists(mapped)}
     selected = tuple(dict.fromkeys(names))

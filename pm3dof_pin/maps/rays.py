@@ -22,13 +22,12 @@ BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found, as a
 
 
 class Crossings(NamedTuple):
-    """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius.
+    """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius; each field has shape=(m,).
 
     Attributes:
-        rays: index of the ray, shape=(m,).
-        radii: radius of the end within the limits, shape=(m,).
-        leaving: whether the ray leaves the reachable set there or enters it, shape=(m,).
-        limits: sums of the limits broken just across the boundary, shape=(m,).
+        radii: of the ends within the limits.
+        leaving: whether the ray leaves the reachable set there or enters it.
+        limits: sums of the limits broken just across the boundary.
     """
 
     rays: NDArray[np.intp]
@@ -38,13 +37,7 @@ class Crossings(NamedTuple):
 
 
 class Brackets(NamedTuple):
-    """Neighbouring samples of rays between which they cross the boundary, ordered by ray and, on a ray, by radius.
-
-    Attributes:
-        rays: index of the ray, shape=(m,).
-        inner: radius of the sample within the limits, shape=(m,).
-        outer: radius of the other, shape=(m,).
-    """
+    """Neighbouring samples of rays, within the limits and outside, ordered by ray and, on a ray, by radius."""
 
     rays: NDArray[np.intp]
     inner: Array
@@ -68,18 +61,9 @@ def explored(
 ) -> Mask:
     """Tell which points of a grid are within the limits, by checking few of those that are not.
 
-    Every third point along each dimension is checked, then the neighbours of what is found within, until there are no
-    more. A part of the set that lies between those points and is not connected with another may be missed, but not if
-    it is all there is.
-
-    Args:
-        within: from indices of points to whether they are within the limits.
-        shape: of the grid.
-        first: index of the first point of the last two dimensions that is checked.
-        ring: whether the second to last dimension is closed to a ring.
-
-    Returns:
-        shape.
+    Every third point along each dimension is checked (from `first` on along the last two), then the neighbours of what
+    is found within, until there are no more. A part of the set that lies between those points and is not connected with
+    another may be missed, but not if it is all there is. With `ring`, the second to last dimension is closed.
     """
     found, checked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     unchecked = np.zeros(shape, dtype=bool)
@@ -94,18 +78,10 @@ def explored(
 
 
 def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> list[Crossings]:
-    """Check the limits along rays, and close in every change by bisection to :data:`BOUNDARY_TOLERANCE`.
+    """Check the limits along rays at growing radii; close in changes by bisection to :data:`BOUNDARY_TOLERANCE`.
 
-    A part of the set, or of its outside, that is thinner than the distance of the samples may be missed.
-
-    Args:
-        space: coordinates and limits.
-        azimuths: directions of the rays in each section, all around, shape=(n,) [rad].
-        levels: third coordinate of each section, shape=(s,) [m, rad].
-        samples: growing radii at which the limits are checked, shape=(k,).
-
-    Returns:
-        Those of each section, their rays as indices of its azimuths.
+    Rays point in all azimuths [rad] at all levels [m, rad]; returns one result a level. A part of the set, or of its
+    outside, that is thinner than the distance of the samples may be missed.
     """
 
     def within(index: Index) -> Mask:
@@ -134,15 +110,7 @@ def brackets(within: Mask, radii: Array) -> Brackets:
 def closed_in(
     space: LimitSpace, azimuths: Array, levels: Array, start: Brackets, contenders: Contenders | None = None
 ) -> Brackets:
-    """Close in crossings by bisection to :data:`BOUNDARY_TOLERANCE`.
-
-    Args:
-        space: coordinates and limits.
-        azimuths: direction of each ray, shape=(n,) [rad].
-        levels: third coordinate of each ray, shape=(n,) [m, rad].
-        start: brackets of the crossings.
-        contenders: which crossings to follow further; by default all.
-    """
+    """Close in crossings, or the contenders among them, by bisection to :data:`BOUNDARY_TOLERANCE`."""
     rays, inner, outer = start
     longest = float(np.abs(outer - inner).max(initial=BOUNDARY_TOLERANCE))
     for _ in range(int(np.ceil(np.log2(longest / BOUNDARY_TOLERANCE)))):

@@ -22,14 +22,7 @@ if TYPE_CHECKING:
 
 
 def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
-    """Write a map as NetCDF-4, compressed, angles in radians; equal maps give equal bytes.
-
-    Args:
-        dataset: result of :func:`~pm3dof_pin.maps.grid_map.quantity_map` or the like.
-        path: file to write.
-
-    Returns:
-        The path written.
+    """Write a map as NetCDF-4, compressed, angles in radians, and return the path; equal maps give equal bytes.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
@@ -70,18 +63,10 @@ def _write_variable(file: Any, dataset: xr.Dataset, name: str) -> None:
 
 
 def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:
-    """Write a map as CSV for a spreadsheet: one row a pose, angles in degrees, the unit at the end of each heading.
+    """Write a map as CSV: one row a pose, angles in degrees, the unit at the end of each heading; return the path.
 
     Limits are written as words; what is excluded by one is an empty cell. A variable with dimensions of its own has a
-    column for each entry.
-
-    Args:
-        dataset: a map whose variables stand over the same dimensions.
-        path: file to write.
-        coordinates: those that are written; by default all that have a unit.
-
-    Returns:
-        The path written.
+    column for each entry. The coordinates are by default all that have a unit.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.

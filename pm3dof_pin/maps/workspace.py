@@ -63,13 +63,7 @@ class Workspace:
 
 
 def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int = 360) -> Workspace:
-    """Find the reachable set, section by section.
-
-    Args:
-        space: coordinates and limits.
-        levels: number of sections, equally spaced over the whole range of the third coordinate, or its values, growing,
-            shape=(n,) [m, rad]. Of two coordinates there is one section.
-        directions: number of rays in each section.
+    """Find the reachable set in sections: a number of them, equally spaced, or growing levels [m, rad].
 
     Raises:
         InvalidValueError: fewer than two levels, levels that are not finite and growing, or fewer than 8 directions.
@@ -101,13 +95,10 @@ def _of_one_section(space: LimitSpace, directions: int) -> Workspace:
 
 
 def level_range(space: LimitSpace) -> tuple[float, float]:
-    """Find the least and greatest third coordinate of the reachable set.
+    """Find the least and greatest third coordinate of the reachable set; UnreachablePoseError if the set is empty.
 
-    Looked for over a grid of the other two that contains the centre of the sections, and over levels in steps; then
+    Searched over a grid of the other two that contains the centre of the sections, and over levels in steps; then
     closed in by bisection to :data:`LEVEL_TOLERANCE`.
-
-    Raises:
-        UnreachablePoseError: no pose of the grid is within the limits.
     """
     steps = int(space.reach / (_PLANE_STEPS * space.ray_step))
     offsets = _PLANE_STEPS * space.ray_step * np.arange(-steps, steps + 1)

@@ -44,18 +44,10 @@ _OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
 
 @dataclass(frozen=True)
 class Distribution:
-    """One number over the reachable set.
+    """One number over the volume of the reachable set: its moments, extremes and the coordinates of these [m, rad].
 
     Attributes:
-        name: of the quantity.
         entry: label of the entry, "" for a scalar.
-        unit: its unit.
-        mean: average over the volume.
-        deviation: standard deviation over the volume.
-        least: least value.
-        greatest: greatest value.
-        least_at: coordinates of the pose with the least value [m, rad].
-        greatest_at: coordinates of the pose with the greatest value [m, rad].
         defined: part of the reachable volume in which it has a finite value.
     """
 
@@ -131,15 +123,9 @@ def evaluate_workspace(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> WorkspaceEvaluation:
-    """Judge quantities of a robot over the reachable part of a grid.
+    """Judge quantities of a robot, by default the elastic stiffness, over the reachable part of a grid.
 
-    Args:
-        mapped: the robot.
-        grid: the poses, over all coordinates of the workspace that is meant.
-        quantities: names of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`; by default the elastic stiffness.
-        springs: whether the springs are ranked and the indices of the elastic stiffness computed.
-        engine: what computes.
-        threads: the number of processors by default.
+    With `springs`, the springs are ranked and the indices of the elastic stiffness computed.
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.

@@ -76,12 +76,7 @@ class WorkspaceSection:
 
 
 def workspace_section(space: LimitSpace, level: float | None = None, directions: int = 360) -> WorkspaceSection:
-    """Find the reachable part of a section.
-
-    Args:
-        space: coordinates and limits.
-        level: the third coordinate; by default the middle of where it is looked for [m, rad].
-        directions: number of rays.
+    """Find the reachable part of a section at a level [m, rad], by default the middle of where it is searched.
 
     Raises:
         InvalidValueError: the level is not finite, or there are fewer than 8 directions.
@@ -95,14 +90,7 @@ def workspace_section(space: LimitSpace, level: float | None = None, directions:
 def workspace_sections(
     space: LimitSpace, levels: Array, directions: int, *, ranges: bool = True
 ) -> list[WorkspaceSection]:
-    """Find the reachable part of each of several sections, shape=(n,); as :func:`workspace_section` n times.
-
-    Args:
-        space: coordinates and limits.
-        levels: the third coordinate of each, shape=(n,) [m, rad].
-        directions: number of rays.
-        ranges: whether their ranges are looked for, which takes half of the time; NaN without.
-    """
+    """Find the reachable parts at n levels as :func:`workspace_section`; without ranges it takes half of the time."""
     if directions < 8:
         raise InvalidValueError("directions", directions, "at least 8 rays")
     samples = np.linspace(0.0, space.reach, int(np.ceil(space.reach / space.ray_step)) + 1)
@@ -120,12 +108,7 @@ def boundary_points(section: WorkspaceSection) -> Array:
 
 
 def limit_shares(space: LimitSpace, limits: Flags) -> dict[str, float]:
-    """Return the share of each limit in sums of limits; where several bind, each counts in equal parts.
-
-    Args:
-        space: coordinates and limits.
-        limits: sums of limits, shape=(m,).
-    """
+    """Return the share of each limit in sums of limits, shape=(m,); where several bind, each counts in equal parts."""
     bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(space.limits))], axis=-1)
     parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
     return dict(zip(space.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))

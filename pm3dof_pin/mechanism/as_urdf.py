@@ -58,12 +58,10 @@ _SIMPLE_JOINTS = {
 
 
 def as_urdf(mechanism: Mechanism, *, floating: bool = True) -> RobotFiles:
-    """Return the files of a robot, its tree a URDF with hinges and slides only, but for a floating base.
+    """Return the files of a robot, its tree a URDF with hinges and slides only, but for a `floating` base.
 
-    Args:
-        mechanism: a mechanism that was read from files. If these are a URDF whose joints are all its own, they are
-            returned as they are; otherwise others are written, which last as long as the process.
-        floating: whether free joints stay floating ones, or become slides and hinges as well.
+    A URDF whose joints are all its own is returned as it is; otherwise files are written that last as long as the
+    process.
 
     Raises:
         DescriptionError: the mechanism was not read from files, or a joint is of a kind that cannot be written.

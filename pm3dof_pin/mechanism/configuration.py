@@ -20,15 +20,7 @@ LIMIT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """A joint or closure outside its range.
-
-    Attributes:
-        name: the joint (`joint[k]` for component k of a joint with several), or `frame_a-frame_b` of the closure.
-        kind: "joint", or "swing", the angle between the z axes of a closure's two frames.
-        value: where it is [m, rad].
-        lower: least value allowed [m, rad].
-        upper: greatest value allowed [m, rad].
-    """
+    """A joint (`joint[k]` for component k), or a closure's swing, outside its range [m, rad]."""
 
     name: str
     kind: Literal["joint", "swing"]

@@ -19,18 +19,11 @@ _LIMITS_OF_V = (
 
 
 def with_joint_types(model: pin.Model, joint_types: Mapping[str, str], source: Path | str) -> pin.Model:
-    """Replace joints of a model, as the loader of example-parallel-robots does.
+    """Return a copy of a model with joints replaced, as the loader of example-parallel-robots does.
 
     The new joints stand in the axes of the old ones' frames, and are unlimited. A universal joint becomes two joints,
-    `name_X` and `name_Y` for UJOINT_XY; the frame `name` moves with the second.
-
-    Args:
-        model: the tree; not changed.
-        joint_types: SPHERICAL, FIXED or UJOINT_XY (any two of the axes X, Y, Z) by joint.
-        source: file that says so, for messages.
-
-    Returns:
-        A new model, with the inertias and frames of the old one; named configurations are dropped.
+    `name_X` and `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second. Inertias and
+    frames stay, named configurations are dropped.
 
     Raises:
         JointNotFoundError: the model has no such joint.

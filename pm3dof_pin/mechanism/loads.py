@@ -25,16 +25,11 @@ Wrenches: TypeAlias = Mapping[str, ArrayLike]
 
 
 def add_payloads(model: pin.Model, mechanism: Mechanism, payloads: Payloads) -> None:
-    """Fix payloads to the bodies of a model.
-
-    Args:
-        model: a copy of the mechanism's model; changed.
-        mechanism: the mechanism.
-        payloads: see :data:`Payloads`.
+    """Fix payloads, see :data:`Payloads`, to the bodies of a copy of a mechanism's model.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
-        InvalidValueError: a mass is negative or no finite number.
+        InvalidValueError: a mass is negative or not finite.
     """
     for name, payload in payloads.items():
         frame = model.frames[mechanism.frame_id(name)]
@@ -42,16 +37,7 @@ def add_payloads(model: pin.Model, mechanism: Mechanism, payloads: Payloads) -> 
 
 
 def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.Model:
-    """Return the mechanism's tree with payloads fixed to it; the mechanism's own model if there are none.
-
-    Args:
-        mechanism: the mechanism; stays as it is.
-        payloads: see :data:`Payloads`.
-
-    Raises:
-        FrameNotFoundError: the model has no such frame.
-        InvalidValueError: a mass is negative or no finite number.
-    """
+    """Return a mechanism's tree with payloads fixed to it, as :func:`add_payloads`; its own model if there are none."""
     if not payloads:
         return mechanism.model
     model = mechanism.model.copy()
@@ -60,11 +46,7 @@ def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.
 
 
 def generalised_forces(configuration: Configuration, wrenches: Wrenches | None) -> Vector:
-    """Return the generalised forces of wrenches on frames, the sum of J^T w, shape=(nv,) [N, N m].
-
-    Args:
-        configuration: gives the places of the frames.
-        wrenches: see :data:`Wrenches`.
+    """Return the generalised forces of wrenches, see :data:`Wrenches`: the sum of J^T w, shape=(nv,) [N, N m].
 
     Raises:
         FrameNotFoundError: the model has no such frame.

@@ -51,16 +51,12 @@ class LoopKinematics(threading.local):
         ]
 
     def closures(self, q: Vector) -> tuple[Vector, Matrix]:
-        """Compute the closure error e and its derivative G, de/dt = G v.
+        """Compute the closure error e, shape=(m,) [m, rad], and its derivative G, de/dt = G v, shape=(m, nv), at q.
 
-        Args:
-            q: configuration, shape=(nq,).
-
-        Returns:
-            e, shape=(m,): for a point closure the position of frame b's origin in frame a [m]; for a frame closure
-            log6 of the placement of b in a [m, rad]. G, shape=(m, nv): the exact derivative of e at any q, closed or
-            not. Pinocchio's own rows for frame closures are Ad(M) J_b - J_a, M the placement of b in a, which is the
-            derivative of log6(M) only where the loop is closed; Jlog6(M) Ad(M)^-1 makes them so everywhere.
+        e is for a point closure the position of frame b's origin in frame a, for a frame closure log6 of the placement
+        of b in a. G is exact at any q, closed or not. Pinocchio's own rows for frame closures are Ad(M) J_b - J_a, M
+        the placement of b in a, which is the derivative of log6(M) only where the loop is closed; Jlog6(M) Ad(M)^-1
+        makes them so everywhere.
         """
         jacobian = self._constraint_rows(q)
         error = np.empty(self.row_count)

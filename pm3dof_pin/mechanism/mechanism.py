@@ -36,14 +36,9 @@ _NORM_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class SingleJoint:
-    """A single-DoF joint: where its coordinate and its rate stand in q and v.
+    """A single-DoF joint that slides (`translates`) or turns: where its coordinate and its rate stand in q and v.
 
-    Attributes:
-        name: its name.
-        q_index: first index in q.
-        v_index: index in v.
-        is_continuous: q holds the cosine and the sine of its angle.
-        translates: it slides; else it turns.
+    Of a continuous joint, q holds cosine and sine from that index on.
     """
 
     name: str
@@ -219,13 +214,7 @@ class Mechanism:
     def replace(
         self, *, model: pin.Model | None = None, closures: Iterable[LoopClosure] | None = None, **changes: Any
     ) -> Self:
-        """Make a mechanism like this one with some things changed.
-
-        Args:
-            model: another tree.
-            closures: other loop closures.
-            changes: other keyword arguments of :class:`Mechanism`.
-        """
+        """Make a mechanism like this one with another model, closures, or other arguments of :class:`Mechanism`."""
         variant = type(self)(
             self.model if model is None else model,
             self.closures if closures is None else closures,
@@ -254,32 +243,20 @@ class Mechanism:
         return MappingProxyType({name: problem for name, problem in problems.items() if problem})
 
     def require_possible_inertias(self) -> None:
-        """Raise if a moving body has moments of inertia that no body has: equations of motion would be none.
-
-        Raises:
-            DescriptionError: one has, see :attr:`impossible_inertias`.
-        """
+        """Raise DescriptionError if a moving body has moments that no body has: see :attr:`impossible_inertias`."""
         for name, problem in self.impossible_inertias.items():
             path = self._source if self.files is None else self.files.path
             raise DescriptionError(path, f"link '{name}', with what is fixed to it: inertia", problem)
 
     @property
     def tool_frame_id(self) -> int:
-        """Pinocchio's index of the tool frame.
-
-        Raises:
-            DescriptionError: the mechanism has none.
-        """
+        """Pinocchio's index of the tool frame; DescriptionError where the mechanism has none."""
         if self.tool_frame is None:
             raise DescriptionError(self._source, "tool_frame", "is missing, expected the name of a frame")
         return self._frame_ids[self.tool_frame]
 
     def frame_id(self, name: str) -> int:
-        """Return Pinocchio's index of a frame; a link goes before a joint of the same name.
-
-        Raises:
-            FrameNotFoundError: the model has no such frame.
-        """
+        """Return Pinocchio's index of a frame, a link before a joint of its name; FrameNotFoundError without either."""
         return self._frame_id(name, self.name)
 
     def single_joint(self, name: str) -> SingleJoint:
@@ -295,12 +272,7 @@ class Mechanism:
         return joint
 
     def joint_axis(self, name: str) -> Vector:
-        """Return the axis of a single-DoF joint in its own axes, a unit vector, shape=(3,).
-
-        Raises:
-            JointNotFoundError: the model has no such joint.
-            InvalidValueError: the joint has several degrees of freedom.
-        """
+        """Return the axis of a :meth:`single_joint` in its own axes, a unit vector, shape=(3,)."""
         column = self.single_joint(name).v_index
         data = self.model.createData()
         jacobian = pin.computeJointJacobian(self.model, data, pin.neutral(self.model), self.model.getJointId(name))
@@ -309,35 +281,18 @@ class Mechanism:
         return np.asarray(direction / np.linalg.norm(direction))
 
     def velocity_indices(self, joints: Iterable[str]) -> NDArray[np.intp]:
-        """Return the indices in v of single-DoF joints, in the order given.
-
-        Raises:
-            JointNotFoundError: the model has no such joint.
-            InvalidValueError: a joint has several degrees of freedom.
-        """
+        """Return the indices in v of joints as :meth:`single_joint`, in the order given."""
         return frozen(np.array([self.single_joint(name).v_index for name in joints], dtype=np.intp))
 
     def checked_positions(self, q: ArrayLike) -> Vector:
-        """Return q as a new array, having checked that it is a configuration of this mechanism.
-
-        Raises:
-            InvalidValueError: q has another shape, is not finite, or holds a cosine-sine pair or quaternion not of
-                length 1.
-        """
+        """Return q as a new array; InvalidValueError unless it is finite and a configuration of this mechanism."""
         positions = finite_array("q", q, (self.model.nq,))
         if self.model.nq != self.model.nv and not pin.isNormalized(self.model, positions, _NORM_TOLERANCE):
             raise InvalidValueError("q", positions, "cosine-sine pairs and quaternions of length 1")
         return positions
 
     def place_joints(self, q: Vector, coordinates: Mapping[str, ArrayLike]) -> tuple[Vector, NDArray[np.intp]]:
-        """Set the coordinates of joints.
-
-        Args:
-            q: joint configuration, shape=(nq,).
-            coordinates: by joint [m, rad].
-
-        Returns:
-            q with these values, and the indices in v that stay free to move.
+        """Set coordinates of joints [m, rad] in q; return q and the indices in v that stay free to move.
 
         Raises:
             JointNotFoundError: the model has no such joint.

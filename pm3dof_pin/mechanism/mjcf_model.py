@@ -20,19 +20,11 @@ _HOME = "home"
 
 
 def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
-    """Read an MJCF file.
+    """Read the model of an MJCF file, and complete the closures file beside it, whose entries go first.
 
     Joints stand where MuJoCo has them: q is qpos but for the order of a quaternion's numbers, and home is the key of
     that name, or the initial configuration. Connects and welds become closures, as they are in the initial
     configuration where the file does not say; springs of joints become springs, actuated joints drives.
-
-    Args:
-        path: the file.
-        said: the closures file beside it, if there is one; what it says goes before what the MJCF says, and its
-            closures and springs come on top.
-
-    Returns:
-        The model, and the closures file completed.
 
     Raises:
         DescriptionError: the file is unreadable or of a form that is not read.

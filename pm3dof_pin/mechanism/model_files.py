@@ -25,16 +25,11 @@ _logger = logging.getLogger(__name__)
 
 
 def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, source: Path | str = "") -> pin.Model:
-    """Read the tree of a URDF. Revolute and prismatic joints without limits are unlimited.
-
-    Args:
-        urdf: the tree.
-        joint_types: joints to replace, see :func:`~pm3dof_pin.mechanism.joint_types.with_joint_types`.
-        source: file that says so, for messages.
+    """Read the tree of a URDF, its joints without limits unlimited, some replaced as :func:`with_joint_types` does.
 
     Raises:
-        DescriptionError: the file is unreadable, is no XML (with the line), or is no URDF, or something in it cannot be
-            (see :func:`~pm3dof_pin.description.urdf_checks.check_urdf`); or there is no such type.
+        DescriptionError: the file is unreadable, no XML (with the line) or no URDF, something in it cannot be (see
+            :func:`~pm3dof_pin.description.urdf_checks.check_urdf`), or there is no such type of joint.
         JointNotFoundError: a joint to be replaced is not there.
     """
     root = _read_urdf_element(urdf)
@@ -53,11 +48,7 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
 
 
 def _read_urdf_element(urdf: Path) -> ElementTree.Element:
-    """Read and check the XML of a URDF; shapes that it does not have are left out.
-
-    Raises:
-        DescriptionError: as :func:`read_model`.
-    """
+    """Read and check the XML of a URDF; shapes that it does not have are left out."""
     root = read_xml(urdf)
     if impossible := check_urdf(root, urdf):
         link, problem = next(iter(impossible.items()))

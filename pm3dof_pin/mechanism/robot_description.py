@@ -36,11 +36,7 @@ class Description:
 
 
 def read_description(files: RobotFiles, tool_frame: str | None = None) -> Description:
-    """Read all files of a robot.
-
-    Args:
-        files: the files.
-        tool_frame: frame of the tool, instead of the one described.
+    """Read all files of a robot, its tool frame another than described if given.
 
     Raises:
         DescriptionError: a file is unreadable or not of its form.

@@ -17,11 +17,7 @@ from pm3dof_pin.mechanism.parser_messages import parser_messages
 
 
 def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
-    """Read the visual geometry of a robot.
-
-    Args:
-        model: its model, read from the same files.
-        files: the files. `package://x/y` stands for the file `x/y` below one of their package paths.
+    """Read the visual geometry of a model's files; `package://x/y` is the file `x/y` below one of their package paths.
 
     Raises:
         DescriptionError: a shape or mesh cannot be read, or a mesh is a file of elsewhere, see

@@ -13,16 +13,9 @@ from pm3dof_pin.viewer.scene import Json
 
 
 def about_body(robot: Robot, body: Body, springs: Iterable[Spring]) -> Json:
-    """Return what the page says of a body, and what it needs to say the rest.
+    """Return what the page says of a body: its `name`, lines `about` it that hold in every pose, and its `actuator`.
 
-    Args:
-        robot: the robot.
-        body: the drawn body.
-        springs: all springs of the robot; those are said that give where this body is.
-
-    Returns:
-        Its `name`; `about`, lines that hold in every pose; and `actuator`, the place of the one actuator that its leg
-        has, or None.
+    The actuator is the place of the only one in the body's leg, or None. Springs are named that give at this body.
     """
     model = robot.model
     joint = body.joint

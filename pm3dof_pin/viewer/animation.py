@@ -12,13 +12,7 @@ from pm3dof_pin.viewer.scene import Json
 
 
 def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> list[Json]:
-    """Return an animation as the page reads it.
-
-    Args:
-        tracks: transforms of each path, frame after frame: a rotation, with columns of any length, and a place;
-            shape=(4, 4) each.
-        frames_per_second: how fast they follow each other.
-    """
+    """Return transforms of each path, frame after frame, shape=(4, 4) each, as an animation that the page reads."""
     return [
         {"path": path, "clip": {"fps": frames_per_second, "name": "path", "tracks": _tracks(transforms)}}
         for path, transforms in tracks.items()
@@ -26,13 +20,10 @@ def clips(tracks: Mapping[str, Sequence[Array]], frames_per_second: float) -> li
 
 
 def aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
-    """Return the transforms of ellipsoids such that neighbours can be interpolated.
+    """Return transforms of ellipsoids, shape=(4, 4) each, with axes ordered and signed so that neighbours interpolate.
 
-    Axes of an ellipsoid have no order and no sign; from frame to frame those of the 24 right-handed choices are taken
-    that turn least. The ellipsoids stay what they are.
-
-    Args:
-        transforms: shape=(4, 4) each.
+    Axes of an ellipsoid have no order and no sign; of the 24 right-handed choices, each frame takes that which turns
+    least.
     """
     aligned = [np.array(transforms[0])]
     for transform in transforms[1:]:

@@ -20,14 +20,7 @@ _LEAST = 1e-6  # a length of zero would leave no direction
 
 @dataclass(frozen=True)
 class _Axis:
-    """The axis of an actuated joint in the world.
-
-    Attributes:
-        joint: its name.
-        origin: a point on it, of the moved body, shape=(3,) [m].
-        direction: unit vector, positive as the joint's coordinate, shape=(3,).
-        turns: whether the joint turns or slides.
-    """
+    """An actuated joint's axis in the world: origin on the moved body [m] and positive unit direction."""
 
     joint: str
     origin: Array
@@ -60,13 +53,7 @@ def actuator_axes(configuration: Configuration) -> tuple[_Axis, ...]:
 
 
 def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
-    """Put an arrow of length 1 and half width 1 along z at a path; its transform makes it a force.
-
-    Args:
-        scene: where.
-        path: its path.
-        heads: 1 for a force, 2 for a moment.
-    """
+    """Put an arrow of length 1 and half width 1 along z at a path, with one head for a force, two for a moment."""
     parts: dict[str, tuple[Json, float]] = {"shaft": (objects.cylinder(0.35, 0.75), 0.375)}
     for head in range(heads):
         parts[f"head{head}"] = (objects.cylinder(1.0, 0.28, 0.0), 0.86 - 0.2 * head)
@@ -76,13 +63,9 @@ def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
 
 
 def arrow_transform(axis: _Axis, force: float, *, scale: float, width: float) -> Array:
-    """Return what makes the arrow of :func:`draw_arrow` a force on an axis, shape=(4, 4).
+    """Return what makes the arrow of :func:`draw_arrow` a force [N, N m] on an axis, shape=(4, 4).
 
-    Args:
-        axis: where it acts.
-        force: force or moment, positive along the axis [N, N m].
-        scale: length for a force of 1 [m].
-        width: half width of the head [m]; a short arrow is slimmer.
+    A force of 1 is `scale` long [m], its head half `width` wide [m]; a short arrow is slimmer.
     """
     turn = objects.turn_z_to(axis.direction if force >= 0.0 else -axis.direction)
     length = max(scale * abs(force), _LEAST * width)

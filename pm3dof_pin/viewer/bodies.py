@@ -37,15 +37,7 @@ _GREY = (0.8, 0.8, 0.82, 1.0)
 
 @dataclass(frozen=True)
 class Part:
-    """One drawn thing of a body.
-
-    Attributes:
-        name: its name in the body.
-        lowered: the object, as three.js reads it.
-        placement: of the object in the body's frame, shape=(4, 4).
-        colour: red, green, blue, opacity.
-        corners: corners of a box around it in the body's frame, shape=(8, 3) [m].
-    """
+    """One drawn object of a body; its placement and its box's corners, shape=(8, 3) [m], are in the body's frame."""
 
     name: str
     lowered: Json
@@ -56,14 +48,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Body:
-    """A drawn body: things that move together with one joint.
-
-    Attributes:
-        name: the URDF's link, or the joint of a stick figure.
-        joint: Pinocchio's index of the joint that moves it.
-        placement: of the body's frame in that joint's frame, shape=(4, 4).
-        parts: what is drawn of it.
-    """
+    """Drawn parts of one link (of a stick figure: joint), placed in the frame of the joint that moves it."""
 
     name: str
     joint: int
@@ -84,14 +69,10 @@ class Body:
 def bodies_of(mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> tuple[Body, ...]:
     """Return what is to be drawn of a mechanism.
 
-    Args:
-        mechanism: the mechanism.
-        visuals: Pinocchio's visual geometry, or the path of the file that holds it; by default the file that the
-            mechanism was read from. Where there is none, it has no visuals, or a mesh is missing of the file that the
-            mechanism was read from, a stick figure is drawn.
+    By default the visuals of the file it was read from; where these are missing or lack a mesh, a stick figure.
 
     Raises:
-        DescriptionError: the file given is unreadable, or a mesh that it names is missing.
+        DescriptionError: a file given as `visuals` is unreadable, or a mesh that it names is missing.
     """
     geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
     if geometry is not None and geometry.ngeoms:

@@ -57,11 +57,7 @@ Json = dict[str, Any]
 
 
 def find_browser() -> Path:
-    """Return the path of Chromium, Chrome or Edge: of the variable PM3DOF_BROWSER, or else from the search path.
-
-    Raises:
-        BrowserError: there is none.
-    """
+    """Return Chromium, Chrome or Edge, of PM3DOF_BROWSER or the search path; BrowserError where there is none."""
     if wanted := os.environ.get(VARIABLE):
         path = shutil.which(wanted)
         if path is None:
@@ -74,16 +70,7 @@ def find_browser() -> Path:
 
 
 def picture_of(html: str, width: int, height: int) -> bytes:
-    """Return a picture (PNG) of a page of this package.
-
-    Args:
-        html: the page.
-        width: width [pixels].
-        height: height [pixels].
-
-    Raises:
-        BrowserError: there is no browser, or it cannot draw.
-    """
+    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError where no browser can draw it."""
     with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
         file = Path(folder) / "page.html"
         file.write_text(html, encoding="utf-8")
@@ -92,17 +79,7 @@ def picture_of(html: str, width: int, height: int) -> bytes:
 
 
 def turntable_of(html: str, width: int, height: int, count: int) -> list[bytes]:
-    """Return pictures (PNG) of a page of this package, its camera turning once around the machine.
-
-    Args:
-        html: the page.
-        width: width [pixels].
-        height: height [pixels].
-        count: number of pictures.
-
-    Raises:
-        BrowserError: there is no browser, or it cannot draw.
-    """
+    """Return pictures (PNG) of a page as :func:`picture_of`, its camera turning once around the machine."""
     with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
         file = Path(folder) / "page.html"
         file.write_text(html, encoding="utf-8")
@@ -116,18 +93,11 @@ def turntable_of(html: str, width: int, height: int, count: int) -> list[bytes]:
 
 
 class Browser:
-    """A browser without a window, showing one page; ends with its `with` block.
-
-    Args:
-        width: width of the page [pixels].
-        height: height of the page [pixels].
+    """A browser without a window, showing one page; ends with its `with` block. BrowserError where none starts.
 
     Attributes:
-        errors: what the page has complained about: errors of its program and messages of level "error" and "warning".
+        errors: errors of the page's program, and its messages of level "error" and "warning".
         requests: addresses that the page has asked for.
-
-    Raises:
-        BrowserError: there is no browser, or it does not start.
     """
 
     def __init__(self, width: int = 1200, height: int = 900) -> None:
@@ -158,11 +128,7 @@ class Browser:
         self._ask("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
 
     def open(self, url: str) -> None:
-        """Show a page and wait until it has loaded and drawn.
-
-        Raises:
-            BrowserError: it does not load.
-        """
+        """Show a page and wait until it has loaded and drawn; BrowserError where it does not load."""
         self._events.clear()
         error = self._ask("Page.navigate", {"url": url}).get("errorText")
         if error:
@@ -175,11 +141,7 @@ class Browser:
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of an expression of JavaScript in the page; promises are waited for.
-
-        Raises:
-            BrowserError: the expression throws.
-        """
+        """Return the value of a JavaScript expression in the page, awaiting promises; BrowserError where it throws."""
         wanted = {"expression": expression, "returnByValue": True, "awaitPromise": True}
         answer = self._ask("Runtime.evaluate", wanted)
         if "exceptionDetails" in answer:

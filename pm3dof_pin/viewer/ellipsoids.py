@@ -60,14 +60,9 @@ _RIGID = 1e-7  # of the greatest velocity: roots of rounding are smaller
 
 @dataclass(frozen=True)
 class DrawnEllipsoid:
-    """An ellipsoid as it is drawn.
+    """A drawn ellipsoid: principal values, the least first, and their directions as columns of a right-handed frame.
 
-    Attributes:
-        values: principal values, the least first, shape=(3,) [unit].
-        axes: their directions as columns, a right-handed frame, shape=(3, 3).
-        position: its middle, shape=(3,) [m].
-        scale: length of a semi-axis for a value of 1 [m per unit].
-        unit: unit of the values.
+    `scale` is the length of a semi-axis for a value of 1 [m per unit].
     """
 
     values: Array
@@ -92,22 +87,14 @@ def usual_others(of: EllipsoidMatrix) -> OtherMotions:
 def block(
     stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: EllipsoidMatrix, others: OtherMotions
 ) -> Array:
-    """Return the 3 x 3 block that an ellipsoid shows.
+    """Return the 3 x 3 block of K or C that an ellipsoid shows, in the unit of :data:`UNITS`.
 
-    Args:
-        stiffness: K, shape=(6, 6); or None.
-        compliance: C, shape=(6, 6), where K is None.
-        kind: the translations or the rotations.
-        of: what is shown.
-        others: what the other three motions do: "free", no moment (force) acts in them; "held", they stay put.
-
-    Returns:
-        C_ff of a compliance, inv(C_ff) of a stiffness with the others free; K_ff and inv(K_ff) with them held;
-        shape=(3, 3) [see :data:`UNITS`].
+    C_ff of a compliance and inv(C_ff) of a stiffness with the other three motions free (no force or moment in them);
+    K_ff and inv(K_ff) with them held.
 
     Raises:
-        InvalidValueError: neither or both of K and C are given, or they are not finite or of another shape; or what is
-            wanted is none of the words above.
+        InvalidValueError: neither or both of K and C are given, one is not finite or no 6 x 6 matrix, or an unknown
+            choice.
         SingularConfigurationError: the block does not exist, some motion being free or held rigidly.
     """
     for word, given_word, known in (
@@ -134,16 +121,10 @@ def block(
 
 
 def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
-    """Return the 3 x 3 block of an ellipsoid of velocities, forces or errors: the root of M M^T, or its inverse.
+    """Return the root of M M^T, or its inverse for a force, shape=(3, 3), in the unit of :data:`UNITS`.
 
-    Args:
-        motions: M, twists [v; omega] at the tool for one unit of each command, or for one standard deviation of each
-            error, shape=(6, n).
-        kind: the translations or the rotations.
-        of: what is shown; a force is the inverse of a velocity.
-
-    Returns:
-        The block, shape=(3, 3) [see :data:`UNITS`].
+    M holds the twists [v; omega] of the tool for one unit of each command, or one standard deviation of each error,
+    shape=(6, n).
 
     Raises:
         SingularConfigurationError: a force ellipsoid where commands do not move the tool in some direction.
@@ -161,11 +142,7 @@ def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
 
 
 def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
-    """Return the ellipsoid of a block, shape=(3, 3), at a point, shape=(3,) [m].
-
-    Raises:
-        InvalidValueError: the scale is not a positive number.
-    """
+    """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError for a scale that is not positive."""
     if not (math.isfinite(scale) and scale > 0.0):
         raise InvalidValueError("scale", scale, "a positive length for one unit")
     principal = indices.principal_axes(matrix)
@@ -189,12 +166,7 @@ def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:
 
 
 def round_scale(greatest: float, length: float) -> float:
-    """Return a scale [m per unit] that draws the greatest value no longer than a length, itself 1, 2 or 5 10^n units.
-
-    Args:
-        greatest: greatest value that is drawn.
-        length: the length that is to stand for a round number [m].
-    """
+    """Return a scale [m per unit] that draws the greatest value within a length [m], which is 1, 2 or 5 10^n units."""
     if greatest <= 0.0:
         return length
     power = 10.0 ** math.floor(math.log10(greatest))

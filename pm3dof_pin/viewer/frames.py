@@ -13,14 +13,7 @@ COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17)
 
 
 def draw_frame(scene: Scene, path: str, placement: ArrayLike, size: float) -> None:
-    """Put a frame at a path.
-
-    Args:
-        scene: where.
-        path: its path.
-        placement: of the frame in what stands above it in the tree, shape=(4, 4).
-        size: length of the arrows [m].
-    """
+    """Put a frame with arrows of a length [m] at a path, at a placement in its parent, shape=(4, 4)."""
     scene.set_transform(path, placement)
     shaft, head = objects.cylinder(0.028 * size, 0.82 * size), objects.cylinder(0.07 * size, 0.2 * size, 0.0)
     for direction, axis, colour in zip(np.eye(3), "xyz", COLOURS, strict=True):

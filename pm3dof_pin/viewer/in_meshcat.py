@@ -22,18 +22,13 @@ _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 def draw_in_meshcat(
     visualizer: Any, configuration: Configuration, *, of: EllipsoidMatrix | None = "stiffness"
 ) -> Viewer:
-    """Draw a robot, its pose and its ellipsoids at the tool.
+    """Draw a robot, its pose and its ellipsoids at the tool (unless `of` is None) into a `meshcat.Visualizer`.
 
-    A second call with another configuration draws that one in place of the first. What is drawn with the viewer that
-    is returned is drawn here too, which is quicker.
-
-    Args:
-        visualizer: a `meshcat.Visualizer`, or a part of one, as `visualizer["left"]`.
-        configuration: a configuration of the robot.
-        of: what the ellipsoids show; None for no ellipsoids. A robot without springs has none.
+    A second call with another configuration replaces the first drawing. What is drawn with the viewer that is returned
+    is drawn here too, which is quicker.
 
     Raises:
-        InvalidValueError: the configuration is of a mechanism that is no robot.
+        InvalidValueError: the configuration is of a mechanism that is not a robot.
         DescriptionError: see :class:`Viewer`.
     """
     robot = configuration.mechanism

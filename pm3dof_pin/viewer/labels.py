@@ -44,11 +44,7 @@ def point_names(configuration: Configuration) -> dict[str, str]:
 
 
 def measures(configuration: Configuration) -> dict[str, tuple[str, Array]]:
-    """Return the lengths and angles of the chapter's Fig. 8.1b at one leg, of a machine whose points have its names.
-
-    Returns:
-        By the mathematical text, the frame it belongs to and where it is written, base axes, shape=(3,) [m].
-    """
+    """Return mathematical text as a picture of a height [m] at the origin, facing the reader, never hidden."""
     try:
         b, d, e, tool = (configuration.frame_placement(name).translation for name in (*_LEG, "O_e"))
     except FrameNotFoundError:
@@ -78,13 +74,7 @@ def _in_symbols(name: str) -> str:
 
 
 def label(text: str, height: float, *, measure: bool = False) -> Json:
-    """Return a text that always faces the reader and that no body hides, with its middle at the origin.
-
-    Args:
-        text: mathematical text, without dollar signs.
-        height: of the picture of the text [m].
-        measure: whether it is a length or an angle, which has another colour.
-    """
+    """Return mathematical text as a picture of a height [m] at the origin, facing the reader and never hidden."""
     picture, shape = _picture(text, _MEASURE if measure else _INK)
     sprite = objects.sprite(picture)
     sprite["object"]["matrix"] = np.diag([height * shape[1] / shape[0], height, 1.0, 1.0]).ravel().tolist()

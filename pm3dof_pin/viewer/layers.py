@@ -28,14 +28,7 @@ _OTHERS = (
 
 @dataclass(frozen=True)
 class Layer:
-    """One quantity at many points.
-
-    Attributes:
-        values: shape=(n,).
-        name: a short name, for a list to choose from.
-        title: what the quantity is.
-        unit: its unit.
-    """
+    """One quantity at n points: values, shape=(n,), a short name to choose it by, title and unit."""
 
     values: Array
     name: str
@@ -59,14 +52,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class ScalarQuantity:
-    """One number at each pose.
-
-    Attributes:
-        name: name of the quantity.
-        index: which of its entries, or None if it has one.
-        title: what it is.
-        unit: its unit.
-    """
+    """One number at each pose: a quantity, or the entry of it at `index`."""
 
     name: str
     index: int | None
@@ -85,11 +71,7 @@ class ScalarQuantity:
 
 
 def scalar_quantity(mapped: MappedRobot, text: str) -> ScalarQuantity:
-    """Find one number among the quantities of the maps: "name" or "name:entry".
-
-    Raises:
-        InvalidValueError: no such quantity or entry, or the quantity is no list of numbers.
-    """
+    """Find "name" or "name:entry" among the quantities of the maps; InvalidValueError unless it is one number."""
     name, _, label = text.partition(":")
     (quantity,) = select_quantities([name], mapped)
     if not quantity.dims:

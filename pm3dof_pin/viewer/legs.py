@@ -26,16 +26,10 @@ def spring_joint(mechanism: Robot, spring: Spring) -> int:
 
 
 def legs(model: ElasticModel) -> dict[int, tuple[str, ...]]:
-    """Return the springs that colour each joint's body: those of its leg.
+    """Return the names of the springs that colour each joint's body, by Pinocchio's index of the joint.
 
-    In a mechanism with several legs a leg is a branch of the tree, from the base to the last body that a spring stands
-    for; all its bodies have all its springs. A serial robot is one branch: there every body has its own springs.
-
-    Args:
-        model: the elastic mechanism.
-
-    Returns:
-        Names of springs by Pinocchio's index of the joint that moves the body.
+    A leg is a branch of the tree, from the base to the last body with a spring, and all its bodies have all its
+    springs. A serial robot is one branch: there every body has its own.
     """
     mechanism = model.rigid
     at = {spring.name: spring_joint(mechanism, spring) for spring in model.springs}
@@ -53,12 +47,7 @@ def legs(model: ElasticModel) -> dict[int, tuple[str, ...]]:
 
 
 def leg_shares(model: ElasticModel, shares: Mapping[str, float]) -> dict[int, float]:
-    """Return the share of the leg of each joint's body in a deflection.
-
-    Args:
-        model: the elastic mechanism.
-        shares: share of each spring, by name.
-    """
+    """Return each body's share in a deflection, that of its leg, from the share of each spring, by name."""
     return {joint: sum(shares[name] for name in names) for joint, names in legs(model).items()}
 
 

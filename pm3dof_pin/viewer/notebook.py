@@ -8,12 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NotebookCell:
-    """What a notebook shows as the value of a cell: a page in a frame.
-
-    Attributes:
-        source: the attribute of the frame that names or holds the page.
-        height: height of the frame [pixels].
-    """
+    """A page in a frame: its attribute `src` or `srcdoc` and its height [pixels]."""
 
     source: str
     height: int

@@ -39,13 +39,7 @@ def sphere(radius: float) -> Json:
 
 
 def triangles(vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None = None) -> Json:
-    """Return a surface of triangles.
-
-    Args:
-        vertices: points, shape=(n, 3) [m].
-        faces: indices of the corners, shape=(m, 3).
-        colours: red, green, blue of each vertex in 0 .. 1, shape=(n, 3).
-    """
+    """Return a surface: vertices, shape=(n, 3) [m], faces indexing them, shape=(m, 3), and colours, shape=(n, 3)."""
     attributes = {"position": _attribute(vertices)}
     if colours is not None:
         attributes["color"] = _attribute(colours)

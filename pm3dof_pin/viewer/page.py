@@ -16,14 +16,7 @@ _PARTS = ("ellipsoids", "workspace", "path", "pointer", "settings")
 
 
 def page_html(scene: Json, *, title: str, served: bool, programs: str = "") -> str:
-    """Return the page, with nothing to be fetched from anywhere.
-
-    Args:
-        scene: what it shows, of :meth:`Scene.snapshot <pm3dof_pin.viewer.scene.Scene.snapshot>`.
-        title: title of the page.
-        served: whether it shall ask the server it comes from for what changes.
-        programs: JavaScript that computes what sliders move; without it there are none.
-    """
+    """Return the page of a scene's snapshot with the programs of its sliders; a served page asks for changes."""
     data = json.dumps(scene, separators=(",", ":"), allow_nan=False)
     for sign in "<>&\u2028\u2029":  # "</script>" and "<!--" end or open what they should not, inside a string too
         data = data.replace(sign, f"\\u{ord(sign):04x}")

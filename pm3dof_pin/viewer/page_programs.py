@@ -40,12 +40,7 @@ _MOST_OPERATIONS = 12_000  # of a program with errors; a longer one would make m
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _PageProgram:
-    """A program with the values of its parameters.
-
-    Attributes:
-        program: the straight line.
-        parameters: shape=(number of parameters,).
-    """
+    """A program with the values of its parameters."""
 
     program: Program
     parameters: Vector
@@ -57,7 +52,7 @@ class _PageProgram:
 
 
 class PagePrograms:
-    """Everything that a page computes of a robot.
+    """Everything that a page computes of a robot closed at home; None what there is no program for.
 
     - `place(q)`: placements of all joints, rotation and translation row by row, shape=(joints, 3, 4); of the tool; the
       greatest closure error; square of the sine, and cosine, of every swing angle that has a limit.
@@ -66,18 +61,7 @@ class PagePrograms:
     - `holding(q)`: actuator forces that hold the weight, and the least pivot, small near singular poses.
     - `motion(q)`: twists of the tool [v; omega] for one unit of each error, shape=(6, errors), then of each command,
       shape=(6, commands), and 1 if nothing is in doubt, else 0.
-
-    Args:
-        robot: the robot, its home configuration closed.
-        model: the robot with its springs; by default those of its description.
-
-    Attributes:
-        robot: the robot.
-        place: see above.
-        compliance: see above; None for a robot without springs or without a tool frame, or if there is no program.
-        holding: see above; None if there is no program, or the actuators do not hold the robot by themselves.
-        motion: see above; None without a tool frame, or if there is no program.
-        sigmas: standard deviation of each error of `motion`; none without an error file, shape=(errors,) [m, rad].
+    - `sigmas`: standard deviation of each error of `motion` [m, rad].
 
     Raises:
         ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
@@ -216,11 +200,7 @@ class PagePrograms:
 
 
 def declared_errors(robot: Robot) -> GeometricErrors:
-    """Return the errors that the file beside a robot's description declares and with which its loops can close.
-
-    Raises:
-        DescriptionError: there is no such file, or it is not of its form.
-    """
+    """Return the errors of the robot's error file with which its loops close; DescriptionError without such a file."""
     if robot.files is None:
         raise DescriptionError(robot.source, "error file", "the robot was not read from a file")
     file = robot.files.errors

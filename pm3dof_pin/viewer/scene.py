@@ -35,12 +35,9 @@ class _Node:
 
 
 class Scene:
-    """A tree of objects with transforms and properties, an animation, and the data of the panel.
+    """A tree of objects with transforms and properties, an animation, and the data of the panel; thread-safe.
 
-    Safe to use from several threads. Paths are slash-separated names, as in "/robot/platform".
-
-    Attributes:
-        panel: data of the panel beside the picture, as the page reads it.
+    Paths are slash-separated names, as in "/robot/platform".
     """
 
     def __init__(self) -> None:
@@ -51,13 +48,7 @@ class Scene:
         self.panel: Json = {}
 
     def set_object(self, path: str, lowered: Json, *, casts_shadow: bool = True) -> None:
-        """Put an object at a path.
-
-        Args:
-            path: where.
-            lowered: the object as three.js reads it, of :mod:`pm3dof_pin.viewer.objects`.
-            casts_shadow: whether it does; translucent things look better without.
-        """
+        """Put an object of :mod:`pm3dof_pin.viewer.objects` at a path; without a shadow if it is translucent."""
         self._apply({"type": "set_object", "path": path, "object": lowered})
         if not casts_shadow:
             self.set_property(path, "castShadow", False)
@@ -114,11 +105,7 @@ class Scene:
         self._apply(_plain(command.lower()))
 
     def listen(self, listener: Listener) -> Message:
-        """Hand every change from now on to a listener, in the thread that makes it.
-
-        Returns:
-            One message that makes an empty page show all there is.
-        """
+        """Hand every later change to a listener, in the thread that makes it; return a message with all there is."""
         with self._lock:
             self._listeners.append(listener)
             return self.snapshot()

@@ -31,16 +31,6 @@ _PORTS_TRIED = 100
 class SceneServer:
     """Serves a page at "/" and sends every change of a scene to the browsers that show it.
 
-    Args:
-        scene: what is shown.
-        page: writes the page.
-        host: name or address of the interface to listen on.
-        port: port, or None for the first free one from 7000 on.
-
-    Attributes:
-        host: the interface.
-        port: the port.
-
     Raises:
         ServerError: the port is taken, or the host is no address of this machine.
     """
@@ -92,11 +82,7 @@ class SceneServer:
 
 
 class _OwnAddressOnly(RequestHandler):
-    """Answers only requests that were made to this machine by a name of its own.
-
-    A browser sends the name that it was told, also where somebody else's name server says that it is this machine
-    ("DNS rebinding"); so the page of another site can reach the server, but not without being told from ours.
-    """
+    """Answers only requests that were made to this machine by a name of its own, against DNS rebinding."""
 
     def prepare(self) -> None:
         """Refuse requests to other names, and from pages of other origins."""

@@ -31,13 +31,10 @@ _END = 1e-4  # how far inside the range of heights the first and the last sectio
 
 @dataclass(frozen=True)
 class Shell:
-    """A closed surface of triangles, and points inside, with quantities at all of them.
+    """A closed surface of triangles around the reachable set, and points inside, with quantities at all of them.
 
     Attributes:
-        vertices: shape=(n, 3) [m].
-        faces: indices of the corners, shape=(m, 3).
         lines: pairs of ends of lines along some of the sections, shape=(k, 3) [m].
-        points: inside, shape=(p, 3) [m].
         layers: the quantities, at the vertices and then at the points.
         part: which part of the reachable set it is, in words; nothing for all of it.
     """
@@ -51,12 +48,7 @@ class Shell:
 
 
 def tool_tips(poses: Poses, length: float) -> Array:
-    """Return where the tip of a tool is, shape=(..., 3) [m].
-
-    Args:
-        poses: the poses.
-        length: from the tool's origin along its z axis [m].
-    """
+    """Return the tips of tools of a length along the z axis of the tool frame, shape=(..., 3) [m]."""
     return np.asarray(poses.positions + length * poses.rotations[..., 2])
 
 
@@ -65,17 +57,9 @@ def workspace_shell(
 ) -> Shell:
     """Return the boundary of what a tool's tip reaches and points inside, with quantities at each of them.
 
-    Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home.
-
-    Args:
-        robot: the robot.
-        quantity: a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries:
-            "condition_number", "translational_stiffness:least" or "felt_stiffness:z". It is the first layer; others of
-            the robot's follow, see :func:`~pm3dof_pin.viewer.layers.other_quantities`.
-        tool_length: see :func:`tool_tips` [m].
-        heights: number of sections.
-        directions: number of points in each.
-        inside: number of points along each coordinate of the grid of points inside; none for 0.
+    Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The
+    quantity is a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries, as
+    "felt_stiffness:z". It is the first layer; :func:`~pm3dof_pin.viewer.layers.other_quantities` of the robot follow.
 
     Raises:
         InvalidValueError: no such quantity or entry, or it is not finite on the boundary; fewer than three coordinates;
@@ -127,11 +111,7 @@ def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: i
 
 
 def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSection, ...]:
-    """Return the longest row of sections each of which is one closed line around its centre.
-
-    Raises:
-        InvalidValueError: there are no three of them in a row.
-    """
+    """Return the longest row of sections, at least three, each of which is one closed line around its centre."""
     longest: list[WorkspaceSection] = []
     row: list[WorkspaceSection] = []
     for section in stack:
@@ -145,11 +125,7 @@ def _closed_sections(stack: Sequence[WorkspaceSection]) -> tuple[WorkspaceSectio
 
 
 def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses:
-    """Return the boundary of a stack of sections, each one closed line, and the middle of both ends.
-
-    Returns:
-        Poses, section after section, then the middles of the first and the last, shape=(sections * directions + 2,).
-    """
+    """Return the boundary poses, section after section, then the middles of both ends."""
     space = sections[0].space
     lines = [np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in sections]
     ends = [[*space.centre, section.level] for section in (sections[0], sections[-1])]
@@ -173,15 +149,7 @@ def draw_shell(scene: Scene, path: str, shell: Shell, size: float) -> None:
 
 
 def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size: float) -> None:
-    """Put the tool whose tip the shell is of at a path.
-
-    Args:
-        scene: where.
-        path: its path.
-        placement: of the tool frame in what stands above it in the tree, shape=(4, 4).
-        length: of the tool along z [m].
-        size: radius of the ball at its tip [m].
-    """
+    """Put a tool of a length [m] with a ball of a radius `size` at a path, at a placement in its parent."""
     scene.set_transform(path, placement)
     scene.set_object(f"{path}/rod", objects.mesh(objects.cylinder(0.25 * size, length), _TOOL_COLOUR))
     middle = objects.transform(translation=[0.0, 0.0, 0.5 * length])

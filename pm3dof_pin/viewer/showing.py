@@ -44,10 +44,7 @@ class ShownScene:
         return self._server is not None
 
     def start(self) -> str:
-        """Serve the scene, if that is not done already.
-
-        Returns:
-            The address for a browser on this machine, or on another one if the interface is a public one.
+        """Serve the scene, if that is not done already, and return the address for a browser.
 
         Raises:
             ServerError: the port is taken, or the host is no address of this machine.
@@ -59,14 +56,7 @@ class ShownScene:
         return self._server.url
 
     def open(self) -> bool:
-        """Serve the scene and show it in a browser.
-
-        Returns:
-            Whether a browser could be started; without a screen there is none.
-
-        Raises:
-            ServerError: see :meth:`start`.
-        """
+        """Serve the scene as :meth:`start` and tell whether a browser could show it; without a screen there is none."""
         url = self.start()
         has_screen = sys.platform in ("darwin", "win32") or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
         return bool(has_screen) and webbrowser.open(url, new=2)
@@ -94,13 +84,7 @@ class ShownScene:
         return self._page(served=False)
 
     def save_html(self, path: Path | str) -> Path:
-        """Write the scene as one page.
-
-        Args:
-            path: file to write; its folder has to exist.
-
-        Returns:
-            The path written.
+        """Write the scene as one page and return the path.
 
         Raises:
             OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
@@ -108,15 +92,7 @@ class ShownScene:
         return write_text_atomically(_in_existing_folder(path), self.html())
 
     def save_picture(self, path: Path | str, *, width: int = 1200, height: int = 900) -> Path:
-        """Write a picture of the scene (PNG), taken by a browser without a window.
-
-        Args:
-            path: file to write; its folder has to exist.
-            width: width [pixels].
-            height: height [pixels].
-
-        Returns:
-            The path written.
+        """Write a picture of the scene (PNG), size in pixels, taken by a browser without a window, and return the path.
 
         Raises:
             OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
@@ -133,22 +109,7 @@ class ShownScene:
     def save_turntable(
         self, path: Path | str, *, width: int = 640, height: int = 480, count: int = 48, duration: float = 6.0
     ) -> Path:
-        """Write a moving picture (GIF) of the scene, the camera going once around it, without the panel.
-
-        Args:
-            path: file to write; its folder has to exist.
-            width: width [pixels].
-            height: height [pixels].
-            count: number of pictures.
-            duration: time of one turn [s].
-
-        Returns:
-            The path written.
-
-        Raises:
-            OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
-            BrowserError: there is no Chromium or Chrome, or it cannot draw.
-        """
+        """Write a moving picture (GIF) as :meth:`save_picture`, the camera going once around in a duration [s]."""
         import io
 
         from PIL import Image
@@ -167,12 +128,9 @@ class ShownScene:
         return target
 
     def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
-        """Return the scene for a notebook, to be the last line of its cell.
+        """Return the scene for the last line of a notebook's cell, a frame of some height [pixels].
 
-        Args:
-            height: height of the picture [pixels].
-            static: a copy of the scene as it is now, which also works where the notebook's browser runs on another
-                machine; otherwise the served scene, which follows what is drawn later.
+        The served scene follows what is drawn later; a static copy also works where the browser is on another machine.
         """
         if static:
             return NotebookCell.of_page(self.html(), height)

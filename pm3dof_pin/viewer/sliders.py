@@ -34,12 +34,7 @@ _DEGREES = 180.0 / math.pi
 
 
 class Sliders:
-    """Sliders for the coordinates and the commands of a robot.
-
-    Args:
-        robot: the robot.
-        programs: what the page computes.
-    """
+    """Sliders for the coordinates and the commands of a robot."""
 
     def __init__(self, robot: Robot, programs: PagePrograms) -> None:
         self._robot = robot
@@ -47,11 +42,7 @@ class Sliders:
         self._sets = sets_of(robot)
 
     def machine_data(self, bodies: tuple[Body, ...]) -> Json:
-        """Return what the page has to know of the robot besides its programs.
-
-        Args:
-            bodies: what is drawn of it.
-        """
+        """Return what the page has to know of the robot and its drawn bodies besides its programs."""
         robot = self._robot
         model = robot.model
         actuators = []
@@ -101,14 +92,8 @@ class Sliders:
     ) -> Json | None:
         """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own springs.
 
-        Args:
-            block: what is drawn, shape=(3, 3).
-            configuration: where.
-            kind: see :meth:`Viewer.stiffness_ellipsoid <pm3dof_pin.viewer.viewer.Viewer.stiffness_ellipsoid>`.
-            of: see there.
-            others: see there.
-            scale: length of a semi-axis for a value of 1 [m per unit].
-            length: of semi-axes that suit the robot; far longer ones are drawn to another scale [m].
+        The block is drawn to a `scale` [m per unit]; axes far beyond `length` [m] change the scale. For the choices see
+        :meth:`Viewer.stiffness_ellipsoid <pm3dof_pin.viewer.viewer.Viewer.stiffness_ellipsoid>`.
         """
         compliance = self._compliance(configuration)
         if compliance is None:
@@ -151,15 +136,9 @@ class Sliders:
     def live_forces(
         self, forces: Array, configuration: Configuration, *, scale: float, length: float, width: float, unit: str
     ) -> Json | None:
-        """Return how the page goes on with actuator forces, if they hold the robot's own weight.
+        """Return how the page goes on with actuator forces [N, N m], if they hold the robot's own weight.
 
-        Args:
-            forces: what is drawn, shape=(number of actuated joints,) [N, N m].
-            configuration: where.
-            scale: length of an arrow for 1 N or 1 N m [m].
-            length: of arrows that suit the robot, see :meth:`live_ellipsoid` [m].
-            width: half width of an arrow [m].
-            unit: what is written behind the forces.
+        Sizes are as in :meth:`live_ellipsoid`; `width` is half the width of an arrow [m].
         """
         from pm3dof_pin.dynamics.statics import weight_scale
 
@@ -178,14 +157,7 @@ class Sliders:
         compliance: Matrix,
         load: Array,
     ) -> Json | None:
-        """Return how the page goes on with the legs' shares, if they are those of the robot's own springs.
-
-        Args:
-            legs: names of the springs of each leg.
-            configuration: where.
-            compliance: C at the tool with these springs, shape=(6, 6).
-            load: the load at the tool, shape=(6,) [N, N m].
-        """
+        """Return how the page goes on with the legs' shares in C, if that is the one of the robot's own springs."""
         own = self._compliance(configuration)
         if own is None or not np.abs(own - compliance).max() <= _SAME * np.abs(own).max():
             return None

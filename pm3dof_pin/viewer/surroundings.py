@@ -18,14 +18,7 @@ _LINE = (0.58, 0.63, 0.70)
 
 
 def draw_surroundings(scene: Scene, middle: Array, radius: float, floor: float) -> None:
-    """Set the background, put a floor with lines under a machine, and light it from its upper front.
-
-    Args:
-        scene: where.
-        middle: middle of the machine, shape=(3,) [m].
-        radius: radius of a sphere around it [m].
-        floor: height of the floor [m].
-    """
+    """Set the background, put a floor [m] under a machine's bounding sphere, and light it from its upper front."""
     scene.set_property("/Background", "top_color", _TOP, of_object=False)
     scene.set_property("/Background", "bottom_color", _BOTTOM, of_object=False)
     for path in ("/Grid", "/Axes"):
