@@ -19,7 +19,7 @@ _SMALLEST = 6e-5  # size of the window, against the first one, at which an extre
 
 
 def sampled_extremes(boundary: Array) -> Array:
-    """Return the points (radius, azimuth, level) of least and greatest first and second coordinate, (4, 3)."""
+    """Return the (radius, azimuth, level) of least and greatest first and second coordinates, shape=(4, 3)."""
     best: Array = boundary[np.argmax(_directions(boundary[:, 0], boundary[:, 1]) @ _OUTWARD.T, axis=0)]
     return best
 

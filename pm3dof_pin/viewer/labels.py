@@ -44,7 +44,7 @@ def point_names(configuration: Configuration) -> dict[str, str]:
 
 
 def measures(configuration: Configuration) -> dict[str, tuple[str, Array]]:
-    """Return mathematical text as a picture of a height [m] at the origin, facing the reader, never hidden."""
+    """Return frame and place, base axes [m], of the lengths and angles of Fig. 8.1b at one leg, by symbol."""
     try:
         b, d, e, tool = (configuration.frame_placement(name).translation for name in (*_LEG, "O_e"))
     except FrameNotFoundError:
@@ -74,7 +74,7 @@ def _in_symbols(name: str) -> str:
 
 
 def label(text: str, height: float, *, measure: bool = False) -> Json:
-    """Return mathematical text as a picture of a height [m] at the origin, facing the reader and never hidden."""
+    """Return mathematical text as a picture of a height [m] at the origin, facing the reader, never hidden."""
     picture, shape = _picture(text, _MEASURE if measure else _INK)
     sprite = objects.sprite(picture)
     sprite["object"]["matrix"] = np.diag([height * shape[1] / shape[0], height, 1.0, 1.0]).ravel().tolist()
