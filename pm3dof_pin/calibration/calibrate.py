@@ -52,11 +52,7 @@ class Options:
     loss: Loss = "tukey"
 
     def __post_init__(self) -> None:
-        """Check the method.
-
-        Raises:
-            InvalidValueError: there is no such method.
-        """
+        """Check the method."""
         if self.method not in METHODS:
             raise InvalidValueError("method", self.method, f"one of {', '.join(METHODS)}")
 
@@ -155,15 +151,10 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
 
 
 def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
-    """Return the covariance of errors beyond one that is known, shape=(6, 6) [m^2]; 0 if they are not even that large.
+    """Return the covariance of tip-weighted errors, shape=(n, 6) [m], beyond the known covariances; 0 if there is none.
 
     Eigenvalues that chance made negative are left out, and the others keep the sum of all. Directions that hardly any
-    pose shows are taken to scatter as the others do in the mean.
-
-    Args:
-        errors: tip-weighted, shape=(n, 6) [m].
-        covariances: what is known of them, shape=(n, 6, 6) [m^2].
-        shown: projections on the directions they were seen in, shape=(n, 6, 6).
+    pose shows (`shown`: projections, shape=(n, 6, 6)) are taken to scatter as the others do in the mean.
     """
     count, known = len(errors), covariances.mean(axis=0)
     values, axes = np.linalg.eigh(errors.T @ errors / count - known)
@@ -183,13 +174,7 @@ def compensation_from(
     options: Options,
     identification: Identification | None,
 ) -> Compensation:
-    """Put identified parameters and a learned part together.
-
-    Args:
-        measurements: what the learned part is shown.
-        errors: the parameters, with their tolerances.
-        options: how.
-        identification: the parameters identified; None for the robot as described.
+    """Put identified parameters (None for the robot as described) and a part learned from measurements together.
 
     Raises:
         InvalidValueError: too few measurements to learn from.

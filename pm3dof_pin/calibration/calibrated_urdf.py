@@ -29,14 +29,9 @@ _BANNER = '<?xml version="1.0"?>\n<!-- {name} with {count} calibrated geometric 
 
 
 def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, float], urdf: Path | str) -> str:
-    """Return a robot's URDF with geometric parameters applied to its joint origins, every digit kept.
+    """Return a robot's URDF with geometric parameters p, all or by name, applied to its joints, every digit kept.
 
     Offsets of actuators stand in the origins too, so commands mean what they did.
-
-    Args:
-        errors: the parameters.
-        values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
-        urdf: the file that describes the robot.
 
     Raises:
         DescriptionError: the file is unreadable, or a parameter's place has no origin in it: it is neither a joint nor
@@ -59,20 +54,11 @@ def write_calibrated_robot(
     directory: Path | str,
     stiffness: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write a calibrated robot that loads like any other: URDF, closures, and SRDF and error file if there are such.
+    """Write a calibrated robot that loads like any other, with closures, SRDF and error file; return its URDF.
 
     The SRDF's named configurations keep the commands they had, and their loops are closed again. A robot that is
-    written in something else, or has joints that URDF lacks, becomes a plain URDF.
-
-    Args:
-        errors: the parameters.
-        values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
-        robot: name or path of the robot as described.
-        directory: folder to write into; made if missing.
-        stiffness: by spring, how many times stiffer it is than described.
-
-    Returns:
-        The path of the URDF.
+    written in something else, or has joints that URDF lacks, becomes a plain URDF. `stiffness` is by spring how many
+    times stiffer it is than described.
 
     Raises:
         UnknownRobotError: no such robot.

@@ -28,34 +28,19 @@ _PROGRAM_FROM = 20  # poses
 
 @dataclass(frozen=True, eq=False)
 class ElasticTerm:
-    """The deflections of a robot's tool at measured poses.
-
-    Attributes:
-        springs: names of the springs whose stiffness is unknown; none for a machine without wrenches or springs.
-        wrenches: on the tool, world axes, shape=(n, 6) [N, N m]; None for none.
-    """
+    """Deflections of a robot's tool under wrenches, shape=(n, 6), world axes, by springs of unknown stiffness."""
 
     springs: tuple[str, ...] = ()
     wrenches: Array | None = None
 
     @classmethod
     def of(cls, robot: Robot, measurements: Measurements) -> ElasticTerm:
-        """Make the term of some measurements; without wrenches, or for a robot without springs, it adds nothing.
-
-        Args:
-            robot: the robot as described.
-            measurements: what was measured.
-        """
+        """Make the term of measurements; without wrenches, or for a robot without springs, it adds nothing."""
         return cls.under(robot, wrenches_of(measurements.conditions, robot, len(measurements)))
 
     @classmethod
     def under(cls, robot: Robot, wrenches: Array | None) -> ElasticTerm:
-        """Make the term of poses under wrenches; without any, or for a robot without springs, it adds nothing.
-
-        Args:
-            robot: the robot as described.
-            wrenches: on the tool, world axes, shape=(n, 6) [N, N m]; None for none.
-        """
+        """Make the term of wrenches on the tool, world axes, shape=(n, 6) [N, N m]; empty for None or no springs."""
         if wrenches is None or not wrenches.any() or not robot.springs:
             return cls()
         return cls(tuple(str(entry["name"]) for entry in robot.springs), wrenches)
@@ -71,14 +56,9 @@ class ElasticTerm:
         return np.full(len(self.springs), STIFFNESS_SIGMA)
 
     def deflected(self, poses: Poses, logarithms: Array) -> tuple[Poses, Array]:
-        """Return the poses under the wrenches, the same joints with the tool displaced, and their derivatives.
+        """Return poses with the tool displaced, and its motion by each unknown, shape=(n, 6, springs) [m, rad].
 
-        Args:
-            poses: of the machine without wrenches, shape=(n,).
-            logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
-
-        Returns:
-            The poses; how each unknown moves the tool, shape=(n, 6, springs) [m, rad].
+        The unknowns are ln of how many times stiffer each spring is than described, shape=(springs,).
         """
         if self.wrenches is None:
             return poses, np.zeros((len(poses), 6, 0))

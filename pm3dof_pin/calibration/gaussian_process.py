@@ -66,12 +66,7 @@ class GaussianProcess:
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, noise: Array) -> GaussianProcess:
-        """Choose the kernels by marginal likelihood.
-
-        Args:
-            inputs: shape=(n, number of inputs).
-            deviations: du, shape=(n, number of commands) [m, rad].
-            noise: variance of each du from the measurements' noise, shape=(n, number of commands).
+        """Choose the kernels by marginal likelihood, of deviations du and their noise variance, shape=(n, commands).
 
         Raises:
             ConvergenceError: no kernel was found.
@@ -110,14 +105,9 @@ class GaussianProcess:
 
 
 def typical_covariance(first: Array, second: Array, drive: int) -> Array:
-    """Return what the deviations of a drive have in common before anything is known of a machine, shape=(n, m).
+    """Return what a drive's deviations at scaled inputs have in common beforehand, shape=(n, m).
 
     The kernel at the amplitudes and scales that fitting starts from, in units of the deviations' own variance.
-
-    Args:
-        first: scaled inputs, shape=(n, number of inputs).
-        second: scaled inputs, shape=(m, number of inputs).
-        drive: which drive's.
     """
     scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
     return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))

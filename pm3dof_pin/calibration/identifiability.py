@@ -38,12 +38,7 @@ _ZERO = 1e-9
 
 
 def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Array:
-    """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters).
-
-    Args:
-        errors: the parameters, with their tolerances.
-        poses: poses of the robot as described.
-        instrument: what is measured; full poses by default.
+    """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters); of full poses by default.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, or a noise is not positive.
@@ -58,21 +53,10 @@ def stacked_regressor(
     instrument: Instrument | None = None,
     elastic: ElasticTerm | None = None,
 ) -> tuple[Array, Array, Nuisances]:
-    """Return the rows that each pose adds, by the parameters and by what the measurements depend on besides.
+    """Return :func:`scaled_regressor` with unknown spring stiffness after the parameters; nuisance rows; the nuisances.
 
-    Args:
-        errors: the parameters, with their tolerances.
-        poses: poses of the robot as described.
-        instrument: what is measured; full poses by default.
-        elastic: known wrenches at these poses, under which springs of unknown stiffness give.
-
-    Returns:
-        As :func:`scaled_regressor`, the stiffness of springs after the parameters; the same by nuisance parameters in
-        their scales, shape=(n, rows of a pose, k); and these.
-
-    Raises:
-        InvalidValueError: see there.
-        SingularConfigurationError: see there.
+    The nuisance parameters are in their scales, their rows of shape=(n, rows of a pose, k). `elastic` has the known
+    wrenches at these poses.
     """
     measurements = Measurements.of_poses(poses.commands, poses.transforms, instrument)
     rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
@@ -156,13 +140,7 @@ class Identifiability:
 
 
 def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike | None = None) -> Identifiability:
-    """Judge what a scaled regressor identifies.
-
-    Args:
-        errors: the parameters, with their tolerances; geometric errors, or these and others.
-        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters); see :func:`scaled_regressor`.
-        nuisances: rows of each pose by nuisance parameters, shape=(n, rows of a pose, k): what they can stand for
-            counts as not seen.
+    """Judge what a :func:`scaled_regressor` identifies; what nuisances can stand for counts as not seen.
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.
@@ -192,12 +170,7 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
 
 
 def rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
-    """Return the rank after the first pose, the first two, and so on, shape=(n,).
-
-    Args:
-        regressor: rows of each pose, shape=(n, rows of a pose, number of parameters).
-        nuisances: see :func:`identifiability`.
-    """
+    """Return the rank after the first pose, the first two, and so on, shape=(n,); see :func:`identifiability`."""
     blocks = np.asarray(regressor, dtype=float)
     others = None if nuisances is None else np.asarray(nuisances, dtype=float)
     ranks = []
@@ -211,14 +184,9 @@ def rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDA
 
 
 def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> int:
-    """Return the least number of poses that identify all that these poses identify together.
+    """Return the least number of poses in general position that identify all that these identify together.
 
-    Of poses in general position any will do: counted are the first ones, until they have the rank of all.
-
-    Args:
-        regressor: rows of poses in general position, more than are needed, shape=(n, rows of a pose, number of
-            parameters).
-        nuisances: see :func:`identifiability`.
+    Of such poses any will do: counted are the first ones, until they have the rank of all.
     """
     growth = rank_growth(regressor, nuisances)
     return int(np.argmax(growth == growth[-1])) + 1
@@ -244,11 +212,7 @@ class ObservabilityIndices:
 
 
 def observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
-    """Compute the five observability indices.
-
-    Args:
-        singular_values: of the scaled regressor over what is identifiable, shape=(L,).
-        poses: number of poses, N.
+    """Compute the five indices from the positive singular values over what is identifiable, shape=(L,).
 
     Raises:
         InvalidValueError: there are no singular values, or they are not positive.

@@ -64,9 +64,6 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     Measurements at the same commands, of several targets or repeated, are hidden together. The instrument's frame and
     the targets' offsets are those that the others tell.
 
-    Args:
-        calibration: what to judge.
-
     Raises:
         InvalidValueError: too few poses.
     """
@@ -96,12 +93,9 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
-    """Judge a calibration by measurements that it was not made from.
+    """Judge a calibration by other measurements, of the same session or in the base's axes.
 
-    Args:
-        calibration: what to judge.
-        measurements: the others, of the same session or in the base's axes. The frame of an instrument that has its own
-            is the one identified, where both were registered.
+    The frame of an instrument that has its own is the one identified, where both were registered.
     """
     settled = calibration.identification.settle(measurements)
     compensation = calibration.compensation
@@ -216,15 +210,7 @@ class WorkspaceErrors:
 
 
 def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors | None:
-    """Compute errors over the first two coordinates that have ranges, under the mean conditions of the measurements.
-
-    Args:
-        calibration: the calibrated machine.
-        points: number of values of each coordinate.
-
-    Returns:
-        The errors; None for a robot with fewer than two coordinates that have ranges.
-    """
+    """Compute errors over the first two coordinates with ranges, or None, under the mean measured conditions."""
     compensation = calibration.compensation
     robot = compensation.errors.robot
     grid = section_grid(robot, points=points)

@@ -23,11 +23,7 @@ class LearnedModel(Protocol):
     """Deviations of the commands as functions of scaled inputs."""
 
     def deviations(self, inputs: Array) -> Array:
-        """Return du, shape=(n, number of commands) [m, rad].
-
-        Args:
-            inputs: shape=(n, number of inputs), from :class:`InputScale`.
-        """
+        """Return du, shape=(n, number of commands) [m, rad], for inputs of an :class:`InputScale`."""
         ...
 
     def uncertainties(self, inputs: Array) -> Array:
@@ -83,11 +79,7 @@ class InputScale:
         return {name: 0.5 * (least + most) for name, (least, most) in self.ranges.items()}
 
     def beyond(self, conditions: Mapping[str, Array | float]) -> dict[str, tuple[float, float]]:
-        """Return the range measured of each condition of which a value is outside it, by name.
-
-        Args:
-            conditions: numbers by name.
-        """
+        """Return the range measured of each condition of which a value is outside it, by name."""
         found = {}
         for name, (least, most) in self.ranges.items():
             slack = _SAME * (most - least)
@@ -96,11 +88,7 @@ class InputScale:
         return found
 
     def scaled(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
-        """Return inputs, shape=(n, number of inputs).
-
-        Args:
-            commands: shape=(n, number of commands) [m, rad].
-            conditions: temperatures and loads by name, shape=(n,) or one number each.
+        """Return inputs, shape=(n, number of inputs), of commands [m, rad] and conditions by name.
 
         Raises:
             InvalidValueError: a condition is missing.
@@ -115,12 +103,7 @@ class InputScale:
 
 @dataclass(frozen=True, eq=False)
 class LearnedPart:
-    """A learned model with the scale of its inputs.
-
-    Attributes:
-        model: the model.
-        inputs: the scale.
-    """
+    """A learned model with the scale of its inputs."""
 
     model: LearnedModel
     inputs: InputScale

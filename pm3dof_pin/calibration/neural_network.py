@@ -49,12 +49,7 @@ class NeuralNetwork:
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, seed: int) -> NeuralNetwork:
-        """Train networks.
-
-        Args:
-            inputs: shape=(n, number of inputs).
-            deviations: du, shape=(n, number of commands) [m, rad].
-            seed: of the first weights and of the folds.
+        """Train networks from deviations du, shape=(n, number of commands) [m, rad], with a seed of weights and folds.
 
         Raises:
             MissingPackageError: scikit-learn is not installed.

@@ -267,11 +267,7 @@ class PlanningProblem:
         return near
 
     def _spread(self, allowed: Indices, count: int, generator: np.random.Generator) -> Indices:
-        """Draw candidates that keep their distance.
-
-        Raises:
-            InvalidValueError: so many could not be found.
-        """
+        """Draw candidates that keep their distance; InvalidValueError if so many are not found."""
         most = 0
         for _ in range(_SHUFFLES):
             chosen: list[int] = []
@@ -329,11 +325,7 @@ class PlanningProblem:
         return np.array(chosen, dtype=np.intp)
 
     def _require_distance(self, chosen: Sequence[int]) -> None:
-        """Check that poses keep their distance.
-
-        Raises:
-            InvalidValueError: two do not.
-        """
+        """Check that poses keep their distance."""
         for position, index in enumerate(chosen):
             if self._near(index)[list(chosen[position + 1 :])].any():
                 expected = f"fewer, or a distance of less than {self._min_distance:g} of the ranges from each other"
@@ -382,15 +374,7 @@ class PlanningProblem:
 def order_with_references(poses: Poses, every: int, seed: int) -> Indices:
     """Return an order of poses in which drift and scatter show: at random, one pose again and again between the others.
 
-    At random, time goes with no coordinate; the pose that comes again is the one amid the others.
-
-    Args:
-        poses: the poses of a plan, shape=(n,).
-        every: how many others stand between two references.
-        seed: of the order.
-
-    Returns:
-        Indices of the poses, the reference's more than once.
+    At random, time goes with no coordinate; the pose that comes again, `every` so many others, is the one amid these.
     """
     commands = poses.commands
     spread = np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)

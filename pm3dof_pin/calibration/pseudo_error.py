@@ -46,13 +46,7 @@ class SeenErrors:
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
-    """Put the rows of each visit together.
-
-    Args:
-        measurements: the rows.
-        poses: of the model, one for each visit, shape=(visits,).
-        eta: weight of the orientation [m/rad].
-    """
+    """Put the rows of each visit together, against the model's poses; eta weighs the orientation [m/rad]."""
     visits, count = measurements.visit_numbers, len(poses)
     at_rows, weights = poses[visits], tip_weights(eta)
     motions = np.tile(np.diag(1.0 / weights), (len(measurements), 1, 1))
@@ -102,25 +96,14 @@ class PseudoErrors:
 
 
 def control_inverse(control: Array, seen: float = SEEN) -> Array:
-    """Return the pseudo-inverse of tip-weighted motions by the drives' joints, without unobservable directions.
-
-    Args:
-        control: shape=(n, 6, number of commands).
-        seen: see :data:`SEEN`.
-    """
+    """Return the pseudo-inverse of motions by the drives' joints, without directions below :data:`SEEN`."""
     return np.asarray(np.linalg.pinv(control, rcond=seen))
 
 
 def pseudo_errors(
     measurements: Measurements, model: Poses, eta: float = TIP_LENGTH, *, seen: float = SEEN
 ) -> PseudoErrors:
-    """Find the deviations of the commands that explain measurements, by inverting a model's kinematics.
-
-    Args:
-        measurements: poses, positions or points.
-        model: poses of the model, nominal or calibrated, at the commands of the visits, shape=(visits,).
-        eta: weight of the orientation [m/rad].
-        seen: see :data:`SEEN`.
+    """Find the deviations of the commands that explain measurements, by inverting a model's kinematics at the visits.
 
     Raises:
         UnreachablePoseError: no commands bring the model there.

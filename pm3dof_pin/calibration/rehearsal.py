@@ -52,11 +52,6 @@ class _Side:
 class Rehearsal:
     """Machines within the tolerances of a planning problem, to try plans and methods on.
 
-    Args:
-        problem: the poses that may be measured, those to be accurate at, and the instrument.
-        generator: source of the random numbers.
-        machines: number of machines.
-
     Raises:
         InvalidValueError: the instrument does not see whole poses, or there is no machine.
     """
@@ -73,12 +68,7 @@ class Rehearsal:
         self._machines = [self._draw(generator) for _ in range(machines)]
 
     def excess(self, chosen: Sequence[int] | Indices, method: Method, seed: int = 0) -> float:
-        """Return the tip error beyond that of the best commands after a calibration, rms over machines and tests [m].
-
-        Args:
-            chosen: candidates that are measured.
-            method: of the calibration.
-            seed: of networks.
+        """Return the tip error beyond the best commands' after calibrating at candidates, rms over all [m].
 
         Raises:
             InvalidValueError: fewer poses than anything is learned from.

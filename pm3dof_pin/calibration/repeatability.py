@@ -44,9 +44,6 @@ def repeatability(calibration: Calibration) -> Repeatability | None:
     """Judge how a machine repeats itself; None if no pose was visited twice.
 
     Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
-
-    Args:
-        calibration: the calibration.
     """
     found, eta = calibration.identification, calibration.options.eta
     trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
@@ -92,11 +89,7 @@ class Systematic:
 
 
 def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:
-    """Return what times and directions of approach tell; nothing where there are none.
-
-    Args:
-        calibration: the calibration.
-    """
+    """Return what times and directions of approach tell; nothing where there are none."""
     found = calibration.identification
     drives, weights = drive_motions(found.poses), tip_weights(calibration.options.eta)
     first = len(found.joint_covariance) - len(found.nuisances)

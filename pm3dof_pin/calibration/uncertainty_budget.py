@@ -20,16 +20,11 @@ from pm3dof_pin.typing import Array, Mask
 
 
 def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, float]:
-    """Return what each source adds to the tip error of the corrected machine, root mean square over poses [m].
+    """Return what each source adds to the tip error of the corrected machine, root mean square over wanted poses [m].
 
-    Args:
-        calibration: the calibrated machine.
-        poses: wanted poses of the robot as described, within its machine's reach.
-
-    Returns:
-        "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": where they sit, with
-        drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares
-        add up to the square of the tip error to be expected.
+    "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": where they sit, with
+    drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares add
+    up to the square of the tip error to be expected.
     """
     compensation, found = calibration.compensation, calibration.identification
     weights = tip_weights(compensation.eta)

@@ -43,13 +43,7 @@ class Verdict:
 
 
 def verdict(calibration: Calibration, held_out: HeldOut | None = None, validation: HeldOut | None = None) -> Verdict:
-    """Judge a calibration in words.
-
-    Args:
-        calibration: the calibration.
-        held_out: its cross-validation, if there is one.
-        validation: how good it is on another file, if there is one.
-    """
+    """Judge a calibration in words, by its cross-validation and other measurements, if there are such."""
     compensation = calibration.compensation
     poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()

@@ -17,18 +17,9 @@ _ROWS = (3, 4, 2, 0, 1, 5)  # of K and C, in the order of the chapter's AXES
 
 
 def held_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
-    """Return K_jj: the force for a motion along each axis with all other motions held at zero.
+    """Return K_jj: the force for a motion along each axis with all others held, shape=(..., 6) [N/m or N m/rad].
 
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-
-    Returns:
-        In the order of :data:`~pm3dof_pin.chapter.chapter_stiffness.AXES`, shape=(..., 6) [N/m or N m/rad].
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway.
-        InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg.
+    Poses and errors are those of :func:`~pm3dof_pin.chapter.chapter_stiffness.chapter_stiffness`.
     """
     return np.diagonal(elastic_stiffness(tripod, poses), axis1=-2, axis2=-1)[..., _ROWS]
 

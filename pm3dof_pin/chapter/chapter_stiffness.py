@@ -55,17 +55,10 @@ def chapter_stiffness(
 def chapter_diagonal(
     tripod: Tripod, heights: Array, link_jacobian: Array, travel_jacobian: Array, *, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the chapter's diagonal, of given Jacobians.
-
-    Args:
-        tripod: the machine.
-        heights: z_e, shape=(...) [m].
-        link_jacobian: J_a of (8.10), NaN out of reach, shape=(..., legs, 3).
-        travel_jacobian: J_t of (8.9), shape=(..., legs, 3).
-        on_failure: "raise", or "nan" for poses at or below the clamp.
+    """Return the chapter's diagonal, of given J_a (8.10), NaN out of reach, and J_t (8.9), shape=(..., legs, 3).
 
     Raises:
-        InvalidValueError: a pose is at or below the clamp of the passive leg, and `on_failure` is "raise".
+        InvalidValueError: a height is at or below the clamp of the passive leg, and `on_failure` is "raise".
     """
     if on_failure == "raise":
         require_above_clamp(tripod, heights[..., None])
@@ -85,26 +78,16 @@ def chapter_diagonal(
 
 
 def require_above_clamp(tripod: Tripod, poses: Array) -> None:
-    """Check that the passive leg sticks out of the middle platform at every pose, the last number of which is z_e.
-
-    Raises:
-        InvalidValueError: a pose is at or below the clamp.
-    """
+    """Raise InvalidValueError unless the passive leg sticks out of the middle platform at every pose (... z_e)."""
     if np.any(poses[..., -1] <= tripod.clamp_height):
         expected = f"more than {tripod.clamp_height:.6g} m, where the middle platform clamps the passive leg"
         raise InvalidValueError("z_e", float(poses[..., -1].min()), expected)
 
 
 def global_index(diagonal: ArrayLike) -> Array:
-    """Return the chapter's global stiffness, the mean of the six diagonal entries.
+    """Return the chapter's global stiffness, the mean of the six diagonal entries, shape=(...).
 
     It adds N/m and N m/rad and so depends on the unit of length; it is reported because the chapter reports it.
-
-    Args:
-        diagonal: result of :func:`chapter_stiffness`, shape=(..., 6).
-
-    Returns:
-        shape=(...).
     """
     mean: Array = np.asarray(diagonal, dtype=float).mean(axis=-1)
     return mean

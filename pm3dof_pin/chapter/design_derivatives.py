@@ -32,19 +32,11 @@ _STEP = 3e-4  # of the parameter; the error of the formula goes with its fourth 
 def design_derivatives(
     tripod: Tripod, poses: ArrayLike, parameters: Iterable[str] = DESIGN_PARAMETERS
 ) -> dict[str, Array]:
-    """Return dC/dp at fixed poses for parameters p of the design.
+    """Return dC/dp at fixed poses for :data:`DESIGN_PARAMETERS` p, by name, shape=(..., 6, 6) [unit of C / of p].
 
-    dC/dp = -C (dK/dp) C, with dK/dp by central differences of fourth order of the closed form, which agree with
-    complex steps to 5e-8 C / p. A change of geometry moves the heights of the level platform and with them the clamp
-    of the passive leg.
-
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        parameters: names out of :data:`DESIGN_PARAMETERS`.
-
-    Returns:
-        By parameter, shape=(..., 6, 6) [unit of C over the SI unit of the parameter].
+    dC/dp = -C (dK/dp) C, with dK/dp by central differences of fourth order of the closed form, which agree with complex
+    steps to 5e-8 C / p. A change of geometry moves the heights of the level platform and with them the clamp of the
+    passive leg. Poses are (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
 
     Raises:
         InvalidValueError: an unknown parameter.

@@ -48,19 +48,10 @@ def newton(
 
     The equations are (|k_i|^2 - l^2) / (2 l) = 0, in metres, and their derivative k_i . J_i / l (8.5); with more than
     three legs the step is the least-squares one. A step turns the platform by 0.3 rad and moves it by 0.1 m at most.
-
-    Args:
-        tripod: the machine.
-        u: slider travels, shape=(..., n) [m].
-        guess: pose to start from, shape=(..., 3); the home pose by default, from which every pose of the chapter's
-            workspace is found.
-        most_steps: greatest number of steps.
-
-    Returns:
-        The poses, with residuals; nothing is raised for those that did not converge.
+    From home, the default guess, every pose of the chapter's workspace is found. Nothing is raised without convergence.
 
     Raises:
-        InvalidValueError: u is not of shape (..., n).
+        InvalidValueError: the travels u are not of shape (..., n).
     """
     travels = _checked_travels(tripod, u)
     start = tripod.home if guess is None else np.asarray(guess, dtype=float)
@@ -117,15 +108,7 @@ def _shortened(step: Array) -> Array:
 
 
 def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None) -> Array:
-    """Return the pose that belongs to the slider travels, in the assembly mode of the guess.
-
-    Args:
-        tripod: the machine.
-        u: slider travels, shape=(..., n) [m].
-        guess: pose to start from, shape=(..., 3) [rad, rad, m]; the home pose by default.
-
-    Returns:
-        (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
+    """Return the poses, shape=(..., 3) [rad, rad, m], at slider travels u [m] in the assembly mode of a guess (home).
 
     Raises:
         ConvergenceError: no pose was found for some travels: the loops cannot be closed, or not from this guess.
@@ -151,20 +134,13 @@ def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = No
 
 
 def all_assembly_modes(tripod: Tripod, u: ArrayLike) -> Array:
-    """Return every real pose of the platform at given slider travels, without a guess.
+    """Return every real pose of a machine with three legs at slider travels u [m], without a guess.
 
     The three link equations are polynomials in the half-angle tangents s, t of theta_x, theta_y and in z_e. The
-    differences of two of them are linear in z_e; with s hidden, a Sylvester-type matrix over the monomials
-    t^0..3 z^0..3 turns them into a quadratic eigenvalue problem in s of size 16. Its real eigenvalues are refined by
-    Newton's method.
-
-    Args:
-        tripod: a machine with three legs.
-        u: slider travels, shape=(3,) [m].
-
-    Returns:
-        Poses, shape=(m, 3) [rad, rad, m], angles in (-pi, pi], the highest platform first; m is zero where the loops
-        cannot be closed. Limits and collisions are not checked.
+    differences of two of them are linear in z_e; with s hidden, a Sylvester-type matrix over the monomials t^0..3
+    z^0..3 turns them into a quadratic eigenvalue problem in s of size 16. Its real eigenvalues are refined by Newton's
+    method. Poses have shape=(m, 3) [rad, rad, m], angles in (-pi, pi], the highest platform first; m is zero where the
+    loops cannot be closed. Limits and collisions are not checked.
 
     Raises:
         InvalidValueError: the machine has not three legs, or u is not three finite numbers.

@@ -92,16 +92,8 @@ def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
 
     A wrench W at the tool puts the force f_i = k_i w_i^T C W on leg i, the part f_i (n_i . e_i) of it on the actuator,
     and C_j is twice the energy that spring j then stores. The passive leg, whose bending and torsion act together, is
-    one.
-
-    Args:
-        tripod: the machine.
-        poses: shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-
-    Returns:
-        Positive semidefinite matrices, shape=(..., 2 n + 1, 6, 6) [m/N, 1/N, rad/(N m)], NaN out of reach. The
-        derivative of C with respect to the stiffness k_j of a spring is -C_j / k_j.
+    one. The derivative of C by the stiffness k_j is -C_j / k_j. Positive semidefinite, shape=(..., 2 n + 1, 6, 6) [m/N,
+    1/N, rad/(N m)], NaN out of reach.
 
     Raises:
         InvalidValueError: poses or modes of a wrong shape.

@@ -25,17 +25,7 @@ def rotation(theta_x: ArrayLike, theta_y: ArrayLike) -> Array:
 
 
 def placement(poses: ArrayLike) -> Array:
-    """Return the homogeneous transform of the platform in the base frame, (8.3).
-
-    Args:
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-
-    Returns:
-        shape=(..., 4, 4).
-
-    Raises:
-        InvalidValueError: poses of a wrong shape.
-    """
+    """Return the homogeneous transform of the platform in the base frame, (8.3), shape=(..., 4, 4)."""
     array = np.asarray(poses, dtype=float)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InvalidValueError("poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e")
@@ -47,16 +37,10 @@ def placement(poses: ArrayLike) -> Array:
 
 
 def motion_twists(poses: ArrayLike) -> Array:
-    """Return the 6 x 3 map from (theta_x, theta_y, z_e) rates to the platform's twist [v; omega] at O_e.
+    """Return the map from (theta_x, theta_y, z_e) rates to the platform's twist [v; omega] at O_e, shape=(..., 6, 3).
 
-    The correct form of (8.10), in the axes of the base: v = (0, 0, dz_e) and
-    omega = (dtheta_x, cos(theta_x) dtheta_y, sin(theta_x) dtheta_y).
-
-    Args:
-        poses: shape=(..., 3) [rad, rad, m].
-
-    Returns:
-        shape=(..., 6, 3).
+    The correct form of (8.10), in the axes of the base: v = (0, 0, dz_e) and omega = (dtheta_x, cos(theta_x) dtheta_y,
+    sin(theta_x) dtheta_y).
     """
     theta_x = np.asarray(poses, dtype=float)[..., 0]
     twists = np.zeros((*theta_x.shape, 6, 3))
@@ -171,17 +155,7 @@ def _legs(tripod: Tripod, poses: ArrayLike, assembly_mode: ArrayLike, on_failure
 
 
 def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
-    """Raise for the first pose that a leg cannot reach.
-
-    Args:
-        tripod: the machine.
-        poses: shape=(..., 3) [rad, rad, m].
-        u: slider travels with NaN out of reach, shape=(..., n) [m].
-
-    Raises:
-        UnreachablePoseError: naming pose and leg.
-        InvalidValueError: a pose is not a number.
-    """
+    """Raise UnreachablePoseError, naming pose and leg, where travels u are NaN; InvalidValueError where the pose is."""
     infinite = np.argwhere(~np.all(np.isfinite(poses), axis=-1))
     if len(infinite):
         first = tuple(int(entry) for entry in infinite[0])
@@ -201,30 +175,13 @@ def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
 
 
 def inverse_kinematics_modes(tripod: Tripod, pose: ArrayLike) -> dict[tuple[int, ...], Array]:
-    """Return the slider travels of one pose for every assembly mode, 2^n of them.
-
-    Args:
-        tripod: the machine.
-        pose: shape=(3,) [rad, rad, m].
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway.
-    """
+    """Return the slider travels of one pose for each of its 2^n assembly modes; UnreachablePoseError without any."""
     modes = itertools.product((-1, 1), repeat=tripod.leg_count)
     return {mode: inverse_kinematics(tripod, pose, assembly_mode=mode) for mode in modes}
 
 
 def assembly_mode_of(tripod: Tripod, poses: ArrayLike, u: ArrayLike) -> Array:
-    """Tell in which assembly mode each leg stands.
-
-    Args:
-        tripod: the machine.
-        poses: shape=(..., 3) [rad, rad, m].
-        u: slider travels that belong to the poses, shape=(..., n) [m].
-
-    Returns:
-        -1 or +1 for every leg, shape=(..., n), as `assembly_mode` of the other functions takes it.
-    """
+    """Return the `assembly_mode` of every leg, -1 or +1, at poses with their travels u, shape=(..., n)."""
     pose_array, _ = tripod.checked(poses, -1)
     transform = placement(pose_array)
     joints = _dotted(transform[..., :3, :3], tripod.platform_joints) + transform[..., None, :3, 3]
@@ -253,18 +210,7 @@ def link_jacobian(
 ) -> Array:
     """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-        on_failure: "raise", or "nan" for poses out of reach.
-
-    Returns:
-        shape=(..., n, 3) [m/rad, m/rad, 1].
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
-        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
+    Shape=(..., n, 3) [m/rad, m/rad, 1]; arguments and errors are those of :func:`inverse_kinematics`.
     """
     legs = _legs(tripod, poses, assembly_mode, on_failure)
     return legs.wrenches @ motion_twists(poses)
@@ -284,42 +230,19 @@ def slider_jacobian(
 def passive_joint_angles(
     tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the angles of the passive joints of every leg.
+    """Return (first, second, swing), the angles of the passive joints of every leg, shape=(..., n, 3) [rad].
 
     The universal joint at D_i first turns about the horizontal axis normal to the link's home direction, then about the
     axis normal to both; both angles count from home. The swing of the spherical joint is the angle between the link and
-    the joint's axis in the platform.
-
-    Args:
-        tripod: the machine.
-        poses: shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-        on_failure: "raise", or "nan" for poses out of reach.
-
-    Returns:
-        (first, second, swing), shape=(..., n, 3) [rad].
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
-        InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
+    the joint's axis in the platform. Arguments and errors are those of :func:`inverse_kinematics`.
     """
     return _legs(tripod, poses, assembly_mode, on_failure).passive_angles
 
 
 def joint_positions(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike = -1) -> dict[str, float]:
-    """Return the coordinate of every joint of the URDF, by name, with all loops closed at one pose.
+    """Return the coordinate of every joint of the URDF by name [m, rad], all loops closed at one pose; zero at home.
 
-    Args:
-        tripod: the machine.
-        pose: shape=(3,) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-
-    Returns:
-        By name [m, rad]; all zero at home.
-
-    Raises:
-        UnreachablePoseError: a link cannot meet its guideway.
-        InvalidValueError: not one pose of finite numbers, or a mode that is not -1 or +1.
+    Arguments and errors are those of :func:`inverse_kinematics`.
     """
     theta_x, theta_y, z_e = tripod.checked_pose(pose)
     u = inverse_kinematics(tripod, pose, assembly_mode=assembly_mode)

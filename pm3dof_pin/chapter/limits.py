@@ -37,15 +37,7 @@ LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
 
 
 def limit_flags(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
-    """Tell which kinds of limits each pose breaks.
-
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1 for every leg, broadcast to shape=(n,).
-
-    Returns:
-        Sums of :class:`Limit`, shape=(...); zero where the pose is within every limit.
+    """Return sums of the :class:`Limit` that poses (theta_x, theta_y, z_e) break, shape=(...); zero within every limit.
 
     Raises:
         InvalidValueError: poses or modes of a wrong shape.

@@ -10,13 +10,9 @@ from pm3dof_pin.exceptions import InvalidValueError
 
 
 def with_passive_leg_radius(tripod: Tripod, factor: float) -> Tripod:
-    """Return the machine with a passive leg of another radius r: E I and G J go with r^4, its mass with r^2.
+    """Return the machine with a passive leg `factor` times as thick: E I and G J go with r^4, its mass with r^2.
 
     The same as another `section.passive_leg_radius` (and bore) in the parameter file.
-
-    Args:
-        tripod: the machine.
-        factor: new radius over the old one, of the bore too if there is one.
 
     Raises:
         InvalidValueError: the factor is not a positive number.

@@ -22,16 +22,9 @@ _MOTIONS = ("platform_x_joint", "platform_y_joint", "passive_slider_joint")
 
 
 def pinocchio_stiffness(robot: Robot, tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
-    """Return the chapter's diagonal stiffness at each pose, as :func:`chapter_stiffness` does in closed form.
+    """Return the chapter's diagonal stiffness as :func:`chapter_stiffness` does, on Jacobians of the machine's URDF.
 
-    Args:
-        robot: the machine as described by its URDF.
-        tripod: the same machine: its stiffness coefficients and the clamp of its passive leg.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        on_failure: "raise", or "nan" for poses out of reach.
-
-    Returns:
-        shape=(..., 6) [N/m or N m/rad], in the order of :data:`~pm3dof_pin.chapter.chapter_stiffness.AXES`.
+    The tripod has its stiffness coefficients and the clamp of its passive leg.
 
     Raises:
         InvalidValueError: the robot is no machine of the chapter's family, or a pose is at or below the clamp.

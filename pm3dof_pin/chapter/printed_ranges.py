@@ -41,15 +41,7 @@ def printed_ranges(tripod: Tripod) -> Array:
 
 
 def compare_printed_ranges(tripod: Tripod, workspace: Workspace) -> list[RangeStatement]:
-    """Compare the chapter's working ranges of theta_x, theta_y and z_e with what its parameters give.
-
-    Args:
-        tripod: the machine; the printed ranges are part of its parameters.
-        workspace: its reachable set over all heights.
-
-    Returns:
-        Statements with their numbers, in the order a reader wants them.
-    """
+    """Compare the chapter's printed ranges of theta_x, theta_y and z_e with a reachable set."""
     return [
         _heights(tripod, workspace),
         _travel_at_printed_heights(tripod),

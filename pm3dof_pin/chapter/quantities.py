@@ -16,11 +16,7 @@ COORDINATES = ("theta_x", "theta_y", "z_e")
 
 
 def _tripod_of(robot: Robot) -> Tripod | None:
-    """Return the tripod whose parameter file stands in the robot's description; None if there is none.
-
-    Args:
-        robot: the robot; beside the folder of its closures file is `config/<name>.yaml`.
-    """
+    """Return the tripod whose parameter file, `config/<name>.yaml`, stands in the robot's description; else None."""
     if tuple(coordinate.name for coordinate in robot.coordinates) != COORDINATES:
         return None
     return _tripod(Path(robot.source).absolute().parent.parent / "config" / f"{robot.name}.yaml")

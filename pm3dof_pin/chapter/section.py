@@ -96,20 +96,10 @@ def section_outline(
 ) -> xr.Dataset | None:
     """Compute the chapter's stiffness along the boundary of a section: of its reachable part that the grid covers.
 
-    A picture that ends there has a smooth edge, and the values on it are computed like all others.
-
-    Args:
-        tripod: the machine.
-        grid: the grid of the section that is shown; by default the rectangular grid of 6,561 poses.
-        z_e: height of the section [m]; by default the middle height.
-        directions: number of points of the outline.
-        robot: see :func:`stiffness_section`.
-
-    Returns:
-        A dataset like that of :func:`stiffness_section` along the dimension `point`, going round the level platform,
-        and `at_grid_end`: where the grid ends before a limit does.
-        None if there is no such single line: the reachable part is not star-shaped about the level platform, or the
-        grid does not contain it.
+    A picture that ends there has a smooth edge. The dataset is like that of :func:`stiffness_section` along the
+    dimension `point`, going round the level platform, with `at_grid_end` where the grid ends before a limit does. None
+    if there is no such single line: the reachable part is not star-shaped about the level platform, or the grid does
+    not contain it.
     """
     height = tripod.middle_height if z_e is None else z_e
     section = workspace_section(tripod_space(tripod), height, directions)

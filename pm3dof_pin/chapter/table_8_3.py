@@ -61,15 +61,10 @@ class TableRow:
 def table_8_3(
     tripod: Tripod | None = None, published: Path | str | None = None, *, robot: Robot | None = None
 ) -> list[TableRow]:
-    """Compute Table 8.3 on the chapter's grid and set it beside the published numbers.
+    """Compute Table 8.3 on the chapter's grid and set it beside the published numbers, one row each, in its order.
 
-    Args:
-        tripod: the machine; the chapter's by default.
-        published: YAML file with the published rows; `table_8_3.yaml` beside the chapter's parameters by default.
-        robot: the same machine as a robot, to compute with Pinocchio's Jacobians instead of the closed form.
-
-    Returns:
-        One row for each published number, in the order of the table.
+    `published` is the YAML file with these; `robot` the same machine, to compute with Pinocchio's Jacobians instead of
+    the closed form.
 
     Raises:
         DescriptionError: the published table is missing or malformed.

@@ -15,14 +15,7 @@ from pm3dof_pin.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class _TiltAxis:
-    """One labelled coordinate of a grid.
-
-    Attributes:
-        dims: the dimensions it varies along.
-        values: its values [unit].
-        unit: "rad".
-        long_name: what it is, for a person.
-    """
+    """One labelled coordinate of a grid with the dimensions it varies along."""
 
     dims: tuple[str, ...]
     values: Array
@@ -68,11 +61,7 @@ class RectangularGrid:
     shape: tuple[int, int] = (81, 81)
 
     def __post_init__(self) -> None:
-        """Check the ranges and counts.
-
-        Raises:
-            InvalidValueError: a range is not two growing finite angles, or a count is below 2.
-        """
+        """Check the ranges and counts."""
         _check_range("theta_x_range", self.theta_x_range)
         _check_range("theta_y_range", self.theta_y_range)
         _check_counts("shape", self.shape, 2)
@@ -92,17 +81,7 @@ class RectangularGrid:
         }
 
     def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses of the grid.
-
-        Args:
-            z_e: one height or several [m].
-
-        Returns:
-            (theta_x, theta_y, z_e), shape=(*shape of z_e, *shape, 3) [rad, rad, m].
-
-        Raises:
-            InvalidValueError: a height is not finite.
-        """
+        """Return the poses at heights z_e [m], shape=(*shape of z_e, *shape, 3) [rad, rad, m]; these must be finite."""
         coordinates = self.coordinates()
         tilts = np.meshgrid(coordinates["theta_x"].values, coordinates["theta_y"].values, indexing="ij")
         return _poses(np.stack(tilts, axis=-1), z_e)
@@ -142,11 +121,7 @@ class PolarGrid:
     azimuth_count: int = 181
 
     def __post_init__(self) -> None:
-        """Check radius and counts.
-
-        Raises:
-            InvalidValueError: the radius is not a positive finite angle, or a count is too small.
-        """
+        """Check radius and counts."""
         _check_range("radius_max", (0.0, self.radius_max))
         _check_counts("radius_count", (self.radius_count,), 2)
         _check_counts("azimuth_count", (self.azimuth_count,), 4)
@@ -169,17 +144,7 @@ class PolarGrid:
         }
 
     def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses of the grid.
-
-        Args:
-            z_e: one height or several [m].
-
-        Returns:
-            (theta_x, theta_y, z_e), shape=(*shape of z_e, radius_count, azimuth_count, 3) [rad, rad, m].
-
-        Raises:
-            InvalidValueError: a height is not finite.
-        """
+        """Return the poses as :meth:`RectangularGrid.poses`, shape=(*shape of z_e, radius_count, azimuth_count, 3)."""
         coordinates = self.coordinates()
         return _poses(np.stack([coordinates["theta_x"].values, coordinates["theta_y"].values], axis=-1), z_e)
 
@@ -190,20 +155,12 @@ class PolarGrid:
 
 @dataclass(frozen=True, eq=False)
 class PointGrid:
-    """Any tilts, one after the other: the boundary of a section, measured poses, and the like.
-
-    Attributes:
-        tilts: (theta_x, theta_y) of each point, shape=(n, 2) [rad].
-    """
+    """Any tilts (theta_x, theta_y), shape=(n, 2) [rad]: the boundary of a section, measured poses, and the like."""
 
     tilts: Array
 
     def __post_init__(self) -> None:
-        """Check the tilts.
-
-        Raises:
-            InvalidValueError: the tilts are not finite numbers of shape (n, 2).
-        """
+        """Check the tilts."""
         tilts = np.asarray(self.tilts)
         if tilts.ndim != 2 or tilts.shape[1] != 2 or not np.all(np.isfinite(tilts)):
             raise InvalidValueError("tilts", f"an array of shape {tilts.shape}", "finite angles of shape (n, 2)")
@@ -221,17 +178,7 @@ class PointGrid:
         }
 
     def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses of the points.
-
-        Args:
-            z_e: one height or several [m].
-
-        Returns:
-            (theta_x, theta_y, z_e), shape=(*shape of z_e, n, 3) [rad, rad, m].
-
-        Raises:
-            InvalidValueError: a height is not finite.
-        """
+        """Return the poses as :meth:`RectangularGrid.poses`, shape=(*shape of z_e, n, 3)."""
         return _poses(self.tilts, z_e)
 
 

@@ -76,11 +76,7 @@ class Tripod:
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> Tripod:
-        """Read a tripod from its parameter file; without a path, the chapter's machine.
-
-        Raises:
-            DescriptionError: the file is unreadable or a number in it is missing or wrong.
-        """
+        """Read a tripod from its parameter file, by default the chapter's; DescriptionError where a number is wrong."""
         return cls(TripodParameters.load(path))
 
     @property
@@ -101,10 +97,7 @@ class Tripod:
         return pose
 
     def level_height(self, slider: float) -> float:
-        """Return z_e of the level platform with every slider at the same travel, platform above the sliders.
-
-        Args:
-            slider: travel u along the guideways [m].
+        """Return z_e of the level platform with every slider at the same travel [m], platform above the sliders.
 
         Raises:
             UnreachablePoseError: the links do not meet the level platform, or not all at one height.
@@ -119,11 +112,11 @@ class Tripod:
         return float(heights[0])
 
     def checked(self, poses: ArrayLike, assembly_mode: ArrayLike) -> tuple[Array, Array]:
-        """Return poses and assembly modes as arrays.
+        """Return poses, shape=(..., 3), and assembly modes as arrays.
 
         Raises:
-            InvalidValueError: the poses are no real numbers or not of shape (..., 3), or look like degrees or
-                millimetres; or a mode is not -1 or +1.
+            InvalidValueError: poses of another shape, not real, or in what looks like degrees or millimetres; or
+                another mode.
         """
         array = real_array("poses", poses)
         if array.ndim == 0 or array.shape[-1] != 3:
@@ -151,11 +144,7 @@ class Tripod:
                 raise InvalidValueError(name, f"{column.reshape(-1)[0]:.6g} {unit}", expected)
 
     def checked_pose(self, pose: ArrayLike) -> Array:
-        """Return a single pose as an array, shape=(3,).
-
-        Raises:
-            InvalidValueError: it is not of shape (3,).
-        """
+        """Return a single pose as an array, InvalidValueError unless shape=(3,)."""
         array, _ = self.checked(pose, -1)
         if array.ndim != 1:
             raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (3,): theta_x, theta_y, z_e")

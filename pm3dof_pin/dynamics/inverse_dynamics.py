@@ -41,13 +41,7 @@ class JointMotion:
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """The forces of a motion, and the motion.
-
-    Attributes:
-        forces: of the actuators and the loop closures.
-        velocity: v, shape=(nv,) [m/s, rad/s].
-        acceleration: dv/dt, shape=(nv,) [m/s^2, rad/s^2].
-    """
+    """The forces of a motion, and the motion: v and dv/dt, shape=(nv,) [SI]."""
 
     forces: ActuatorForces
     velocity: Vector
@@ -158,16 +152,9 @@ def loop_motion(
 
 
 def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:
-    """Compute dG/dt v, the acceleration of the closure error at a velocity that keeps the loops closed.
+    """Compute dG/dt v, where G v = 0: the acceleration of frame b against frame a with dv/dt = 0: G dv/dt = -dG/dt v.
 
-    It is the acceleration of frame b against frame a with dv/dt = 0: G dv/dt = -dG/dt v.
-
-    Args:
-        configuration: an assembled configuration.
-        velocity: v with G v = 0, shape=(nv,).
-
-    Returns:
-        In the axes of frame a, linear part first, one closure after the other, shape=(m,) [m/s^2, rad/s^2].
+    In the axes of frame a, linear part first, one closure after the other, shape=(m,) [m/s^2, rad/s^2].
     """
     mechanism = configuration.mechanism
     model, data = mechanism.model, mechanism.model.createData()
@@ -185,15 +172,7 @@ def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vec
 
 
 def _reached(what: str, given: Restriction, wanted: Vector, start: Vector, units: Vector) -> Vector:
-    """Add the shortest closed-loop motion to a scaled velocity or acceleration that gives the joints theirs.
-
-    Args:
-        what: name of what is wanted, for messages.
-        given: the joints over the degrees of freedom.
-        wanted: their velocities or accelerations, scaled, shape=(k,).
-        start: what the motion is added to, shape=(nv,).
-        units: what the scaled numbers of the joints are multiples of, shape=(k,).
-    """
+    """Add to a scaled start, shape=(nv,), the shortest closed-loop motion that gives joints their wanted numbers."""
     missing = wanted - given.rows @ start
     motion: Vector = start + given.inverse @ missing
     left = np.linalg.norm(wanted - given.rows @ motion)

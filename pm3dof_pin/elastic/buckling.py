@@ -133,20 +133,7 @@ def search_buckling(
     tolerance: float = EQUILIBRIUM_TOLERANCE,
     max_steps: int = 60,
 ) -> BucklingSearch:
-    """Find the first buckling load as :func:`buckling_load` does, and say how far it was looked if there is none.
-
-    Args:
-        model: see :func:`buckling_load`.
-        configuration: see there.
-        loads: see there.
-        permanent: see there.
-        largest_factor: see there.
-        tolerance: see there.
-        max_steps: see there.
-
-    Raises:
-        PM3DofError: see there.
-    """
+    """Find the first buckling load as :func:`buckling_load` does, and say how far it was sought if there is none."""
     path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
     start = path.unloaded()
     if start.least_eigenvalue <= 0.0:

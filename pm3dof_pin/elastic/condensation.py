@@ -241,16 +241,9 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str, t
 
 
 def twist_transform(origin: ArrayLike, target: ArrayLike, rotation: ArrayLike | None = None) -> Matrix:
-    """Return X with twist_B = X twist_A, for two frames A and B on one body.
+    """Return X with twist_B = X twist_A, shape=(6, 6), for two frames A and B on one body.
 
-    Args:
-        origin: A, the point that twist_A belongs to, shape=(3,) [m].
-        target: B, the point that twist_B belongs to, shape=(3,) [m].
-        rotation: R with (coordinates in B's axes) = R (coordinates in A's axes), shape=(3, 3); by default the axes are
-            the same. Points are given in A's axes.
-
-    Returns:
-        shape=(6, 6): v_B = R (v_A + omega x (B - A)), omega_B = R omega.
+    v_B = R (v_A + omega x (B - A)), omega_B = R omega; points [m] are in A's axes, R takes these to B's, 1 by default.
     """
     x, y, z = np.asarray(target, dtype=float) - np.asarray(origin, dtype=float)
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
@@ -261,24 +254,14 @@ def twist_transform(origin: ArrayLike, target: ArrayLike, rotation: ArrayLike | 
 
 
 def transformed_stiffness(stiffness: ArrayLike, transform: ArrayLike) -> Matrix:
-    """Return K_A = X^T K_B X, the stiffness in frame A of a body whose stiffness in frame B is known.
-
-    Args:
-        stiffness: K_B, shape=(..., 6, 6).
-        transform: X of :func:`twist_transform`, twist_B = X twist_A, shape=(..., 6, 6).
-    """
+    """Return K_A = X^T K_B X, the stiffness in frame A of a body, X of :func:`twist_transform`, twist_B = X twist_A."""
     x = np.asarray(transform, dtype=float)
     transformed: Matrix = np.swapaxes(x, -1, -2) @ np.asarray(stiffness, dtype=float) @ x
     return transformed
 
 
 def transformed_compliance(compliance: ArrayLike, transform: ArrayLike) -> Matrix:
-    """Return C_B = X C_A X^T, the compliance in frame B of a body whose compliance in frame A is known.
-
-    Args:
-        compliance: C_A, shape=(..., 6, 6).
-        transform: X of :func:`twist_transform`, twist_B = X twist_A, shape=(..., 6, 6).
-    """
+    """Return C_B = X C_A X^T, the compliance in frame B, X of :func:`twist_transform`, twist_B = X twist_A."""
     x = np.asarray(transform, dtype=float)
     transformed: Matrix = x @ np.asarray(compliance, dtype=float) @ np.swapaxes(x, -1, -2)
     return transformed

@@ -11,16 +11,10 @@ _LOST = 1e-14  # a pivot that falls below this times its diagonal entry is round
 
 
 def inverse_definite(matrix: ArrayLike) -> Array:
-    """Return the inverses of symmetric positive definite matrices, exactly symmetric, by Cholesky's method.
+    """Return the inverses of symmetric positive definite matrices, of lower triangles, exactly symmetric, by Cholesky.
 
     The method does not mind units: scaling rows and columns alike changes no relative error. What is not positive
     definite to rounding, or not a number, gives NaN.
-
-    Args:
-        matrix: shape=(..., d, d); its lower triangles are read.
-
-    Returns:
-        shape=(..., d, d).
     """
     a = np.asarray(matrix, dtype=float)
     size = a.shape[-1]

@@ -24,11 +24,7 @@ def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Mat
 
 
 def direction_names(twists: Matrix) -> str:
-    """Say in words which ways twists [v; omega] go, in world axes.
-
-    Args:
-        twists: shape=(6, k) [m, rad].
-    """
+    """Say in words which ways twists [v; omega], shape=(6, k), go, in world axes."""
     return "; ".join(_named(twist) for twist in twists.T)
 
 

@@ -34,11 +34,8 @@ class SpringBlock:
     """The stiffness of one spring over its joints: every entry is a coefficient times a power of the spring's length.
 
     Attributes:
-        name: the spring.
         indices: entries of v of its joints, in the order of its matrix, shape=(n,).
-        coefficients: shape=(n, n).
         exponents: powers of the length, shape=(n, n); zero where it has no length that changes.
-        length: the joint that changes its length, or None.
         bows: by what it gets shorter as it bends, element by element; none if it is rigid along its axis, or no beam.
     """
 

@@ -37,15 +37,10 @@ class Ellipsoid:
 
 
 def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: Motion = "translation") -> Array:
-    """Return the stiffness that a probe feels, 1 / (d^T C d): the tool pushed or turned along d, free in all else.
+    """Return the stiffness that a probe feels, 1 / (d^T C d), shape=(...): the tool pushed or turned along d.
 
-    Args:
-        compliance: C, shape=(..., 6, 6).
-        direction: unit vectors d, shape=(..., 3); normalised here.
-        motion: "translation" (a force along d) or "rotation" (a moment about d).
-
-    Returns:
-        shape=(...) [N/m or N m/rad].
+    It is free in all else. Directions d, shape=(..., 3), are normalised here; a "translation" is by a force along d, a
+    "rotation" by a moment about d.
 
     Raises:
         InvalidValueError: a direction of length zero or not finite.
@@ -61,15 +56,9 @@ def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: M
 
 
 def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", others: OtherMotions = "free") -> Array:
-    """Return the 3 x 3 stiffness of the translations or the rotations by themselves.
+    """Return the 3 x 3 stiffness of the translations or the rotations by themselves [N/m or N m/rad].
 
-    Args:
-        compliance: C, shape=(..., 6, 6).
-        motion: which three.
-        others: "free": no moment (force) acts in the other three, inv(C_ff); "held": the other three stay put, K_ff.
-
-    Returns:
-        shape=(..., 3, 3) [N/m or N m/rad].
+    The other three are "free", no moment (force) acts in them, inv(C_ff); or "held", they stay put, K_ff.
     """
     if others == "held":
         return _block(inverse_definite(compliance), motion)
@@ -98,16 +87,9 @@ def characteristic_length(stiffness: ArrayLike) -> Array:
 
 
 def eigenvalues(stiffness: ArrayLike, length: ArrayLike) -> Array:
-    """Return the eigenvalues of K with rotations measured as motions at a characteristic length.
+    """Return the ascending eigenvalues of K with rotations as motions at a length h, shape=(..., 6) [N/m].
 
-    With D = diag(1, 1, 1, 1/h, 1/h, 1/h) these are the eigenvalues of D K D, all in N/m.
-
-    Args:
-        stiffness: K, shape=(..., 6, 6).
-        length: characteristic length h, shape=(...) [m].
-
-    Returns:
-        ascending, shape=(..., 6) [N/m].
+    With D = diag(1, 1, 1, 1/h, 1/h, 1/h) these are the eigenvalues of D K D.
 
     Raises:
         InvalidValueError: a length that is not positive.

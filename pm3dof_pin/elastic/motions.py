@@ -63,13 +63,9 @@ class ElasticMotions:
 
 
 def elastic_motions(model: ElasticModel, configuration: Configuration, *, tolerance: float) -> ElasticMotions:
-    """Compute how an elastic mechanism can move at a configuration.
+    """Compute how an elastic mechanism can move at an assembled configuration of its `mechanism`.
 
-    Args:
-        model: the elastic mechanism.
-        configuration: an assembled configuration of its `mechanism`.
-        tolerance: singular values below this times their reference count as zero. The reference is the greatest
-            singular value of the scaled constraint Jacobian.
+    Singular values below the tolerance times the greatest one of the scaled constraint Jacobian count as zero.
 
     Raises:
         InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.

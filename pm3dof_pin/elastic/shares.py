@@ -33,14 +33,9 @@ class SpringShare:
 
 
 def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
-    """Return the share of each spring in the deflection along a wrench.
+    """Return the share of each spring in the deflection along a wrench W at the tool, shape=(..., s), adding up to 1.
 
-    Args:
-        contributions: C_j, shape=(..., s, 6, 6).
-        wrench: W, [f; m] at the tool, shape=(..., 6) [N, N m].
-
-    Returns:
-        shape=(..., s), adding up to 1; NaN where the contributions are NaN, and where no spring gives.
+    NaN where the contributions C_j, shape=(..., s, 6, 6), are NaN, and where no spring gives.
 
     Raises:
         InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.
@@ -52,12 +47,7 @@ def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
 
 
 def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -> list[SpringShare]:
-    """Return the springs of one pose in the order of their share: the first is the critical component.
-
-    Args:
-        names: of the springs, s of them.
-        contributions: C_j, shape=(s, 6, 6).
-        wrench: W at the tool, shape=(6,) [N, N m].
+    """Return the springs of one pose in the order of their :func:`shares`: the first is the critical component.
 
     Raises:
         InvalidValueError: the wrench is not of shape (6,), not finite or zero.
@@ -69,15 +59,7 @@ def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -
 
 
 def stiffness_derivatives(contributions: ArrayLike, stiffnesses: ArrayLike) -> Array:
-    """Return dC / dk_j = -C_j / k_j for springs of one constant each.
-
-    Args:
-        contributions: C_j, shape=(..., s, 6, 6).
-        stiffnesses: k_j, shape=(s,) [N/m or N m/rad].
-
-    Returns:
-        shape=(..., s, 6, 6).
-    """
+    """Return dC / dk_j = -C_j / k_j for springs of one constant each, shape=(..., s, 6, 6)."""
     k = np.asarray(stiffnesses, dtype=float)
     derivatives: Array = -np.asarray(contributions, dtype=float) / k[:, None, None]
     return derivatives

@@ -85,12 +85,7 @@ class AxialSpring:
 
 @dataclass(frozen=True)
 class JointLength:
-    """A length that a joint changes, L = at_zero + q.
-
-    Attributes:
-        joint: a prismatic joint.
-        at_zero: L where the joint stands at zero [m].
-    """
+    """A length that a prismatic joint changes, L = at_zero + q [m]."""
 
     joint: str
     at_zero: float
@@ -262,10 +257,6 @@ SPRING_SCHEMAS: dict[str, type[SpringSchema]] = {
 
 def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tuple[Spring, ...]:
     """Read the `springs` of a closures file. Whether the joints and frames exist is for the mechanism to say.
-
-    Args:
-        entries: :attr:`~pm3dof_pin.description.closures.ClosuresFile.springs`.
-        source: the file, for messages.
 
     Raises:
         DescriptionError: an entry has no name or one that is taken, an unknown type, a key missing or too many, a wrong

@@ -51,11 +51,7 @@ def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None =
 
 
 def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
-    """Return a robot with some springs stiffer or softer.
-
-    Args:
-        robot: a robot with springs.
-        factors: by spring, what all of its stiffness is multiplied by.
+    """Return a robot with all stiffness of some springs, by name, multiplied by factors.
 
     Raises:
         InvalidValueError: there is no spring of a name, or a factor is not positive.
@@ -70,12 +66,7 @@ def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
 
 def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return the entries of springs, as in a closures file, with some of them stiffer or softer.
-
-    Args:
-        springs: the entries.
-        factors: by spring, what all of its stiffness is multiplied by.
-    """
+    """Return the entries of springs, as in a closures file, with those named stiffer by factors."""
     return [
         {
             key: _scaled(value, factors.get(str(entry.get("name")), 1.0)) if key in _STIFFNESSES else value

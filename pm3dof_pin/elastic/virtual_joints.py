@@ -75,11 +75,7 @@ class VirtualJoints:
 
 
 def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> VirtualJoints:
-    """Put the virtual joints of springs into a mechanism.
-
-    Args:
-        mechanism: the rigid mechanism; left as it is.
-        springs: its springs. Those at joints need no virtual joint.
+    """Put the virtual joints of springs into a copy of a mechanism. Springs at joints need none.
 
     Raises:
         FrameNotFoundError: a spring stands at a joint or frame that the mechanism does not have.

@@ -38,12 +38,9 @@ def command_scales(poses: Poses) -> Array:
 
 
 def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
-    """Return the change of commands that undoes most of small pose errors, shape=(n, number of commands).
+    """Return the change of commands that undoes most of small pose errors, shape=(n, 6) [m, rad].
 
-    Args:
-        commands: the tool's motion by the commands, shape=(n, 6, number of commands).
-        differences: pose errors, shape=(n, 6) [m, rad].
-        eta: weight of the orientation [m/rad].
+    The commands move the tool by shape=(n, 6, number of commands); eta weighs the orientation [m/rad].
     """
     weights = tip_weights(eta)
     control = np.asarray(commands, dtype=float) * weights[:, None]
@@ -69,16 +66,10 @@ def _normal_solution(control: Array, wanted: Array) -> tuple[Array, Mask]:
 
 
 def nearest_poses(poses: Poses, wanted: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
-    """Return the poses of a robot that come nearest to wanted ones, in the tip-weighted sense.
-
-    Args:
-        poses: poses of the robot near to the wanted ones.
-        wanted: homogeneous transforms, shape=(n, 4, 4).
-        eta: weight of the orientation [m/rad].
-        on_failure: see :func:`descend`.
+    """Return the poses of a robot that come nearest to wanted transforms, tip-weighted, from poses near to them.
 
     Raises:
-        UnreachablePoseError: see there.
+        UnreachablePoseError: see :func:`descend`.
     """
 
     def residuals(poses: Poses) -> Array:
@@ -103,15 +94,9 @@ def descend(
 ) -> tuple[Array, Poses]:
     """Take Gauss-Newton steps in the commands; where one leads away, as near a singularity, a shorter one or none.
 
-    Args:
-        poses: where to start, the poses at `commands`.
-        commands: shape=(n, number of commands) [m, rad].
-        step: changes of the commands, shape as theirs.
-        residuals: what is to become small, shape=(n, anything).
-        on_failure: whether a step after which the loops do not close is an error ("raise"), or one that leads away.
-
-    Returns:
-        The change of the commands, and the poses there.
+    `step` is the first change of the commands of `poses`, `residuals` what is to become small, shape=(n, anything). A
+    step after which the loops do not close is an error, or ("nan") one that leads away. Returns the change of the
+    commands, and the poses there.
 
     Raises:
         UnreachablePoseError: the loops do not close after a step, and `on_failure` is "raise".

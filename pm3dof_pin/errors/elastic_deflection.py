@@ -32,14 +32,9 @@ class ElasticDeflection:
     large: bool = False
 
     def displacements(self, poses: Poses, wrenches: Array | None = None) -> Matrix:
-        """Return how far the tool gives at each pose, world axes, [translation; rotation vector], shape=(n, 6).
+        """Return how far the tool gives at n poses under dead wrenches [f; m], world axes, shape=(n, 6) [N, N m].
 
-        Args:
-            poses: poses of a robot with springs, of shape (n,).
-            wrenches: dead wrenches [f; m] on the tool, world axes, shape=(n, 6) [N, N m].
-
-        Returns:
-            [m, rad].
+        Displacements are [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
 
         Raises:
             DescriptionError: the robot has no springs, or no tool frame.

@@ -82,14 +82,7 @@ class ErrorBudget:
         return tuple(source.name for source in self.sources)
 
     def select(self, names: Iterable[str]) -> ErrorBudget:
-        """Return the budget of some sources, chosen by name or by class.
-
-        Args:
-            names: of sources or of their classes, such as "geometry_legs", "wrench" or "thermal".
-
-        Raises:
-            InvalidValueError: there is no such source.
-        """
+        """Return the budget of some sources, by name or class ("wrench", "thermal"); InvalidValueError for others."""
         wanted = tuple(names)
         known = {*self.names, *CLASSES}
         for name in wanted:
@@ -156,14 +149,7 @@ class ErrorBudget:
         return [*lines, self._line(TOGETHER, "all", "all sources together", 1.0)]
 
     def least_sensitive(self, part: float = 0.2) -> Mask:
-        """Tell which poses are in the region least sensitive to these sources, shape=(n,).
-
-        Args:
-            part: of all poses, the part with the smallest tip error.
-
-        Raises:
-            InvalidValueError: the part is not in (0, 1].
-        """
+        """Tell which poses are among the part with the smallest tip error by these sources, shape=(n,)."""
         return least_sensitive(self.tip_rms, part)
 
     def _line(self, name: str, error_class: str, long_name: str, share: float) -> BudgetLine:
@@ -225,10 +211,6 @@ def error_budget(
 
 
 def budget_as_data(lines: Sequence[BudgetLine]) -> list[dict[str, Any]]:
-    """Return a budget as plain data; keys end in their unit.
-
-    Args:
-        lines: of :meth:`ErrorBudget.lines`.
-    """
+    """Return the lines of a budget as plain data; keys end in their unit."""
     lengths = ("tip_rms", "greatest_tip_rms", "worst_tip", "left", "energy")
     return [{f"{key}_m" if key in lengths else key: value for key, value in vars(line).items()} for line in lines]

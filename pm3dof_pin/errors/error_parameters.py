@@ -292,12 +292,7 @@ def all_parameters(
 
     A closure point (3d) has three, a closure frame (6d) six. A frame that is a moving link itself has none of its own,
     nor has a joint with six degrees of freedom. Classes: "legs" for what does not carry the tool, "tool_chain" for the
-    joints that do, "platform" for closure frames on them, "tool" for the tool frame.
-
-    Args:
-        robot: the robot.
-        length_tolerance: tolerance of the translations [m].
-        angle_tolerance: tolerance of the rotations [rad].
+    joints that do, "platform" for closure frames on them, "tool" for the tool frame. Tolerances are in m and rad.
     """
     model = robot.model
     carriers = set(model.supports[model.frames[robot.tool_frame_id].parentJoint]) if robot.tool_frame else set()
@@ -381,11 +376,7 @@ def across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, flo
     """Return two unit vectors across the axis of a single-DoF joint, in its own axes.
 
     The first is horizontal where the joint's frame has z up: turning about it changes a guideway's slope, turning about
-    the second its heading.
-
-    Raises:
-        JointNotFoundError: the model has no such joint.
-        InvalidValueError: the joint has several degrees of freedom.
+    the second its heading. For the errors see :meth:`Mechanism.single_joint`.
     """
     along = robot.joint_axis(joint)
     reference = np.array([1.0, 0.0, 0.0] if abs(along[2]) > _NEARLY_PARALLEL else [0.0, 0.0, 1.0])

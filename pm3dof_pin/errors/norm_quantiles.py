@@ -18,15 +18,12 @@ from pm3dof_pin.typing import Array
 
 
 def norm_quantiles(means: Array, covariances: Array, probability: float) -> Array:
-    """Return the lengths that are not exceeded with a probability, shape=(...).
+    """Return the lengths that normal vectors do not exceed with a probability, shape=(...).
 
-    Args:
-        means: m, shape=(..., k).
-        covariances: C, shape=(..., k, k).
-        probability: at least 0.5 and less than 1.
+    Means have shape=(..., k), covariances shape=(..., k, k).
 
     Raises:
-        InvalidValueError: the probability is another one.
+        InvalidValueError: the probability is not at least 0.5 and less than 1.
     """
     if not 0.5 <= probability < 1.0:
         raise InvalidValueError("coverage", probability, "a probability from 0.5 to 1, such as 0.95")

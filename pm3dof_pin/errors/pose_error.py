@@ -19,25 +19,16 @@ TIP_LENGTH = 0.1
 
 
 def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the distance between two positions, (8.16), shape=(...) [m].
-
-    Args:
-        ideal: wanted poses, shape=(..., 4, 4).
-        real: poses reached, shape=(..., 4, 4).
-    """
+    """Return the distance between positions of wanted and reached poses, shape=(..., 4, 4), (8.16), shape=(...) [m]."""
     return np.asarray(np.linalg.norm(_position(real) - _position(ideal), axis=-1))
 
 
 def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return the angle between two orientations, in [0, pi], shape=(...) [rad].
+    """Return the angle between orientations of wanted and reached poses, in [0, pi], shape=(...) [rad].
 
     (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) where there is no error. This is the angle
     of the relative rotation. acos((tr - 1) / 2) would lose half its digits near zero, and 2 asin of the Frobenius norm
     of R - R' near pi; the half angle's sine and cosine together lose none.
-
-    Args:
-        ideal: wanted poses, shape=(..., 4, 4).
-        real: poses reached, shape=(..., 4, 4).
     """
     return np.asarray(np.linalg.norm(pose_difference(ideal, real)[..., 3:], axis=-1))
 
@@ -45,25 +36,15 @@ def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
 def energy(ideal: ArrayLike, real: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     """Return the energy function of the pose error, E = E_xyz + eta E_orientation, (8.15), shape=(...) [m].
 
-    Args:
-        ideal: wanted poses, shape=(..., 4, 4).
-        real: poses reached, shape=(..., 4, 4).
-        eta: weight of the orientation [m/rad]; the chapter leaves its unit out.
+    The chapter leaves out the unit of eta [m/rad].
     """
     return position_error(ideal, real) + _checked_eta(eta) * orientation_error(ideal, real)
 
 
 def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return what moves the wanted pose to the one reached: [translation; rotation vector], world axes.
+    """Return what moves the wanted pose to the one reached, [translation; rotation vector], shape=(..., 6) [m, rad].
 
-    The rotations are composed, R' = exp(rotation vector) R; (8.13) adds increments to Euler angles.
-
-    Args:
-        ideal: wanted poses, shape=(..., 4, 4).
-        real: poses reached, shape=(..., 4, 4).
-
-    Returns:
-        shape=(..., 6) [m, rad].
+    In world axes. The rotations are composed, R' = exp(rotation vector) R; (8.13) adds increments to Euler angles.
     """
     wanted, reached = np.broadcast_arrays(_checked(ideal), _checked(real))
     turn = reached[..., :3, :3] @ np.swapaxes(wanted[..., :3, :3], -1, -2)
@@ -71,12 +52,7 @@ def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
 
 
 def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
-    """Return the pose that a difference leads to, the inverse of :func:`pose_difference`.
-
-    Args:
-        pose: shape=(..., 4, 4).
-        difference: [translation; rotation vector], world axes, shape=(..., 6) [m, rad].
-    """
+    """Return the pose that a difference leads to, shape=(..., 4, 4), the inverse of :func:`pose_difference`."""
     start, step = _checked(pose), np.asarray(difference, dtype=float)
     moved = np.array(np.broadcast_to(start, (*np.broadcast_shapes(start.shape[:-2], step.shape[:-1]), 4, 4)))
     moved[..., :3, :3] = rotation_matrix(step[..., 3:]) @ start[..., :3, :3]
@@ -85,23 +61,15 @@ def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
 
 
 def tip_error(difference: ArrayLike, eta: float = TIP_LENGTH) -> Array:
-    """Return the tip-weighted size of pose differences, sqrt(|translation|^2 + eta^2 |rotation|^2), shape=(...) [m].
+    """Return the size of pose differences, sqrt(|translation|^2 + eta^2 |rotation|^2), shape=(...) [m].
 
-    The smooth companion of (8.15): a quadratic form, so that it can be projected, averaged and fitted.
-
-    Args:
-        difference: shape=(..., 6) [m, rad].
-        eta: weight of the rotation [m/rad].
+    The smooth companion of (8.15): a quadratic form, so that it can be projected, averaged and fitted. eta is in m/rad.
     """
     return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta), axis=-1))
 
 
 def weighted_energy(errors: ArrayLike) -> Array:
-    """Return E of (8.15) of tip-weighted pose errors, shape=(...) [m].
-
-    Args:
-        errors: [translation; eta times rotation vector], shape=(..., 6) [m].
-    """
+    """Return E of (8.15) of [translation; eta times rotation vector], shape=(..., 6) [m]."""
     weighted = np.asarray(errors, dtype=float)
     return np.asarray(np.linalg.norm(weighted[..., :3], axis=-1) + np.linalg.norm(weighted[..., 3:], axis=-1))
 
@@ -112,11 +80,7 @@ def tip_weights(eta: float = TIP_LENGTH) -> Array:
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
-    """Return the rotation vectors of rotation matrices, without loss at small angles and at pi, shape=(..., 3) [rad].
-
-    Args:
-        rotation: shape=(..., 3, 3).
-    """
+    """Return the rotation vectors of rotation matrices, without loss near 0 and pi, shape=(..., 3) [rad]."""
     from scipy.spatial.transform import Rotation  # takes longer to load than all else that commands with one pose need
 
     matrices = np.asarray(rotation, dtype=float)
@@ -124,11 +88,7 @@ def rotation_vector(rotation: ArrayLike) -> Array:
 
 
 def rotation_matrix(vector: ArrayLike) -> Array:
-    """Return the rotation matrices of rotation vectors, shape=(..., 3, 3).
-
-    Args:
-        vector: shape=(..., 3) [rad].
-    """
+    """Return the rotation matrices of rotation vectors, shape=(..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     turns = np.asarray(vector, dtype=float)
@@ -136,11 +96,7 @@ def rotation_matrix(vector: ArrayLike) -> Array:
 
 
 def quaternion(rotation: ArrayLike) -> Array:
-    """Return unit quaternions (w, x, y, z) with w >= 0, shape=(..., 4).
-
-    Args:
-        rotation: shape=(..., 3, 3).
-    """
+    """Return unit quaternions (w, x, y, z) with w >= 0 of rotation matrices, shape=(..., 4)."""
     from scipy.spatial.transform import Rotation
 
     matrices = np.asarray(rotation, dtype=float)
@@ -149,11 +105,7 @@ def quaternion(rotation: ArrayLike) -> Array:
 
 
 def rotation_of_quaternion(quaternions: ArrayLike) -> Array:
-    """Return the rotation matrices of quaternions (w, x, y, z) of any length but zero, shape=(..., 3, 3).
-
-    Args:
-        quaternions: shape=(..., 4).
-    """
+    """Return the rotation matrices of quaternions (w, x, y, z) of any length but zero, shape=(..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     numbers = np.asarray(quaternions, dtype=float)
@@ -162,13 +114,10 @@ def rotation_of_quaternion(quaternions: ArrayLike) -> Array:
 
 
 def rotation_vector_rates(rotation: ArrayLike) -> Array:
-    """Return the derivative of the rotation vector by a further turn in the rotated axes, shape=(..., 3, 3).
+    """Return the derivative of the rotation vector of R by a further turn in the rotated axes, shape=(..., 3, 3).
 
     log(R exp(w)) = log(R) + J w + ..., J = 1 + [a]/2 + (1 - (|a|/2) cot(|a|/2)) / |a|^2 [a]^2 with a = log(R) (F. Bullo
     and R. Murray, 1995).
-
-    Args:
-        rotation: R, shape=(..., 3, 3).
     """
     turn = rotation_vector(rotation)
     half = 0.5 * np.linalg.norm(turn, axis=-1)[..., None, None]
@@ -182,12 +131,9 @@ def rotation_vector_rates(rotation: ArrayLike) -> Array:
 
 
 def chapter_angles(rotation: ArrayLike) -> Array:
-    """Return (psi, theta, phi) of a pose, (8.11): R = Rz(psi) Ry(theta) Rx(phi), shape=(..., 3) [rad].
+    """Return (psi, theta, phi) of a rotation, (8.11): R = Rz(psi) Ry(theta) Rx(phi), shape=(..., 3) [rad].
 
     theta is in [-pi/2, pi/2]. At its ends only psi + phi or psi - phi is determined.
-
-    Args:
-        rotation: shape=(..., 3, 3).
     """
     r = np.asarray(rotation, dtype=float)
     theta = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 2, 1], r[..., 2, 2]))
@@ -199,11 +145,7 @@ def chapter_angles(rotation: ArrayLike) -> Array:
 
 
 def chapter_rotation(angles: ArrayLike) -> Array:
-    """Return Rz(psi) Ry(theta) Rx(phi), shape=(..., 3, 3): (8.12) with entry (3, 1) = -sin(theta).
-
-    Args:
-        angles: (psi, theta, phi), shape=(..., 3) [rad].
-    """
+    """Return Rz(psi) Ry(theta) Rx(phi), shape=(..., 3, 3): (8.12) with entry (3, 1) = -sin(theta)."""
     from scipy.spatial.transform import Rotation
 
     numbers = np.asarray(angles, dtype=float)

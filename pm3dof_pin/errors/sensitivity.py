@@ -111,15 +111,11 @@ def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
 
 
 def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
-    """Return the errors without those with which the loops cannot close.
+    """Return the errors without those with which the loops cannot close, at assembled poses as described.
 
     A planar four-bar with parallel axes cannot close when one axis is tilted: it would bend or bind. Such an error is
     no matter of kinematics. Each parameter is judged by itself; one that moves nothing by itself, such as the turn of a
     rod about its own axis, is judged beside the others as well.
-
-    Args:
-        errors: the parameters.
-        poses: assembled poses of the robot as described.
     """
     loops = _Loops(errors, poses, errors.zeros)
     fitting = errors.without(_names(errors, loops.strains() > RANK_TOLERANCE))
@@ -164,18 +160,10 @@ class _Loops:
         return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
     def followed_rates(self, *, tool_at_rest: bool = True) -> tuple[Array, Array]:
-        """Return the velocities that follow one unit of each drive's coordinate and of each error.
+        """Return the velocities that follow one unit of each drive and error, and what the closures cannot follow.
 
-        And what the loops cannot follow of them.
-
-        Args:
-            tool_at_rest: demand that the tool stands still with the drives.
-
-        Returns:
-            Velocities, shape=(n, nv, drives + errors); scaled closure velocities left open, shape=(n, drives + errors).
-
-        Raises:
-            SingularConfigurationError: the tool can move while all drives stand still, and `tool_at_rest` is demanded.
+        Shapes are (n, nv, drives + errors) and (n, drives + errors). With `tool_at_rest`, SingularConfigurationError is
+        raised where the tool can move while all drives stand still.
         """
         robot, nv = self._robot, self._model.nv
         driven = robot.actuated_indices

@@ -42,22 +42,12 @@ class ThermalGrowth:
     expansion: float = STEEL_EXPANSION
 
     def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
-        """Return how much too far each drive goes, shape=(n, number of actuated joints) [m].
-
-        Args:
-            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
-            temperature_rises: of each screw, shape=(n, number of actuated joints) [K].
-        """
+        """Return how much too far drives go, shape=(n, drives) [m], at coordinates [m] and screws' rises [K]."""
         distance = travels - finite_array("bearings", self.bearings, (travels.shape[1],))
         return self.expansion * temperature_rises * self._integral(distance)
 
     def grown(self, robot: Robot, temperature_rise: float) -> Robot:
-        """Return a robot with grown members.
-
-        Args:
-            robot: the robot.
-            temperature_rise: mean rise [K].
-        """
+        """Return a robot with members grown by a mean rise [K]."""
         if not self.members or temperature_rise == 0.0:
             return robot
         parameters = translation_errors(robot, self.members, "thermal")
@@ -65,11 +55,7 @@ class ThermalGrowth:
         return GeometricErrors(robot, parameters).apply(growth)
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
-        """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K].
-
-        Args:
-            robot: the robot.
-        """
+        """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K]."""
         growth: dict[str, float] = {}
         for place, share in self.members.items():
             placement = _placement_on_body(robot, place)
@@ -97,11 +83,6 @@ class ThermalGrowth:
 
 def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple[GeometricParameter, ...]:
     """Return the translations of joints or frames along their own axes as error parameters, with unit tolerances.
-
-    Args:
-        robot: the robot.
-        places: the joints or frames.
-        group: class of the parameters.
 
     Raises:
         FrameNotFoundError: the robot has no such joint or frame.

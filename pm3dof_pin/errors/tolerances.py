@@ -57,14 +57,8 @@ def equal_contributions(
 ) -> Allocation:
     """Allocate tolerances so that every class adds the same to the mean squared tip error over the map.
 
-    All are then scaled together until the worst pose just meets the target.
-
-    Args:
-        error_map: sensitivities over the workspace.
-        target: greatest tip error allowed at any pose [m].
-        compensated: whether commands are corrected, so that only what they cannot undo counts.
-        weights: see :func:`least_cost`; they do not change the tolerances here, only the cost.
-        coverage: see :func:`least_cost`.
+    All are then scaled together until the worst pose just meets the target. For the arguments see :func:`least_cost`;
+    weights change the cost only.
 
     Raises:
         InvalidValueError: the target or a weight is not positive, the target is no small error, or no such class.

@@ -59,15 +59,9 @@ class Vibration:
     def from_spectrum(
         cls, frequencies: ArrayLike, amplitudes: ArrayLike, *, averaging_time: float = 0.0, drive_sigma: float = 0.0
     ) -> Vibration:
-        """Make a vibration out of lines of a spectrum with random phases.
+        """Make a vibration out of lines [Hz] of a spectrum of the tool, shape=(k, 6) [m, rad], with random phases.
 
-        Averaging over a time T leaves sin(pi f T) / (pi f T) of a line at f.
-
-        Args:
-            frequencies: of the lines, shape=(k,) [Hz].
-            amplitudes: of the tool's displacement at each line, all six in phase, shape=(k, 6) [m, rad].
-            averaging_time: time over which a measurement averages [s].
-            drive_sigma: standard deviation of each drive's coordinate [m, rad].
+        Averaging over a time T [s] leaves sin(pi f T) / (pi f T) of a line at f.
 
         Raises:
             InvalidValueError: lines of different number or that are not finite.
@@ -78,12 +72,7 @@ class Vibration:
         return cls(0.5 * reduced.T @ reduced, drive_sigma)
 
     def tool_displacements(self, poses: Poses, generator: np.random.Generator) -> Matrix:
-        """Draw displacements of the tool, those of the drives left out, shape=(n, 6) [m, rad].
-
-        Args:
-            poses: where the machine stands, of shape (n,).
-            generator: source of the random numbers.
-        """
+        """Draw displacements of the tool at n poses, those of the drives left out, shape=(n, 6) [m, rad]."""
         drawn = correlated_normal(self.tool_covariance, len(poses), generator)
         if self.spectra is not None:
             by_cause = self.covariances_by_cause(poses)
@@ -97,10 +86,7 @@ class Vibration:
         return self.drive_sigma * generator.standard_normal((count, drives))
 
     def covariances_by_cause(self, poses: Poses) -> dict[str, Array]:
-        """Return the covariance of the tool's displacement by each cause that has a spectrum, shape=(n, 6, 6).
-
-        Args:
-            poses: poses of a robot with springs, of shape (n,).
+        """Return the covariance of the tool at n poses by each cause that has a spectrum, shape=(n, 6, 6).
 
         Raises:
             DescriptionError: the robot has no springs, or no tool frame.
@@ -133,10 +119,7 @@ class Vibration:
 def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Matrix:
     """Return the integrals of G Re(H_r H_s*) over all frequencies, shape=(k, k) [unit^2 s^4].
 
-    Args:
-        omegas: angular frequencies of the modes, shape=(k,) [rad/s].
-        damping: zeta of all modes, more than 0 and less than 1.
-        spectrum: G [unit^2/Hz].
+    H are the modes of angular frequencies `omegas` [rad/s] and damping zeta, G the spectrum [unit^2/Hz].
     """
     turn = np.sqrt(1.0 - damping**2)
     own = np.stack([omegas * (1j * damping + turn), omegas * (1j * damping - turn)])  # poles of H, shape=(2, k)
@@ -155,11 +138,7 @@ def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Mat
 
 
 def correlated_normal(covariance: ArrayLike, count: int, generator: np.random.Generator) -> Matrix:
-    """Draw normal vectors of a covariance that may be singular, shape=(count, k).
-
-    Raises:
-        InvalidValueError: the covariance is not symmetric and positive semidefinite.
-    """
+    """Draw normal vectors, shape=(count, k), of a covariance as :func:`covariance_root` takes."""
     root = covariance_root(np.asarray(covariance, dtype=float))
     draws: Matrix = generator.standard_normal((count, len(root))) @ root.T
     return draws

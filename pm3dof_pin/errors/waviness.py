@@ -15,13 +15,7 @@ from pm3dof_pin.typing import Array
 
 @dataclass(frozen=True)
 class Wave:
-    """One harmonic of a guideway's or screw's error along its travel.
-
-    Attributes:
-        amplitude: half of its height [m].
-        length: its wavelength [m].
-        phase: its phase where the drive's joint has coordinate 0 [rad].
-    """
+    """One harmonic of a guideway's or screw's error along its travel [m], its phase [rad] at joint coordinate 0."""
 
     amplitude: float
     length: float
@@ -48,11 +42,7 @@ class GuideWaviness:
     straightness: tuple[tuple[tuple[Wave, ...], tuple[Wave, ...]], ...] = ()
 
     def travel_errors(self, travels: Array) -> Array:
-        """Return how much farther each drive stands than its command says, shape=(n, number of actuated joints) [m].
-
-        Args:
-            travels: wanted coordinates of the actuated joints, shape=(n, number of actuated joints) [m].
-        """
+        """Return how much farther drives stand than their joint coordinates say, shape=(n, drives) [m]."""
         _check_count("pitch", self.pitch, travels.shape[1])
         errors = np.zeros_like(travels)
         for drive, waves in enumerate(self.pitch):
@@ -60,11 +50,7 @@ class GuideWaviness:
         return errors
 
     def offsets(self, travels: Array) -> Array:
-        """Return how far each carriage stands beside its line, shape=(n, number of actuated joints, 2) [m].
-
-        Args:
-            travels: see :meth:`travel_errors`.
-        """
+        """Return how far carriages stand beside their lines at joint coordinates, shape=(n, drives, 2) [m]."""
         offsets = np.zeros((*travels.shape, 2))
         if self.straightness:
             _check_count("straightness", self.straightness, travels.shape[1])
@@ -83,15 +69,7 @@ class GuideWaviness:
         straightness_amplitude: float = 3e-6,
         lengths: Sequence[float] = (0.12, 0.05, 0.02),
     ) -> GuideWaviness:
-        """Draw waves of given lengths with random phases and amplitudes.
-
-        Args:
-            drives: number of actuated joints.
-            generator: source of the random numbers.
-            pitch_amplitude: standard deviation of the waves along the drive [m].
-            straightness_amplitude: standard deviation of the waves across it [m].
-            lengths: wavelengths [m].
-        """
+        """Draw waves of lengths [m] with random phases; amplitudes along and across are standard deviations [m]."""
 
         def waves(amplitude: float) -> tuple[Wave, ...]:
             return tuple(
@@ -106,14 +84,7 @@ class GuideWaviness:
 
 
 def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:
-    """Return how far the carriage of each drive stands beside its guideway, in the two directions across it.
-
-    Args:
-        robot: the robot.
-
-    Returns:
-        Two error parameters for each actuated joint, with unit tolerances.
-    """
+    """Return two error parameters of unit tolerance a drive: its carriage beside the guideway, in both directions."""
     return tuple(
         GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
         for joint in robot.actuated_joints

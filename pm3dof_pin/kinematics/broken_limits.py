@@ -46,12 +46,7 @@ def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimi
 
 
 def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
-    """Return how the limits of an entry of q are read: unit, scale and offset, reading = scale * q + offset.
-
-    Args:
-        robot: the robot.
-        name: the entry, one of :attr:`q_names <pm3dof_pin.mechanism.mechanism.Mechanism>`.
-    """
+    """Return unit, scale and offset of the limits of an entry of q, by name: reading = scale * q + offset."""
     if not robot.model.existJointName(name):  # one entry of a joint with several
         return "rad", 1.0, 0.0
     for reading in (*robot.command_coordinates, *robot.coordinates):

@@ -23,17 +23,9 @@ _LONGEST_LEG = 0.25  # of the way to a far pose, so that no other assembly mode 
 def close_all(
     mechanism: Mechanism, home: Vector, coordinates: tuple[Coordinate, ...], targets: Matrix, starts: Matrix | None
 ) -> tuple[Matrix, Vector]:
-    """Find configurations with closed loops at which coordinates have their target values.
+    """Find closed configurations with coordinates at targets, from starts or by walks from home.
 
-    Args:
-        mechanism: the mechanism.
-        home: its home configuration, shape=(nq,).
-        coordinates: the coordinates.
-        targets: their values, shape=(n, number of coordinates) [m, rad].
-        starts: configurations to start from, shape=(n, nq); without them poses are walked to from home.
-
-    Returns:
-        q, NaN where none was found, shape=(n, nq); and what was left of the errors there, shape=(n,) [m, rad].
+    Returns q, shape=(n, nq), NaN where none was found, and what was left of the errors there, shape=(n,) [m, rad].
     """
     q = np.array(np.broadcast_to(home, (len(targets), mechanism.model.nq)) if starts is None else starts)
     residuals = np.zeros(len(targets))

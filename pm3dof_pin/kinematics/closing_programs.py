@@ -28,12 +28,7 @@ def program_source(robot: Robot) -> ProgramSource:
 
 
 class BoundProgram(NamedTuple):
-    """A compiled program with the parameters of one robot.
-
-    Attributes:
-        compiled: the program as machine code.
-        parameters: geometry and limits of the robot.
-    """
+    """A compiled program with the geometry and limits of one robot."""
 
     compiled: Compiled
     parameters: Vector
@@ -71,11 +66,7 @@ class ProgramSource:
 
     @cached_property
     def samples(self) -> Matrix:
-        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.samples.samples_near`.
-
-        Raises:
-            ConvergenceError: no closed configurations were found near home.
-        """
+        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.samples.samples_near`."""
         return samples_near(self._robot, self._robot.home.q)
 
     def serves(self, robot: Robot) -> bool:
@@ -83,12 +74,7 @@ class ProgramSource:
         return robot is self._robot or geometry.structure(robot) == self._structure
 
     def step(self, robot: Robot, task: Task, *, damped: bool = False) -> BoundProgram:
-        """Return a step that closes the loops, see :func:`~pm3dof_pin.programs.closing.closing_program`.
-
-        Args:
-            robot: the robot or a variant.
-            task: what is given when loops are closed.
-            damped: whether the step is a damped one.
+        """Return a step, damped or not, that closes the loops of the robot or a variant.
 
         Raises:
             ProgramError: there is no program for the robot, or it does not agree with Pinocchio.

@@ -147,12 +147,7 @@ class Continuation:
     # walking
 
     def walk(self, targets: Matrix, starts: Matrix | None = None) -> Solution:
-        """Find the poses at values of the coordinates, each by a walk of its own.
-
-        Args:
-            targets: values of the coordinates, shape=(n, number of coordinates) [m, rad].
-            starts: closed configurations to start from, shape=(n, nq); home by default.
-        """
+        """Find the poses at targets [m, rad], each by a walk of its own from its start, by default home."""
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
         for first in range(0, len(q), _AT_ONCE):
@@ -241,15 +236,10 @@ class Continuation:
     # marching
 
     def march(self, grid: Grid, threads: int | None = None) -> Solution:
-        """Find the poses of a product grid.
+        """Find the poses of a product grid, flat, in the order of `grid.values`.
 
-        Args:
-            grid: a grid over the coordinates. Poses depend on the whole of it: a part of a grid marched alone may
-                differ in the last digits, since its poses start from other neighbours.
-            threads: number of threads at most; the number of processors by default.
-
-        Returns:
-            The poses in the order of `grid.values`, flat.
+        Poses depend on the whole of it: a part of a grid marched alone may differ in the last digits, since its poses
+        start from other neighbours.
         """
         shape, values = grid.shape, np.reshape(grid.values, (*grid.shape, -1))
         names = [coordinate.name for coordinate in self._coordinates]
@@ -416,11 +406,9 @@ def _solved_neighbours(q: Array) -> Array:
 
 @lru_cache(maxsize=64)  # the parts of a grid have axes in common
 def _shares(values: bytes) -> Matrix:
-    """Return how a polynomial through the points before it predicts each point of an axis.
+    """Return minus the weights by which a polynomial through the points before it predicts each, shape=(n, HISTORY).
 
-    Returns:
-        Minus the weights of the second to last point before it, the third to last and so on, shape=(n, HISTORY). Zeros
-        for points that are not there, and wherever the points are too unequal for a polynomial.
+    Zeros for points that are not there, and wherever the points are too unequal for a polynomial.
     """
     axis = np.frombuffer(values)
     shares = np.zeros((len(axis), HISTORY))

@@ -55,14 +55,7 @@ class RankDecision:
 
 
 def null_space(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> tuple[Matrix, RankDecision]:
-    """Compute a basis Z of the degrees of freedom, G Z = 0.
-
-    Args:
-        configuration: an assembled configuration.
-        tolerance: singular values of G below this times the greatest one count as zero.
-
-    Returns:
-        Z, shape=(nv, nv - rank), orthonormal in scaled numbers; and how the rank of G was decided.
+    """Compute a basis Z, G Z = 0, orthonormal in scaled numbers; and how the rank of G was decided.
 
     Raises:
         InvalidValueError: the loops are not closed.

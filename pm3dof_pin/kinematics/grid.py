@@ -36,12 +36,7 @@ class Grid:
     fixed: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        """Check names and values.
-
-        Raises:
-            InvalidValueError: a coordinate that the robot does not have, one without a value, or values that are not
-                finite numbers in one dimension.
-        """
+        """Check names and values."""
         names = tuple(coordinate.name for coordinate in self.coordinates)
         for name, value in {**self.axes, **self.fixed}.items():
             values: Array = np.asarray(value)

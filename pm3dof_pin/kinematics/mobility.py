@@ -78,12 +78,8 @@ def instantaneous_mobility(configuration: Configuration, *, tolerance: float = R
 def generic_configuration(configuration: Configuration, *, distance: float = 0.1, seed: int = 0) -> Configuration:
     """Find an assembled configuration near by at which, with probability one, nothing is singular.
 
-    Every joint is moved at random and the loops are closed again. Joint limits are not checked.
-
-    Args:
-        configuration: where to start.
-        distance: how far each joint is moved at most [rad, characteristic lengths]; less where the loops do not close.
-        seed: seed of the random motion.
+    Every joint is moved at random, by `distance` at most [rad, characteristic lengths], and the loops are closed again.
+    Joint limits are not checked.
 
     Raises:
         ConvergenceError: the loops did not close anywhere near.

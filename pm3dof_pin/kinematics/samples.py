@@ -16,14 +16,9 @@ _TRIALS = 10
 
 
 def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
-    """Find closed configurations near home, and home itself first. Home alone would mislead where it is singular.
+    """Find closed configurations near home, home itself first. Home alone would mislead where it is singular.
 
-    Args:
-        mechanism: the mechanism.
-        home: its home configuration, shape=(nq,).
-
-    Returns:
-        shape=(s, nq), s = 9, or 8 if the loops are not closed at home; the same ones every time.
+    The same ones every time, shape=(9, nq), or (8, nq) if the loops are not closed at home.
 
     Raises:
         ConvergenceError: the loops do not close there.

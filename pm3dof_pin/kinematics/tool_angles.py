@@ -21,11 +21,7 @@ def rotation_of_angles(angles: ArrayLike) -> Array:
 
 
 def angles_of_rotation(rotation: ArrayLike) -> Array:
-    """Return rx, ry, rz of rotations, shape=(..., 3) [rad]; ry in [-pi/2, pi/2], at its ends rx and rz not unique.
-
-    Args:
-        rotation: R, shape=(..., 3, 3).
-    """
+    """Return rx, ry, rz of rotations, shape=(..., 3) [rad]; ry in [-pi/2, pi/2], at its ends rx and rz not unique."""
     r = np.asarray(rotation, dtype=float)
     ry = np.arctan2(r[..., 0, 2], np.hypot(r[..., 0, 0], r[..., 0, 1]))
     rx = np.arctan2(-r[..., 1, 2], r[..., 2, 2])

@@ -14,18 +14,9 @@ _MARGIN = 0.5  # how far beyond its range a number may be in the other unit, as 
 
 
 def other_unit(values: ArrayLike, unit: str, lower: float, upper: float) -> str:
-    """Tell which unit numbers seem to be in, if not in the one expected.
+    """Return "millimetres" or "degrees" if numbers [m, rad] seem to be in these; else nothing.
 
     Numbers are suspected if all of them are far beyond the range, and would be near it in the other unit.
-
-    Args:
-        values: of one coordinate [m, rad].
-        unit: "m" or "rad".
-        lower: least value that the robot declares [m, rad].
-        upper: greatest value.
-
-    Returns:
-        "millimetres", "degrees", or nothing.
     """
     numbers = np.asarray(values, dtype=float)
     numbers = numbers[np.isfinite(numbers) & (numbers != 0.0)]

@@ -68,7 +68,7 @@ def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
 
 
 def _outermost_radii(space: LimitSpace, outward: Array, rays: Array, radii: Array) -> Array:
-    """Return the points (radius, azimuth, level) of least and greatest first, then second coordinate, (4, 3)."""
+    """Radius at which the best ray of each crosses the boundary near its start radius, shape=(m, k); else NaN."""
     count = rays.shape[1]
     samples = np.repeat(radii[:, None] + space.ray_step * np.arange(-3.0, 4.0), count, axis=0)
     azimuths, levels = rays.reshape(-1, 2).T

@@ -40,11 +40,7 @@ class Instrument:
     target_sigma: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the noise.
-
-        Raises:
-            InvalidValueError: a noise is not positive.
-        """
+        """Check the noise."""
         for name, sigma in (("position_sigma", self.position_sigma), ("angle_sigma", self.angle_sigma)):
             if not (np.isfinite(sigma) and sigma > 0.0):
                 raise InvalidValueError(name, sigma, "a positive number")
@@ -53,15 +49,10 @@ class Instrument:
     def with_targets(
         cls, sigma: float = TARGET_SIGMA, count: int = TARGET_COUNT, radius: float = TARGET_RADIUS
     ) -> Instrument:
-        """Return a tracker that sees targets evenly on a circle about the tool point.
+        """Return a tracker of a noise [m] that sees targets evenly on a circle of a radius [m] about the tool point.
 
         The centre of n targets is known n^(1/2) times better than one of them, the orientation about an axis in the
         plane of the circle to sigma / (radius (n / 2)^(1/2)), about its normal better still, which is not made use of.
-
-        Args:
-            sigma: noise of each coordinate of a target [m].
-            count: number of targets, at least 3.
-            radius: radius of the circle [m].
 
         Raises:
             InvalidValueError: fewer than 3 targets, or a size or noise that is not positive.

@@ -73,12 +73,7 @@ class Measurements:
     partners: Indices | None = None
 
     def __post_init__(self) -> None:
-        """Check shapes and numbers.
-
-        Raises:
-            InvalidValueError: arrays that do not fit each other, numbers that are not finite, noise that is not
-                positive.
-        """
+        """Check shapes, finite numbers and positive noise."""
         n = len(self.commands)
         if not self.lines:
             object.__setattr__(self, "lines", tuple(range(2, n + 2)))

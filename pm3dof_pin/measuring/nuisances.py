@@ -74,22 +74,13 @@ class Nuisance(Protocol):
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k).
 
-        Args:
-            measurements: the rows.
-            poses: of the machine, one for each row.
-            drives: motion of the tool by the joints of the drives, shape=(n, 6, number of commands).
+        Poses are the machine's at each row; `drives` the motion of the tool by the joints of the drives, shape=(n, 6,
+        commands).
         """
         ...
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """Return what would have been measured without it.
-
-        Args:
-            measurements: the rows.
-            poses: of the machine, one for each row.
-            drives: as above.
-            values: the parameters, shape=(k,) [m, rad].
-        """
+        """Return measurements without what parameters of some values, shape=(k,) [m, rad], did; see :meth:`motions`."""
         ...
 
 
@@ -257,11 +248,7 @@ class Hysteresis:
 
 
 class Nuisances:
-    """All nuisance parameters of some measurements, in one row. Not to be changed once made.
-
-    Args:
-        parts: the kinds there are.
-    """
+    """All nuisance parameters of some measurements, by kind, in one row. Not to be changed once made."""
 
     def __init__(self, parts: tuple[Nuisance, ...] = ()) -> None:
         self.parts = parts
@@ -272,12 +259,7 @@ class Nuisances:
 
     @classmethod
     def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
-        """Return what measurements depend on, as they say themselves.
-
-        Args:
-            measurements: the measurements.
-            drive_units: "m" or "rad" of each drive's joint.
-        """
+        """Return what measurements depend on, as they say themselves; drives have units "m" or "rad" each."""
         parts: list[Nuisance] = []
         if measurements.registration is not None:
             parts.append(InstrumentFrame())
@@ -320,25 +302,12 @@ class Nuisances:
         return found
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, number of parameters).
-
-        Args:
-            measurements: the rows.
-            poses: of the machine, one for each row.
-            drives: motion of the tool by the joints of the drives, shape=(n, 6, number of commands).
-        """
+        """Return the motion of the tool by all parameters, shape=(n, 6, k); see :meth:`Nuisance.motions`."""
         blocks = [part.motions(measurements, poses, drives) for part in self.parts]
         return np.concatenate([np.zeros((len(measurements), 6, 0)), *blocks], axis=2)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """Return what would have been measured without any of it.
-
-        Args:
-            measurements: the rows.
-            poses: of the machine, one for each row.
-            drives: as above.
-            values: the parameters, shape=(number of parameters,) [m, rad].
-        """
+        """Return measurements without what all of it did; see :meth:`Nuisance.removed`."""
         ends = np.cumsum([len(part.names) for part in self.parts])
         for part, own in zip(self.parts, np.split(values, ends[:-1]) if self.parts else (), strict=True):
             measurements = part.removed(measurements, poses, drives, own)
@@ -346,11 +315,7 @@ class Nuisances:
 
 
 def _rigid_motions(poses: Poses) -> Array:
-    """Return how the tool moves with a twist [v; omega] of everything, at the base's origin, shape=(n, 6, 6).
-
-    Args:
-        poses: n poses.
-    """
+    """Return how the tool moves with a twist [v; omega] of everything at the base's origin, shape=(n, 6, 6)."""
     motions = np.tile(np.eye(6), (len(poses), 1, 1))
     x, y, z = poses.positions.T
     motions[:, 0, 4], motions[:, 0, 5] = z, -y
@@ -360,11 +325,7 @@ def _rigid_motions(poses: Poses) -> Array:
 
 
 def datum_motions(poses: Poses) -> Array:
-    """Return how the tool moves with its base, then with its place on its last link, shape=(n, 6, 12).
-
-    Args:
-        poses: n poses.
-    """
+    """Return how the tool moves at n poses with its base, then with its place on its last link, shape=(n, 6, 12)."""
     own = np.zeros((len(poses), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = poses.rotations
     return np.concatenate([_rigid_motions(poses), own], axis=2)

@@ -47,11 +47,7 @@ class Registration:
         return transform
 
     def moved(self, twist: Array) -> Registration:
-        """Return the registration whose base stands elsewhere.
-
-        Args:
-            twist: where it is in the axes of this base, [translation; rotation vector], shape=(6,) [m, rad].
-        """
+        """Return the registration whose base stands at a [translation; rotation vector] in this base [m, rad]."""
         turn = rotation_matrix(twist[3:]).T
         return Registration(turn @ self.rotation, turn @ (self.translation - twist[:3]), self.residual)
 

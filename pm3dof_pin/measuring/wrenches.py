@@ -25,13 +25,7 @@ def is_wrench(column: str) -> bool:
 
 
 def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: int) -> Array | None:
-    """Return the wrenches that columns stand for, shape=(count, 6) [N, N m]; None if no column is part of one.
-
-    Args:
-        conditions: temperatures and loads by the name of their column, shape=(count,) or one number each.
-        robot: the robot, for the direction of weights.
-        count: number of poses.
-    """
+    """Return the wrenches, shape=(count, 6) [N, N m], that conditions by column stand for; None without any."""
     if not any(is_wrench(name) for name in conditions):
         return None
     wrenches = np.zeros((count, 6))
@@ -45,13 +39,7 @@ def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: in
 
 
 def without_deflections(measurements: Measurements, poses: Poses, displacements: Array) -> Measurements:
-    """Return what would have been measured without the wrenches; their columns are gone.
-
-    Args:
-        measurements: what was measured under wrenches.
-        poses: of the machine without wrenches, at the commands of the measurements.
-        displacements: of the tool under them, [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
-    """
+    """Return measurements less displacements [translation; rotation vector] of unloaded poses, without wrenches."""
     turns = rotation_matrix(displacements[:, 3:])
     offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
     moved = displacements[:, :3] + np.einsum("nij,nj->ni", turns, offsets) - offsets

@@ -40,17 +40,11 @@ def c99(
     descriptions: Mapping[str, str] | None = None,
     parameters: ArrayLike | None = None,
 ) -> str:
-    """Print a program as one C function without loops, allocation or state.
+    """Print a program as one C function without loops, allocation or state, and a table of parameters if given.
 
-    Args:
-        program: the program; the function has its name.
-        summary: what the function computes, one sentence or more.
-        descriptions: what an input, a parameter or a group of outputs is, with its unit, by name, for the comment.
-        parameters: values of the parameters, shape=(number of parameters,), printed as a table beside the function.
-
-    Returns:
-        A source file with ``void name(const double *x, const double *p, double *y)``: inputs x, parameters p, outputs
-        y, which may be the same array as x; and the table ``name_parameters`` if there are values.
+    ``void name(const double *x, const double *p, double *y)`` has inputs x, parameters p and outputs y, which may be
+    the same array as x; ``name_parameters`` are the values. The comment has a summary and descriptions by name, with
+    units.
 
     Raises:
         InvalidValueError: there are not as many values as parameters.

@@ -45,15 +45,9 @@ def structure(mechanism: Mechanism) -> str:
 
 
 def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float]:
-    """Collect the geometry of a mechanism by name.
+    """Collect the geometry of a mechanism by name: placements of joints and frames, axes, and limits with a tolerance.
 
-    Args:
-        mechanism: the mechanism.
-        frames: frames besides those of the closures and the tool.
-
-    Returns:
-        Entries of the placements of joints and frames and of axes, rounded as said above; and the limits, widened by
-        the tolerance; in a fixed order.
+    Frames are those of the closures and the tool, and others named; numbers are rounded as said above.
     """
     model = mechanism.model
     found: dict[str, float] = {}
@@ -73,12 +67,7 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
 
 
 def values(mechanism: Mechanism, names: Iterable[str], constants: Mapping[str, float] | None = None) -> NDArray[Any]:
-    """Collect the values of a program's parameters.
-
-    Args:
-        mechanism: a mechanism of the program's structure.
-        names: the program's parameters.
-        constants: entries that are constants of the program, to be checked.
+    """Collect the values of a program's parameters of a mechanism, checking its constants.
 
     Raises:
         ProgramError: the mechanism lacks a number, or has another where the program has a constant.
@@ -106,14 +95,7 @@ def share_constants(first: Mapping[str, float], second: Mapping[str, float]) -> 
 
 
 class Geometry:
-    """The geometry of one mechanism, as constants and parameters of a graph.
-
-    Args:
-        graph: the graph.
-        mechanism: the mechanism.
-        frames: frames besides those of the closures and the tool.
-        dense: whether every entry is a parameter.
-    """
+    """The geometry of one mechanism, as constants and parameters of a graph; all are parameters if `dense`."""
 
     def __init__(self, graph: Graph, mechanism: Mechanism, frames: Iterable[str] = (), *, dense: bool = False) -> None:
         self._graph = graph

@@ -40,11 +40,7 @@ class Graph:
         return len(self._values)
 
     def input(self, name: str, samples: ArrayLike) -> Number:
-        """Add an input, which every pose has its own of.
-
-        Args:
-            name: a name no other input or parameter has.
-            samples: its values at the sample poses, shape=(s,), s the same for all inputs.
+        """Add an input, which every pose has its own of, with its values at the sample poses, shape=(s,).
 
         Raises:
             InvalidValueError: the name is taken, or the number of samples differs.
@@ -60,15 +56,7 @@ class Graph:
         return number
 
     def parameter(self, name: str, value: float) -> Number:
-        """Add a parameter, which all poses of a call share.
-
-        Args:
-            name: a name no other input or parameter has.
-            value: its value at the sample poses; at run time it may have any other.
-
-        Raises:
-            InvalidValueError: the name is taken.
-        """
+        """Add a parameter, which all poses of a call share, by its value at the samples; InvalidValueError if taken."""
         self._parameters[name] = number = self._leaf(name)
         self._constant_samples(number, np.float64(value))
         return number
@@ -84,12 +72,9 @@ class Graph:
         return found
 
     def program(self, name: str, outputs: Mapping[str, ArrayLike | Number]) -> Program:
-        """Finish: return what the outputs need, and nothing else.
+        """Finish: return what the outputs, arrays or nested lists of numbers by group, need, and nothing else.
 
-        Args:
-            name: name of the program, an identifier.
-            outputs: groups of numbers: a number, or an array or nested list of numbers, floats among them allowed.
-                All inputs and parameters stay arguments, in the order they were added.
+        All inputs and parameters stay arguments, in the order they were added.
 
         Raises:
             InvalidValueError: an output is not a number of this graph.

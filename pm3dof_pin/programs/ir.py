@@ -9,13 +9,7 @@ from pm3dof_pin.programs.vector_ir import VectorText
 
 
 class StraightLine(VectorText):
-    """A module with the functions `prepare`, which fills the table of what all poses share, and `line`, for a block.
-
-    Args:
-        program: the program.
-        lanes: see :class:`VectorText`.
-        opaque_pointers: see there.
-    """
+    """A module with `prepare`, which fills the table of what all poses share, and `line`, for a block."""
 
     def __init__(self, program: Program, lanes: int, opaque_pointers: bool) -> None:
         super().__init__(lanes, opaque_pointers)
@@ -46,13 +40,7 @@ class StraightLine(VectorText):
         return places
 
     def straight(self, numbers: Iterable[int], value: Callable[[int], str], keep: Callable[[int, str], None]) -> None:
-        """Emit the lines of these numbers.
-
-        Args:
-            numbers: numbers of the values to make, ascending.
-            value: gives the name that a value has, emitting what it takes to have it.
-            keep: told the name of every value made.
-        """
+        """Emit the lines of ascending numbers, `value` giving the name of each, `keep` being told of every one made."""
         angles: dict[int, tuple[str, str]] = {}
         for number in numbers:
             operation, operands = self.program.lines[number - self.program.first_line]

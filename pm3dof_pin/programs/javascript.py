@@ -32,15 +32,10 @@ _EXPRESSIONS = {
 
 
 def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
-    """Print a program as one function of JavaScript that reads and writes arrays of double-precision numbers.
+    """Print a program as one JavaScript function of arrays of double-precision numbers.
 
-    Args:
-        program: the program; the function has its name.
-        parameters: values of its parameters, shape=(number of parameters,), to be written into the function; without
-            them it takes them as an array.
-
-    Returns:
-        `function name(x, y)`, or `function name(x, p, y)` without values: inputs x, parameters p, outputs y.
+    `function name(x, y)` with the values of its parameters in it, or `function name(x, p, y)` without: inputs x,
+    parameters p, outputs y.
 
     Raises:
         InvalidValueError: there are not as many values as parameters.

@@ -33,12 +33,7 @@ def cross(a: Sequence[Scalar] | Objects, b: Sequence[Scalar] | Objects) -> Objec
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A placement in the world.
-
-    Attributes:
-        rotation: shape=(3, 3).
-        translation: shape=(3,) [m].
-    """
+    """A placement in the world, translation in m."""
 
     rotation: Objects
     translation: Objects
@@ -74,11 +69,7 @@ _NO_ROTATION = objects(np.eye(3).tolist())
 
 @dataclass(frozen=True, eq=False)
 class Revolute:
-    """A joint that turns about an axis.
-
-    Attributes:
-        axis: unit vector.
-    """
+    """A joint that turns about an axis, a unit vector."""
 
     axis: Objects
     nq = 1
@@ -114,11 +105,7 @@ class _Continuous(Revolute):
 
 @dataclass(frozen=True, eq=False)
 class _Prismatic:
-    """A joint that slides along an axis.
-
-    Attributes:
-        axis: unit vector.
-    """
+    """A joint that slides along an axis, a unit vector."""
 
     axis: Objects
     nq = 1
@@ -218,14 +205,7 @@ Joint: TypeAlias = "Revolute | _Prismatic | Spherical | FreeFlyer | Planar"
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """A simple joint in the chain that makes up one of Pinocchio's joints.
-
-    Attributes:
-        placement: where it is fixed on the body before it.
-        joint: the simple joint.
-        q_index: its first index in q.
-        v_index: its first index in v.
-    """
+    """A simple joint, fixed at a placement, in the chain of one of Pinocchio's; indices are the first ones."""
 
     placement: Placement
     joint: Joint
@@ -234,16 +214,7 @@ class ChainJoint:
 
 
 def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[ChainJoint]:
-    """Yield the chain of simple joints that one of Pinocchio's joints is.
-
-    Args:
-        model: the tree.
-        index: the joint.
-        geometry: the model's numbers.
-
-    Raises:
-        ProgramError: there is no program for joints of this type.
-    """
+    """Yield the chain of simple joints that one of Pinocchio's joints is; ProgramError for unknown types."""
     name = model.names[index]
     first = _placement(geometry, name)
     yield from _links(name, model.joints[index], first, geometry)

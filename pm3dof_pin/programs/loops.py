@@ -38,12 +38,7 @@ class Equations:
 
 
 def closure_equations(tree: Tree, index: int) -> Equations:
-    """Return the equations of a loop closure.
-
-    Args:
-        tree: the traced tree.
-        index: position of the closure in the mechanism's closures.
-    """
+    """Return the equations of the loop closure at a position of the mechanism's."""
     loop = tree.mechanism.closures[index]
     a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
     support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
@@ -92,15 +87,10 @@ def swing(tree: Tree, index: int) -> tuple[Scalar, Scalar]:
 
 
 def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Equations:
-    """Return the equations that put components of the tool's pose at targets.
+    """Return the equations that put components of the tool's pose at targets, by name.
 
-    With all three of rx, ry, rz the orientation is compared as a whole, which has no singularity in the error; with
-    fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
-
-    Args:
-        tree: the traced tree.
-        components: some of x, y, z, rx, ry, rz; or of the entries p0..p2 and R00..R22 of a placement, all nine of R.
-        targets: the targets by component.
+    With all three of rx, ry, rz, or a placement's p0..p2 and R00..R22, the orientation is compared as a whole, which
+    has no singularity in the error; with fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
     """
     name = tree.mechanism.tool_frame
     assert name is not None

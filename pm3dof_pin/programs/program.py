@@ -131,11 +131,7 @@ class Program:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Program:
-        """Read a program from its `content`.
-
-        Raises:
-            InvalidValueError: the bytes are not a program of this version.
-        """
+        """Read a program from its `content`; InvalidValueError for bytes of another version."""
         try:
             head, body = content.split(b"\n", 1)
             header = json.loads(head)
@@ -164,15 +160,7 @@ class Program:
             raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
 
     def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> NDArray[np.float64]:
-        """Run the program with NumPy, one operation after the other: slow, and the reference for the printers.
-
-        Args:
-            inputs: shape=(n, number of inputs).
-            parameters: shape=(number of parameters,).
-
-        Returns:
-            Outputs, shape=(n, number of outputs).
-        """
+        """Run the program at n poses with NumPy, operation by operation: slow, and the reference for the printers."""
         rows = np.asarray(inputs, dtype=float)
         values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=float), *map(np.float64, self.constants)]
         with np.errstate(all="ignore"):

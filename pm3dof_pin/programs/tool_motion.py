@@ -43,12 +43,7 @@ DROPPED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """A joint rate or a source.
-
-    Attributes:
-        screw: the motion at unit rate.
-        frames: frames that it moves, among those of the closures and the frame examined.
-    """
+    """The screw at unit rate of a joint or source, and which frames of closures and the one examined it moves."""
 
     screw: Screw
     frames: frozenset[str]
@@ -130,12 +125,7 @@ def branches(
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A rate that is given and that the frame's twist shows.
-
-    Attributes:
-        row: what it is of the twist [v; omega], shape=(6,).
-        is_length: whether it is a velocity.
-    """
+    """A rate that is given and that the frame's twist [v; omega] shows by a row, shape=(6,); a velocity, or angular."""
 
     row: Objects
     is_length: bool

@@ -49,15 +49,7 @@ _SIGN = 1 << 63
 
 
 class VectorText:
-    """Text of a module under construction, with vectors of as many numbers as lanes.
-
-    Args:
-        lanes: poses computed at once, a power of two.
-        opaque_pointers: whether pointers are spelt without their type, as LLVM 17 and later want it.
-
-    Attributes:
-        lines: the text so far.
-    """
+    """Text of a module under construction, with vectors of as many numbers as lanes, the poses computed at once."""
 
     def __init__(self, lanes: int, opaque_pointers: bool) -> None:
         self.lanes = lanes

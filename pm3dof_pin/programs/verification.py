@@ -28,11 +28,6 @@ def verify(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> 
     Frames of the closures and the tool are compared at random configurations, closed or not; the derivatives of the
     closures' errors at the samples, where the loops are closed.
 
-    Args:
-        mechanism: the mechanism.
-        samples: closed configurations, shape=(s, nq).
-        dense: see :mod:`pm3dof_pin.programs.geometry`.
-
     Raises:
         ProgramError: a difference is over :data:`TOLERANCE`, or a joint has a type for which there is no program.
     """

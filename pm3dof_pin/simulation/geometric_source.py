@@ -21,9 +21,5 @@ class GeometricSource:
     values: Vector
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidValueError: they are not finite numbers of the right shape.
-        """
+        """Check the values."""
         self.errors.values(self.values)

@@ -217,12 +217,7 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
 
 
 def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
-    """Return waves without those across a guideway with which the loops cannot close, as out of a planar robot's plane.
-
-    Args:
-        robot: the robot.
-        waves: the waves of its drives.
-    """
+    """Return waves without those across a guideway with which loops cannot close, as out of a planar robot's plane."""
     if not robot.closures or not waves.straightness:
         return waves
     across = GeometricErrors(robot, beside_guideways(robot))

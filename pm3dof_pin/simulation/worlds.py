@@ -88,14 +88,7 @@ class World:
         return cls(machine, _WARMEST)
 
     def only(self, source: str) -> World:
-        """Return the world in which the machine has one of its sources of error alone.
-
-        Args:
-            source: see :meth:`SimulatedMachine.only`.
-
-        Raises:
-            InvalidValueError: there is no such source, or the machine does not have it.
-        """
+        """Return the world with one source of error alone, see :meth:`SimulatedMachine.only`."""
         alone = self.machine.only(source)
         if getattr(alone, source) is None:
             raise InvalidValueError("source", source, "one that this machine has")
@@ -107,12 +100,9 @@ class World:
         )
 
     def loaded(self, heaviest: float, strongest: Sequence[float] = (0.0,) * 6, *, large: bool = False) -> World:
-        """Return the world with weights on the tool point, and wrenches.
+        """Return the world with weights up to `heaviest` [N] and wrenches up to `strongest` on the tool.
 
-        Args:
-            heaviest: the greatest of the weights [N].
-            strongest: see the attribute.
-            large: whether the machine is brought to its equilibrium under them, not deflected linearly.
+        With `large`, the machine is brought to its equilibrium under them, not deflected linearly.
 
         Raises:
             InvalidValueError: a number is negative or not finite, or the machine does not give way: it has no springs.
@@ -136,11 +126,7 @@ class World:
         return {name: generator.uniform(least, most, count) for name, (least, most) in ranges.items() if most}
 
     def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return where the tool really is, shape=(n, 4, 4).
-
-        Args:
-            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
-            conditions: see :meth:`conditions`.
+        """Return where the tool really is, shape=(n, 4, 4), at commands [m, rad] under :meth:`conditions`.
 
         Raises:
             ConvergenceError: the loops do not close at a command.
