@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.file_schemas import FileKind, file_schema
 from pm3dof_pin.cli.options import Json
 from pm3dof_pin.cli.output import print_result, table_lines
@@ -25,6 +26,9 @@ _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite
 
 
 def info(
+    path: Annotated[
+        str | None, typer.Argument(metavar="ROBOT", help="As --robot.", autocompletion=completion.robots)
+    ] = None,
     robot: RobotName = "pm3dof",
     tool_frame: ToolFrame = None,
     package_path: PackagePath = None,
@@ -44,6 +48,7 @@ def info(
     if schema is not None:
         print_result(file_schema(schema), [], as_json=True)
         return
+    robot = path or robot
     files = find_robot(robot, package_path or ())
     machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
     result = (

@@ -92,15 +92,16 @@ class Mjcf:
     tool: str | None = None
 
 
-def read_mjcf(path: Path) -> Mjcf:
-    """Read an MJCF file and those that it includes.
+def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:
+    """Read an MJCF file and those that it includes, from `own_folders`: by default those of its own package.
 
     Raises:
         DescriptionError: a file is unreadable or no XML, a number is none, or the file has an element that is not read.
     """
     root = read_xml(path)
-    _include(root, path)
+    _include(root, path, own_folders or (package_of(path),))
     check_mjcf(root, path)
+    _order_sections(root)
     for tag in _NOT_READ:
         if root.find(f"worldbody//{tag}") is not None:
             raise DescriptionError(path, f"<{tag}>", "is not read: expected bodies written out")
@@ -114,6 +115,18 @@ def read_mjcf(path: Path) -> Mjcf:
     return _Reader(path, root).read()
 
 
+def _order_sections(root: ElementTree.Element) -> None:
+    """Join the sections of defaults and put them and the assets first: Pinocchio looks up only what it has met."""
+    defaults = root.findall("default")
+    for more in defaults[1:]:
+        defaults[0].extend(more)
+        root.remove(more)
+    first = (*defaults[:1], *root.findall("asset"))
+    for section in first:
+        root.remove(section)
+    root[:0] = first
+
+
 def _drop_terrain(root: ElementTree.Element) -> None:
     """Take out height fields and skins: they are scenery, and Pinocchio refuses the file for their sake."""
     for parent in list(root.iter()):
@@ -122,16 +135,19 @@ def _drop_terrain(root: ElementTree.Element) -> None:
                 parent.remove(child)
 
 
-def _include(root: ElementTree.Element, path: Path, within: tuple[Path, ...] = ()) -> None:
+def _include(root: ElementTree.Element, path: Path, folders: tuple[Path, ...], within: tuple[Path, ...] = ()) -> None:
+    """Put the content of files in the place of <include>: seen from the main file or else the including, as MuJoCo."""
     for parent in list(root.iter()):
         for index, child in reversed(list(enumerate(parent))):
             if child.tag == "include":
-                included = (path.parent / child.get("file", "")).resolve()
+                place = f"<include file='{child.get('file')}'>"
+                candidates = [(file.parent / child.get("file", "")).resolve() for file in (path, *within[-1:])]
+                included = next((candidate for candidate in candidates if candidate.is_file()), candidates[0])
                 if included in within or len(within) > _MOST_INCLUDES:
-                    raise DescriptionError(path, f"<include file='{child.get('file')}'>", "includes itself")
-                require_own(included, [package_of(path)], path, f"<include file='{child.get('file')}'>")
+                    raise DescriptionError(path, place, "includes itself")
+                require_own(included, folders, path, place)
                 content = read_xml(included)
-                _include(content, path, (*within, included))
+                _include(content, path, folders, (*within, included))
                 parent[index : index + 1] = list(content)
 
 

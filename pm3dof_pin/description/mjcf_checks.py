@@ -75,7 +75,7 @@ def _check_element(element: ElementTree.Element, path: Path) -> None:
         rules |= _SHAPE_NUMBERS
     values: dict[str, tuple[float, ...]] = {}
     for key, (bounds, counts) in rules.items():
-        if key not in element.attrib or (key == "ref" and element.tag != "joint"):
+        if key not in element.attrib or element.tag == "flag" or (key == "ref" and element.tag != "joint"):
             continue
         values[key], problem = parse_numbers(element.attrib[key], bounds)
         if not problem and counts and len(values[key]) not in counts:

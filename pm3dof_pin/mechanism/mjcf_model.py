@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +13,16 @@ import pinocchio as pin
 from pm3dof_pin.description.closures import ClosuresFile, LoopClosure
 from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.description.mjcf import EqualityConstraint, Mjcf, read_mjcf
+from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
 from pm3dof_pin.mechanism.model_files import UNLIMITED
 
+_logger = logging.getLogger(__name__)
 _INITIAL = "qpos0"
 _HOME = "home"
 
 
-def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
+def read_mjcf_model(files: RobotFiles, said: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
     """Read the model of an MJCF file, and complete the closures file beside it, whose entries go first.
 
     Joints stand where MuJoCo has them: q is qpos but for the order of a quaternion's numbers, and home is the key of
@@ -31,7 +34,7 @@ def read_mjcf_model(path: Path, said: ClosuresFile) -> tuple[pin.Model, Closures
         FrameNotFoundError: a closure is at a body that is not there.
         JointNotFoundError: an actuator is at a joint that is not there.
     """
-    mjcf = read_mjcf(path)
+    mjcf = read_mjcf(files.path, files.own_folders)
     model = _tree(mjcf)
     for name, settings in mjcf.joints.items():
         joint = model.joints[model.getJointId(name)]
@@ -69,8 +72,8 @@ def _tree(mjcf: Mjcf) -> pin.Model:
         copy.write_text(mjcf.text, encoding="utf-8")
         try:
             model = pin.buildModelFromMJCF(str(copy))
-        except (ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())
+        except (ValueError, RuntimeError, LookupError) as error:
+            reason = " ".join(str(error).split()).rpartition("message: ")[2]
             raise DescriptionError(mjcf.path, "MJCF", f"expected a model that Pinocchio reads ({reason})") from error
     if lost := [name for name in mjcf.joints if not model.existJointName(name)]:
         raise DescriptionError(
@@ -135,7 +138,10 @@ def _drives(model: pin.Model, mjcf: Mjcf) -> tuple[Command, ...]:
     for joint, name in mjcf.actuators.items():
         if not model.existJointName(joint):
             raise JointNotFoundError(joint, f"{mjcf.path}: <actuator>", list(model.names)[1:])
-        drives.append(Command(name, joint, "m" if _slides(model, joint) else "rad"))
+        if model.joints[model.getJointId(joint)].nv > 1:
+            _logger.warning("%s: actuator '%s' turns a ball or free joint and is not read", mjcf.path, name)
+        else:
+            drives.append(Command(name, joint, "m" if _slides(model, joint) else "rad"))
     return tuple(drives)
 
 

@@ -46,7 +46,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
     if files.format == "mjcf":
         from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
 
-        model, said = read_mjcf_model(files.path, said)
+        model, said = read_mjcf_model(files, said)
     else:
         model = read_model(files.urdf, joint_types=said.joint_types, source=files.source)
     _free_joints_without_limits(model, said.actuated_joints, files.path)

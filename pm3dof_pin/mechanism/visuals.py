@@ -33,7 +33,7 @@ def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
                 return pin.buildGeomFromUrdf(model, str(files.path), pin.GeometryType.VISUAL, package_dirs=packages)
         with tempfile.TemporaryDirectory(prefix="pm3dof_") as folder:
             copy = Path(folder) / "model.xml"
-            copy.write_text(read_mjcf(files.path).text, encoding="utf-8")
+            copy.write_text(read_mjcf(files.path, files.own_folders).text, encoding="utf-8")
             shapes = pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())

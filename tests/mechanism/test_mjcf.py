@@ -208,6 +208,45 @@ def test_files_that_are_included_are_read(tmp_path: Path) -> None:
     assert robot.name == "model"
 
 
+def test_included_files_include_others_as_mujoco_has_it(tmp_path: Path) -> None:
+    """Seen from the main file, or else from the one that includes; from another folder only where that is named."""
+    (tmp_path / "a" / "parts").mkdir(parents=True)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a" / "parts" / "world.xml").write_text(
+        '<mujocoinclude><worldbody><include file="arm.xml"/><include file="../b/table.xml"/></worldbody></mujocoinclude>'
+    )
+    (tmp_path / "a" / "parts" / "arm.xml").write_text(
+        '<mujocoinclude><body name="arm"><joint name="j"/><geom size="0.1"/></body></mujocoinclude>'
+    )
+    (tmp_path / "b" / "table.xml").write_text(
+        '<mujocoinclude><body name="table"><joint name="k"/><geom size="0.1"/></body></mujocoinclude>'
+    )
+    text = '<mujoco><include file="parts/world.xml"/></mujoco>'
+    robot, model = _load(tmp_path / "a", text, package_paths=[tmp_path / "b"])
+    assert list(robot.model.names)[1:] == [model.joint(index).name for index in range(model.njnt)] == ["j", "k"]
+    with pytest.raises(DescriptionError, match=r"table\.xml, expected a file in .*--package-path"):
+        _load(tmp_path / "a", text)
+
+
+def test_sections_in_any_order_and_number(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Defaults said twice, and after the bodies that use them; a flag named as a number is; drives of a ball joint."""
+    robot, model = _load(
+        tmp_path,
+        """<mujoco><option><flag gravity="disable"/></option><default><joint range="-20 40"/></default>
+        <worldbody><body name="a"><joint name="j" class="stiff"/><geom class="bar" mass="1"/>
+        <body name="b" pos="1 0 0"><joint name="ball" type="ball" range="0 40"/><geom size="0.1" material="grey" mass="2"/></body>
+        </body></worldbody><actuator><motor name="m" joint="j"/><motor name="turn" joint="ball"/></actuator>
+        <default><default class="stiff"><joint stiffness="3"/></default>
+        <default class="bar"><geom type="capsule" size="0.1 0.5"/></default></default>
+        <asset><material name="grey" rgba="0.5 0.5 0.5 1"/></asset></mujoco>""",
+    )
+    np.testing.assert_allclose([robot.lower_limits[0], robot.upper_limits[0]], model.jnt_range[0], rtol=1e-12)
+    assert [spring["stiffness"] for spring in robot.springs] == model.jnt_stiffness[:1].tolist() == [3.0]
+    np.testing.assert_array_equal(robot.model.gravity.linear, np.zeros(3))
+    assert [command.name for command in robot.commands] == ["m"]
+    assert "actuator 'turn' turns a ball or free joint" in caplog.text
+
+
 def test_masses_that_pinocchio_makes_up_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     triangle = "0 0 0 1 0 0 0 1 0 0 0 1"
     text = (
@@ -265,7 +304,8 @@ def test_the_closures_file_beside_it_goes_first(tmp_path: Path) -> None:
             JointNotFoundError,
             "<actuator>.*'ghost'",
         ),
-        (SEVERAL_BODIES.replace('type="slide"', 'type="screw"'), DescriptionError, "MJCF"),
+        (SEVERAL_BODIES.replace('type="slide"', 'type="screw"'), DescriptionError, r"reads \\(Unknown joint type\\)"),
+        (SEVERAL_BODIES.replace("<geom", '<geom class="ghost"', 1), DescriptionError, "a model that Pinocchio reads"),
         ("<mujoco><include file='ghost.xml'/></mujoco>", DescriptionError, r"ghost\.xml: file: expected a readable"),
     ],
 )
