@@ -51,6 +51,8 @@ def modes(
     per square root of kg m^2 / kg. Modes with all springs at rest, of frequency zero, are listed apart. A pose that
     breaks a joint limit is still answered, with a message and exit status 1.
     """
+    import numpy as np
+
     from pm3dof_pin.dynamics import natural_frequencies, natural_modes
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
@@ -59,7 +61,8 @@ def modes(
     model, payloads = ElasticModel(machine), payloads_of(machine, payload)
     if chosen.file is not None:
         file, many = read_poses(machine, chosen.file)
-        frequencies = natural_frequencies(model, many, count=count, payloads=payloads)
+        frequencies = np.full((len(many), count), np.nan)
+        frequencies[many.solved] = natural_frequencies(model, many.q[many.solved], count=count, payloads=payloads)
         columns = {column_of(f"mode{mode}", "Hz"): column for mode, column in enumerate(frequencies.T, start=1)}
         write_batch(many, file.columns_as_written | columns, out, as_json)
         return

@@ -71,11 +71,10 @@ def statics(
 def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str, Array]:
     import numpy as np
 
-    from pm3dof_pin.dynamics import holding_forces
+    from pm3dof_pin.dynamics import actuator_forces
 
     forces = np.full((len(poses), len(robot.actuated_joints)), np.nan)
-    for index in np.flatnonzero(poses.solved).tolist():
-        forces[index] = holding_forces(poses.configuration(index), payloads=payloads).actuator_forces
+    forces[poses.solved] = actuator_forces(robot, poses.q[poses.solved], payloads=payloads)
     units = ["N" if robot.single_joint(name).translates else "N m" for name in robot.actuated_joints]
     headings = map(column_of, robot.actuated_joints, units)
     return dict(zip(headings, forces.T, strict=True))

@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen
-from pm3dof_pin.kinematics.degrees_of_freedom import null_space
+from pm3dof_pin.arrays import finite_array, frozen, listed
+from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, null_space
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Matrix
@@ -54,6 +55,33 @@ def manifold_mass_matrix(
     z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
     product = z.T @ mass_matrix(configuration, payloads=payloads) @ z
     return frozen(0.5 * (product + product.T))
+
+
+def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:
+    """Compute the mass matrix that the actuated joints feel: the kinetic energy is half of du^T M du, du their rates.
+
+    Joints that these rates leave free, such as a rod that spins, take the shortest motion in scaled numbers; so do the
+    rates themselves where there are more actuators than degrees of freedom.
+
+    Args:
+        configuration: an assembled configuration.
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+
+    Returns:
+        Symmetric, shape=(u, u) [kg, kg m, kg m^2].
+
+    Raises:
+        SingularConfigurationError: the tool can move with the actuated joints at rest.
+        PM3DofError: see :func:`manifold_mass_matrix`.
+    """
+    mechanism, dof = configuration.mechanism, DegreesOfFreedom(configuration, RANK_TOLERANCE)
+    idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
+    if dof.at_actuators.motions.shape[1] > idle:
+        raise SingularConfigurationError(
+            f"{mechanism.name}: the tool can move with the actuated joints at rest; at q = {listed(configuration.q)}"
+        )
+    motions = dof.scale[:, None] * dof.at_actuators.inverse / dof.scale[mechanism.actuated_indices]
+    return manifold_mass_matrix(configuration, motions, payloads=payloads)
 
 
 def _checked(configuration: Configuration, motions: ArrayLike) -> Matrix:

@@ -1,4 +1,4 @@
-"""Natural frequencies and mode shapes of an elastic mechanism at a configuration, and over many.
+"""Natural frequencies and mode shapes of an elastic mechanism at a configuration.
 
 The motions that keep the loops closed are Z, which strain the springs, with Z^T K_q Z = 1
 (:mod:`pm3dof_pin.elastic.motions`), and N, which leave them all at rest. No spring resists N: these are the modes of
@@ -22,12 +22,11 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
 
-_NO_MASS = 1e-13
+NO_MASS = 1e-13
 """Part of the greatest 1 / omega^2 below which a motion counts as one without mass."""
 
 
@@ -90,7 +89,7 @@ def natural_modes(
     motions = elastic_motions(model, elastic, tolerance=tolerance)
     mass = mass_matrix(elastic, payloads=payloads)
     inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
-    kept = inverse_squares > _NO_MASS * inverse_squares.max(initial=0.0)
+    kept = inverse_squares > NO_MASS * inverse_squares.max(initial=0.0)
     chosen = np.flatnonzero(kept)[::-1][:count]
     shapes = _with_definite_sign(shapes[:, chosen] / np.sqrt(inverse_squares[chosen]), elastic)
     return Modes(
@@ -102,38 +101,6 @@ def natural_modes(
         free_twists=frozen(elastic.tool_jacobian @ motions.unstrained),
         without_mass=int(np.count_nonzero(~kept)),
     )
-
-
-def natural_frequencies(
-    model: ElasticModel,
-    poses: Poses | ArrayLike,
-    *,
-    count: int,
-    payloads: Payloads | None = None,
-    tolerance: float = RANK_TOLERANCE,
-) -> Vector:
-    """Compute the lowest natural frequencies at many configurations.
-
-    Args:
-        model: the mechanism with its springs.
-        poses: solved poses; or q of the rigid mechanism, assembled, shape=(..., nq) [m, rad], NaN where there is none.
-        count: number of frequencies at each.
-        payloads: see :func:`natural_modes`.
-        tolerance: see :func:`natural_modes`.
-
-    Returns:
-        Rising, shape=(..., count) [Hz]; NaN where q is, and where there are fewer modes.
-
-    Raises:
-        PM3DofError: see :func:`natural_modes`.
-    """
-    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=np.float64)
-    frequencies = np.full((*q.shape[:-1], count), np.nan)
-    for index in np.ndindex(q.shape[:-1]):
-        if not np.isnan(q[index]).any():
-            found = natural_modes(model, q[index], count=count, payloads=payloads, tolerance=tolerance).frequencies
-            frequencies[index][: len(found)] = found
-    return frequencies
 
 
 def _vibrations(elastic: Matrix, free: Matrix, mass: Matrix) -> tuple[Vector, Matrix]:

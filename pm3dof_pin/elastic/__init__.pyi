@@ -1,6 +1,5 @@
 # The public names of this room and their homes, for type checkers and for lazy_loader.
 
-from .batch import EvaluatedQuantity as EvaluatedQuantity
 from .batch import compliance as compliance
 from .batch import evaluate as evaluate
 from .batch import stiffness as stiffness

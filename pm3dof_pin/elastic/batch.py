@@ -2,41 +2,18 @@
 
 from __future__ import annotations
 
-import logging
-import math
-from contextlib import suppress
-from dataclasses import dataclass
-
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
-from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
+from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Engine, Mask, OnFailure
-
-_logger = logging.getLogger(__name__)
+from pm3dof_pin.typing import Array, Engine, OnFailure
 
 _KEPT = "_elastic_model"
-
-
-@dataclass(frozen=True, eq=False)
-class EvaluatedQuantity:
-    """A quantity at many poses.
-
-    Attributes:
-        values: shape=(..., *shape of the quantity); NaN where it failed.
-        redone: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...).
-        failed: poses that have no value, shape=(...).
-    """
-
-    values: Array
-    redone: Mask
-    failed: Mask
 
 
 def compliance(
@@ -116,7 +93,7 @@ def evaluate(
     on_failure: OnFailure = "raise",
     engine: Engine = "program",
     threads: int | None = None,
-) -> EvaluatedQuantity:
+) -> PoseValues:
     """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`.
 
     Args:
@@ -131,40 +108,17 @@ def evaluate(
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
     name = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name if frame is None else frame
     elastic.mechanism.frame_id(name)
-    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
-    if q.shape[-1:] != (elastic.rigid.model.nq,):
-        raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {elastic.rigid.model.nq})")
-    rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
-    values: Array | None = None
-    doubtful = np.arange(len(rows))
-    if engine == "program":
-        with suppress(ProgramError):
-            values, sound = elastic_program(elastic, name, quantity, closed=isinstance(poses, Poses))(rows, threads)
-            doubtful = np.flatnonzero(~sound)
-    if values is None:
-        values = np.empty((len(rows), math.prod(quantity.shape)))
-    failed = np.zeros(len(rows), dtype=bool)
-    for index in doubtful:
-        values[index] = np.nan
-        try:
-            if on_failure == "raise" or np.isfinite(rows[index]).all():
-                report = condensed(elastic, rows[index], frame=name)
-                values[index] = quantity.computed(report).ravel()
-            else:
-                failed[index] = True
-        except PM3DofError:
-            if on_failure == "raise":
-                raise
-            failed[index] = True
-    redone = np.zeros(len(rows), dtype=bool)
-    redone[doubtful] = ~failed[doubtful]
-    if len(doubtful):
-        _logger.info(
-            "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
-            *(quantity.name, elastic.rigid.name, int(redone.sum()), len(rows), int(failed.sum())),
-        )
-    shape = q.shape[:-1]
-    return EvaluatedQuantity(values.reshape(*shape, *quantity.shape), redone.reshape(shape), failed.reshape(shape))
+    closed = isinstance(poses, Poses)
+    return evaluate_at(
+        elastic.rigid,
+        poses,
+        quantity.name,
+        quantity.shape,
+        program=lambda q: elastic_program(elastic, name, quantity, closed=closed)(q, threads),
+        careful=lambda q: quantity.computed(condensed(elastic, q, frame=name)),
+        on_failure=on_failure,
+        engine=engine,
+    )
 
 
 def elastic_model(robot: Robot) -> ElasticModel:

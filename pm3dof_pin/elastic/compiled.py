@@ -25,9 +25,6 @@ from pm3dof_pin.typing import Array, Mask, Matrix
 
 _logger = logging.getLogger(__name__)
 
-_compiled: dict[str, Compiled | ProgramError] = {}
-"""Programs by what they depend on; the error where there is none."""
-
 
 @dataclass(frozen=True, eq=False)
 class ElasticProgram:
@@ -62,24 +59,16 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     Raises:
         ProgramError: there is no program for this mechanism, or it does not agree with Pinocchio.
     """
-    known = (frame, quantity.name, closed)
-    if known not in model.programs:
-        key = _key(model, frame, quantity, closed)
-        if key not in _compiled:
-            try:
-                _compiled[key] = cache.compiled(
-                    cache.stored(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
-                )
-            except ProgramError as error:
-                _logger.warning("%s, %s: computed by Pinocchio pose by pose: %s", model, quantity.name, error)
-                _compiled[key] = error
-        compiled = _compiled[key]
-        model.programs[known] = (
-            compiled
-            if isinstance(compiled, ProgramError)
-            else ElasticProgram(compiled, _parameters(model, compiled.program.parameters))
-        )
-    found = model.programs[known]
+    name = (frame, quantity.name, closed)
+    if name not in model.programs:
+        key = repr((quantity.name, closed, *structure(model, frame)))
+        try:
+            compiled = cache.known(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
+            model.programs[name] = ElasticProgram(compiled, parameters(model, compiled.program.parameters))
+        except ProgramError as error:
+            _logger.warning("%s, %s: computed by Pinocchio pose by pose: %s", model, quantity.name, error)
+            model.programs[name] = error
+    found = model.programs[name]
     if isinstance(found, ProgramError):
         raise found
     assert isinstance(found, ElasticProgram)
@@ -119,21 +108,22 @@ def traced_quantity(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     return graph.program(quantity.name, {quantity.name: values, "sound": select(sound, 1.0, 0.0)})
 
 
-def _key(model: ElasticModel, frame: str, quantity: ElasticQuantity, closed: bool) -> str:
+def structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
+    """Return what programs depend on besides what they compute."""
     mechanism = model.mechanism
     entry = mechanism.model.frames[mechanism.frame_id(frame)]
     lengths = [block.length.joint if block.length else "" for block in model.blocks]
     coordinates = [(c.joint, c.tool, c.unit, c.scale) for c in model.rigid.declared_coordinates]
-    parts = (
-        *(quantity.name, coordinates, closed, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
+    return (
+        *(coordinates, frame, entry.parentJoint, length_unit(mechanism.characteristic_length)),
         *(model.spring_indices.tolist(), model.passive_indices.tolist(), model.rigid_indices.tolist(), lengths),
         *(list(spring_parameters(model)), model.compliance_root[1].tolist(), has_like_springs(model)),
         *(geometry.structure(mechanism), geometry.pattern(mechanism, (frame,))),
     )
-    return repr(parts)
 
 
-def _parameters(model: ElasticModel, names: tuple[str, ...]) -> Array:
+def parameters(model: ElasticModel, names: tuple[str, ...]) -> Array:
+    """Return the values of a program's parameters that are springs or geometry, shape=(number of names,)."""
     springs = spring_parameters(model)
     others = [name for name in names if name not in springs]
     found = springs | dict(zip(others, geometry.values(model.mechanism, others), strict=True))

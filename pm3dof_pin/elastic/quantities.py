@@ -17,10 +17,11 @@ from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.condensation import CartesianCompliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
-from pm3dof_pin.elastic.traced import Roots, compressed
+from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
+from pm3dof_pin.programs.projection import compressed
 from pm3dof_pin.typing import Array, Objects
 
 _SWEEPS = 6

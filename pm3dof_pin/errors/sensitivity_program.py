@@ -13,15 +13,11 @@ from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, total
 from pm3dof_pin.programs.graph import Graph, Scalar, less, select
 from pm3dof_pin.programs.joints import Placement, Screw
-from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
-
-_compiled: dict[str, Compiled | ProgramError] = {}
-"""Programs by what they depend on; the error where there is none."""
 
 
 def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Array, Mask]:
@@ -42,16 +38,7 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
     """
     at_zero = bool(np.isin(local_twists, (0.0, 1.0, -1.0)).all())
     key = _key(robot, errors, at_zero)
-    if key not in _compiled:
-        try:
-            _compiled[key] = cache.compiled(
-                cache.stored(key, lambda: _traced(robot, errors, local_twists, at_zero=at_zero))
-            )
-        except ProgramError as error:
-            _compiled[key] = error
-    compiled = _compiled[key]
-    if isinstance(compiled, ProgramError):
-        raise compiled
+    compiled = cache.known(key, lambda: _traced(robot, errors, local_twists, at_zero=at_zero))
     groups = compiled.program.split(compiled(q, _parameters(robot, compiled.program, local_twists)))
     return groups["errors"], groups["drives"], groups["sound"] == 1.0
 

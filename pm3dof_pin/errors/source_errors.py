@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.source_numbers import SourceNumbers
-from pm3dof_pin.dynamics.statics import holding_forces
+from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors, GeometricParameter
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
@@ -373,8 +373,7 @@ class _SourcesAtPoses:
         wrench[:3] += load.payload_kg * self._robot.model.gravity.linear
         pushed = np.einsum("nij,i->nj", self._by_drives, wrench)
         if load.own_weight:
-            for row in range(len(self._poses)):
-                pushed[row] -= holding_forces(self._poses.configuration(row)).actuator_forces
+            pushed -= actuator_forces(self._robot, self._poses)
         shift = np.einsum("nij,nj->ni", self._by_drives, pushed / stiffness)
         return self._source("servo", "drives", "servos giving way under weight and wrench", shift=shift)
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pm3dof_pin.dynamics.modes import natural_frequencies
+from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
@@ -242,11 +242,27 @@ def _command_names(mapped: MappedRobot) -> tuple[str, ...]:
     return tuple(command.name for command in mapped.robot.commands)
 
 
+def _drive_names(mapped: MappedRobot) -> tuple[str, ...]:
+    """Return the names of the actuated joints."""
+    return mapped.robot.actuated_joints
+
+
 def _command_unit(mapped: MappedRobot) -> str:
     """Return the units of the commands."""
+    return _listed_units((command.unit, command.name) for command in mapped.robot.commands)
+
+
+def _force_unit(mapped: MappedRobot) -> str:
+    """Return the units of the forces of the actuated joints."""
+    robot = mapped.robot
+    return _listed_units(("N" if robot.single_joint(n).translates else "N m", n) for n in robot.actuated_joints)
+
+
+def _listed_units(entries: Iterable[tuple[str, str]]) -> str:
+    """Return units; where they differ, followed by the names that have them."""
     by_unit: dict[str, list[str]] = {}
-    for command in mapped.robot.commands:
-        by_unit.setdefault(command.unit, []).append(command.name)
+    for unit, name in entries:
+        by_unit.setdefault(unit, []).append(name)
     if len(by_unit) == 1:
         return next(iter(by_unit))
     return ", ".join(f"{unit} ({', '.join(names)})" for unit, names in by_unit.items())
@@ -260,6 +276,7 @@ NATURAL_MODE = Dimension("natural_mode", _numbers_to_six)
 SPRING = Dimension("spring", _spring_names)
 SINGULARITY = Dimension("singularity", _singularity_types)
 COMMAND = Dimension("command", _command_names)
+DRIVE = Dimension("drive", _drive_names)
 
 _AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
 
@@ -338,13 +355,51 @@ def _spring_shares(evaluation: Evaluation) -> Array:
 @quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowest natural frequencies")
 def _natural_frequencies(evaluation: Evaluation) -> Array:
     model = evaluation.mapped.elastic
-    return evaluation.at_each((_MODES,), lambda q: natural_frequencies(model, q, count=_MODES))
+    return natural_frequencies(
+        model, evaluation.poses, count=_MODES, on_failure="nan", engine=evaluation.engine, threads=evaluation.threads
+    )
 
 
 @quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")
 def _first_frequency(evaluation: Evaluation) -> Array:
     model = evaluation.mapped.elastic
-    return evaluation.at_each((), lambda q: natural_frequencies(model, q, count=1)[0])
+    return natural_frequencies(
+        model, evaluation.poses, count=1, on_failure="nan", engine=evaluation.engine, threads=evaluation.threads
+    )[..., 0]
+
+
+@quantity(
+    "holding_forces",
+    dims=(DRIVE,),
+    unit=_force_unit,
+    long_name="forces of the drives that hold the weights",
+    exists=_has_drives_and_tool,
+)
+def _holding_forces(evaluation: Evaluation) -> Array:
+    return actuator_forces(
+        evaluation.mapped.robot,
+        evaluation.poses,
+        on_failure="nan",
+        engine=evaluation.engine,
+        threads=evaluation.threads,
+    )
+
+
+@quantity(
+    "drive_inertia",
+    dims=(DRIVE, Dimension("drive_2", _drive_names)),
+    unit="kg, kg m, kg m^2",
+    long_name="mass matrix that the drives feel",
+    exists=_has_drives_and_tool,
+)
+def _drive_inertia(evaluation: Evaluation) -> Array:
+    return drive_mass_matrices(
+        evaluation.mapped.robot,
+        evaluation.poses,
+        on_failure="nan",
+        engine=evaluation.engine,
+        threads=evaluation.threads,
+    )
 
 
 @quantity(

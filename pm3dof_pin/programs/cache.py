@@ -33,6 +33,30 @@ _DIGEST = hashlib.sha256().digest_size
 _LOG = logging.getLogger(__name__)
 
 
+_known: dict[str, llvm.Compiled | ProgramError] = {}
+
+
+def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
+    """Return the compiled program of a key: from memory, as kept, or made now; where there is none, remember that.
+
+    Args:
+        key: see :func:`stored`.
+        make: traces the program.
+
+    Raises:
+        ProgramError: `make` raises it, or LLVM does not compile the program.
+    """
+    if key not in _known:
+        try:
+            _known[key] = compiled(stored(key, make))
+        except ProgramError as error:
+            _known[key] = error
+    found = _known[key]
+    if isinstance(found, ProgramError):
+        raise found
+    return found
+
+
 def stored(key: str, make: Callable[[], Program]) -> Program:
     """Return the program kept under a key, or make it and keep it.
 

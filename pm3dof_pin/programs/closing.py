@@ -202,8 +202,7 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
     if task.tool:
         equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
     scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
-    slides = {k for k in range(mechanism.model.nv) if all(is_zero(entry) for entry in tree.screws[k].angular)}
-    return _Given(tree, equations, scale, slides, {joint.v_index for joint in held}, further)
+    return _Given(tree, equations, scale, set(tree.slides), {joint.v_index for joint in held}, further)
 
 
 def _residual(equations: list[Equations]) -> Scalar:

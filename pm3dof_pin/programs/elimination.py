@@ -208,27 +208,6 @@ def reflect(entries: Sequence[Scalar], indices: Sequence[int]) -> Reflection:
     return Reflection(tuple(indices), vector, tuple(factor * v for v in vector), pivot, size)
 
 
-def least_squares(matrix: Objects, right: Objects, doubt: Doubt) -> Objects:
-    """Return x that minimises |A x - b|; unknowns that columns leave undetermined are 0.
-
-    Args:
-        matrix: A, shape=(m, n).
-        right: b, shape=(m,) or (m, k).
-        doubt: where to record pivots and what is dropped.
-
-    Returns:
-        shape=(n,) or (n, k).
-    """
-    n = matrix.shape[1]
-    b = right.reshape(len(matrix), -1)
-    result = eliminate(np.hstack([matrix, b]), range(n), doubt)
-    solution = zeros(n, b.shape[1])
-    if result.columns:
-        triangle = result.pivot_rows[:, list(result.columns)]
-        solution[list(result.columns)] = solve_upper(triangle, result.pivot_rows[:, n:])
-    return solution.reshape(n, *right.shape[1:])
-
-
 def solve_upper(triangle: Objects, right: Objects) -> Objects:
     """Return R^-1 B for an upper triangular R, shape=(n, n), and B, shape=(n, k)."""
     solution = zeros(*right.shape)

@@ -18,6 +18,9 @@ from pm3dof_pin.programs import drivers
 from pm3dof_pin.programs.program import Program
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
+_LONG = (
+    30_000  # operations, from which on compiling with care takes seconds, and without it a fifth, for half the speed
+)
 
 
 class Target(NamedTuple):
@@ -78,7 +81,7 @@ def object_code(program: Program, lanes: int) -> bytes:
     Raises:
         ProgramError: LLVM does not compile it.
     """
-    machine = _machine()
+    machine = _machine(0 if len(program) > _LONG else 2)
     try:
         text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
         module = binding.parse_assembly(text, binding.create_context())
@@ -96,11 +99,11 @@ def _attributes(lanes: int) -> str:
     return f'{width} "tune-cpu"="icelake-server"' if binding.get_process_triple().startswith("x86_64") else width
 
 
-def _machine() -> Any:
+def _machine(effort: int = 2) -> Any:
     processor = target()
     try:
         return binding.Target.from_default_triple().create_target_machine(
-            cpu=processor.name, features=processor.features, opt=2, jit=True
+            cpu=processor.name, features=processor.features, opt=effort, jit=True
         )
     except RuntimeError as error:
         raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error

@@ -75,6 +75,11 @@ class Tree:
             self._supports.append((*self._supports[model.parents[index]], *range(joint.idx_v, joint.idx_v + joint.nv)))
         self.screws = [screws[k] for k in range(model.nv)]
 
+    @property
+    def slides(self) -> list[int]:
+        """The entries of v that turn nothing, which are measured in lengths."""
+        return [k for k, screw in enumerate(self.screws) if all(map(is_zero, screw.angular))]
+
     def body(self, joint: int) -> Placement:
         """Return the placement of the body that a joint moves, by Pinocchio's index of the joint."""
         return self._bodies[joint]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.dynamics.traced import holding_program
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
@@ -23,15 +24,14 @@ from pm3dof_pin.errors.sensitivity_program import at_zero_errors
 from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.programs import geometry
+from pm3dof_pin.programs import geometry, masses
 from pm3dof_pin.programs.closing import Task
-from pm3dof_pin.programs.elimination import Doubt, least_squares, matrix_of, total, zeros
 from pm3dof_pin.programs.graph import Graph, Scalar, is_zero, maximum
 from pm3dof_pin.programs.javascript import javascript
 from pm3dof_pin.programs.loops import closure_equations, swing
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
-from pm3dof_pin.typing import Objects, Vector
+from pm3dof_pin.typing import Vector
 
 _logger = logging.getLogger(__name__)
 
@@ -103,22 +103,15 @@ class PagePrograms:
     @cached_property
     def holding(self) -> _PageProgram | None:
         """Forces of the actuators, then the least pivot."""
-        robot = self.robot
-        graph = Graph()
-        tree = Tree(graph, robot, self._samples)
-        actuated, passive = list(robot.actuated_indices), list(robot.passive_indices)
-        rows = _closure_rows(tree)
-        doubt = Doubt()
-        # velocities of the passive joints for unit ones of the actuators, backwards
-        moved = zeros(len(passive), len(actuated))
-        if len(rows) and passive:
-            moved = least_squares(rows[:, passive], rows[:, actuated], doubt)
-        weights = _gravity_torques(tree)
-        forces = [
-            weights[k] - total([weights[index] * moved[row, column] for row, index in enumerate(passive)])
-            for column, k in enumerate(actuated)
-        ]
-        return _with_parameters(graph.program("holding", {"forces": forces, "pivot": doubt.pivot}), robot)
+        try:
+            program = holding_program(self.robot, self._samples)
+        except ProgramError as error:
+            _logger.info("no holding forces in the page: %s", error)
+            return None
+        values = masses.numbers(self.robot.model)
+        others = [name for name in program.parameters if name not in values]
+        values |= dict(zip(others, geometry.values(self.robot, others), strict=True))
+        return _PageProgram(program, geometry.chosen(values, program.parameters))
 
     @property
     def motion(self) -> _PageProgram | None:
@@ -223,41 +216,3 @@ def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms
 
 def _with_parameters(program: Program, robot: Robot) -> _PageProgram:
     return _PageProgram(program, geometry.values(robot, program.parameters))
-
-
-def _closure_rows(tree: Tree) -> Objects:
-    """Return the constraint Jacobian with lengths in characteristic lengths, shape=(m, nv)."""
-    robot = tree.mechanism
-    rows = []
-    for index in range(len(robot.closures)):
-        equations = closure_equations(tree, index)
-        for i, is_angular in enumerate(equations.is_angular):
-            factor = 1.0 if is_angular else 1.0 / robot.characteristic_length
-            row = zeros(1, robot.model.nv)[0]
-            for k, column in equations.columns.items():
-                row[k] = column[i] * factor
-            rows.append(row)
-    return matrix_of(rows, robot.model.nv)
-
-
-def _gravity_torques(tree: Tree) -> list[Scalar]:
-    """Return the generalised forces that hold the tree of bodies, one for each entry of v [N, N m]."""
-    model = tree.mechanism.model
-    gravity = np.array(model.gravity.linear)
-    torques: list[Scalar] = [0.0] * model.nv
-    for joint in range(1, model.njoints):
-        inertia = model.inertias[joint]
-        if inertia.mass == 0.0:
-            continue
-        body = tree.body(joint)
-        centre = body.translation + body.rotation @ np.array(inertia.lever)
-        weight = -inertia.mass * gravity
-        index = joint
-        while index > 0:
-            first = model.joints[index].idx_v
-            for k in range(first, first + model.joints[index].nv):
-                velocity = tree.screws[k].velocity(centre)
-                work = total([float(w) * v for w, v in zip(weight, velocity, strict=True) if w])
-                torques[k] = torques[k] + work
-            index = model.parents[index]
-    return torques

@@ -13,7 +13,7 @@ import importlib
 import json
 from pathlib import Path
 
-BENCHMARKS = ("compliance", "robots")
+BENCHMARKS = ("compliance", "robots", "dynamics")
 RATIOS = Path(__file__).with_name("ratios.json")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from pm3dof_pin.programs.elimination import Doubt, eliminate, least_squares, product, solve_upper
+from pm3dof_pin.programs.elimination import Doubt, eliminate, product, solve_upper, zeros
 from pm3dof_pin.programs.graph import Graph
 
 SAMPLES = 8
@@ -32,6 +32,17 @@ def sparse_matrices(generator: np.random.Generator, rows: int, columns: int) -> 
     pattern = generator.random((rows, columns)) < 0.6
     pattern[np.arange(columns), np.arange(columns)] = True
     return generator.standard_normal((SAMPLES, rows, columns)) * pattern
+
+
+def least_squares(matrix: np.ndarray, right: np.ndarray, doubt: Doubt) -> np.ndarray:
+    """Return x that minimises |A x - b|; unknowns that columns leave undetermined are 0."""
+    n = matrix.shape[1]
+    b = right.reshape(len(matrix), -1)
+    result = eliminate(np.hstack([matrix, b]), range(n), doubt)
+    solution = zeros(n, b.shape[1])
+    columns = list(result.columns)
+    solution[columns] = solve_upper(result.pivot_rows[:, columns], result.pivot_rows[:, n:])
+    return solution.reshape(n, *right.shape[1:])
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(3, 2), (4, 4), (6, 3), (9, 5), (5, 1)])

@@ -1,0 +1,178 @@
+"""Holding forces, inertia and natural frequencies at many poses, from compiled programs, with care where in doubt."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
+from pm3dof_pin.dynamics.modes import NO_MASS, natural_modes
+from pm3dof_pin.dynamics.statics import holding_forces
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
+from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
+
+_PROGRAM_FROM = 1000  # poses: fewer take Pinocchio no longer than a program takes to be recorded and compiled
+
+
+def actuator_forces(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    *,
+    payloads: Payloads | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Compute the forces of the actuators that hold many poses against gravity and payloads.
+
+    Example:
+        >>> import pm3dof_pin as pm
+        >>> from pm3dof_pin.dynamics import actuator_forces
+        >>> robot = pm.load("pm3dof")
+        >>> actuator_forces(robot, robot.solve(robot.grid(z_e=(0.45, 0.55, 3)))).round(3)[1]
+        array([6.022, 6.022, 6.022])
+
+    Args:
+        robot: the robot.
+        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+        on_failure: "raise", or "nan" to mark poses that are not solved, and those that no actuator forces hold.
+        engine: "program", where there are many poses; or "pinocchio", pose by pose.
+        threads: the number of processors by default. The result does not depend on it.
+
+    Returns:
+        Forces along the actuated joints, see :func:`~pm3dof_pin.dynamics.statics.holding_forces`,
+        shape=(..., number of actuated joints) [N, N m].
+
+    Raises:
+        PM3DofError: see :func:`~pm3dof_pin.dynamics.statics.holding_forces`.
+    """
+    model = model_with_payloads(robot, payloads)
+
+    def program(q: Matrix) -> tuple[Array, Mask]:
+        from pm3dof_pin.dynamics.traced import holding
+
+        return holding(robot, model, _many(q), threads)
+
+    return evaluate_at(
+        robot,
+        poses,
+        "holding forces",
+        (len(robot.actuated_joints),),
+        program=program,
+        careful=lambda q: holding_forces(robot.configuration(q), payloads=payloads).actuator_forces,
+        on_failure=on_failure,
+        engine=engine,
+    ).values
+
+
+def drive_mass_matrices(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    *,
+    payloads: Payloads | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Compute the mass matrix that the actuated joints feel at many poses.
+
+    Args and errors are those of :func:`actuator_forces`.
+
+    Returns:
+        See :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix`, shape=(..., u, u) [kg, kg m, kg m^2].
+    """
+    robot.require_possible_inertias()
+    model = model_with_payloads(robot, payloads)
+
+    def program(q: Matrix) -> tuple[Array, Mask]:
+        from pm3dof_pin.dynamics.traced import drive_inertia
+
+        return drive_inertia(robot, model, _many(q), threads)
+
+    return evaluate_at(
+        robot,
+        poses,
+        "mass matrix",
+        (len(robot.actuated_joints),) * 2,
+        program=program,
+        careful=lambda q: drive_mass_matrix(robot.configuration(q), payloads=payloads),
+        on_failure=on_failure,
+        engine=engine,
+    ).values
+
+
+def natural_frequencies(
+    elastic: ElasticModel,
+    poses: Poses | ArrayLike,
+    *,
+    count: int,
+    payloads: Payloads | None = None,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Compute the lowest natural frequencies at many poses.
+
+    Args:
+        elastic: the mechanism with its springs.
+        poses: solved poses, or configurations q of the rigid mechanism with closed loops, shape=(..., nq) [m, rad].
+        count: number of frequencies at each.
+        payloads: see :func:`actuator_forces`.
+        on_failure: see :func:`actuator_forces`.
+        engine: see :func:`actuator_forces`.
+        threads: see :func:`actuator_forces`.
+
+    Returns:
+        Rising, shape=(..., count) [Hz]; NaN where there are fewer modes.
+
+    Raises:
+        PM3DofError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
+    """
+    elastic.mechanism.require_possible_inertias()
+    model = model_with_payloads(elastic.mechanism, payloads)
+
+    def program(q: Matrix) -> tuple[Array, Mask]:
+        from pm3dof_pin.dynamics.traced import vibrations
+
+        matrices, sound = vibrations(elastic, model, _many(q), threads)
+        matrices[~sound] = 0.0
+        return _frequencies(np.linalg.eigvalsh(matrices)[:, ::-1], count), sound
+
+    def careful(q: Vector) -> Vector:
+        found = natural_modes(elastic, q, count=count, payloads=payloads).frequencies
+        return np.append(found, np.full(count - len(found), np.nan))
+
+    return evaluate_at(
+        elastic.rigid,
+        poses,
+        "natural frequencies",
+        (count,),
+        program=program,
+        careful=careful,
+        on_failure=on_failure,
+        engine=engine,
+    ).values
+
+
+def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:
+    """Return frequencies from 1 / omega^2, falling, shape=(n, count) [Hz]."""
+    found = np.full((len(inverse_squares), count), np.nan)
+    first = inverse_squares[:, :count]
+    has_mass = first > NO_MASS * inverse_squares[:, :1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found[:, : first.shape[1]] = np.where(has_mass, 1.0 / (2.0 * np.pi * np.sqrt(first)), np.nan)
+    return found
+
+
+def _many(q: Matrix) -> Matrix:
+    if len(q) < _PROGRAM_FROM:
+        raise ProgramError(f"{len(q)} poses are too few for a program")
+    return q

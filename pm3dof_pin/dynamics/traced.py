@@ -1,0 +1,240 @@
+"""Holding forces, inertia and vibrations of a mechanism on recorded numbers, and their programs.
+
+The actuators' shortest motions S, v = S du with the loops closed, give both the forces that hold the weights,
+S^T tau_g, and the inertia that the actuators feel, S^T M S. Vibrations are those of
+:mod:`pm3dof_pin.dynamics.modes`, with strains of unit energy as coordinates: eigenvalues of a symmetric matrix, which
+are left to LAPACK.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.elastic.compiled import parameters as elastic_parameters
+from pm3dof_pin.elastic.compiled import structure as elastic_structure
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.traced import elastic_tree, spring_root
+from pm3dof_pin.exceptions import ConvergenceError, ProgramError
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.programs import cache, geometry, masses
+from pm3dof_pin.programs.closed_motions import closed_motions
+from pm3dof_pin.programs.elimination import Doubt, product, samples, total
+from pm3dof_pin.programs.graph import Graph, less, select, sqrt
+from pm3dof_pin.programs.llvm import Compiled
+from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.masses import Masses
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.projection import projected
+from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, length_unit
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Mask, Matrix, Objects
+
+_NO_MASS = 1e-15
+"""Part of the mass of all bodies, times the unit of length squared, below which a motion moves no mass."""
+
+
+def drive_motions(tree: Tree, doubt: Doubt) -> Objects:
+    """Record the shortest motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
+
+    Args:
+        tree: the mechanism.
+        doubt: where to record pivots and what is dropped.
+
+    Raises:
+        ProgramError: the tool can move with all actuators at rest, at the sample poses; or there is no tool to tell.
+    """
+    robot = tree.mechanism
+    unit, driven = robot.characteristic_length, robot.actuated_indices.tolist()
+    motions = closed_motions(tree, driven, robot.passive_indices.tolist(), unit, doubt)
+    slides, rates = tree.slides, motions.rates
+    if motions.idle.size:
+        if robot.tool_frame is None:
+            raise ProgramError(f"{robot.name} can move with all actuators at rest")
+        jacobian = tree.jacobian(robot.tool_frame)
+        jacobian[:3] = jacobian[:3] * (1.0 / unit)
+        jacobian[:, slides] = jacobian[:, slides] * unit
+        for entry in product(jacobian, motions.idle).ravel():
+            if np.nanmax(np.abs(samples(entry))) > DROPPED:
+                raise ProgramError(f"the tool of {robot.name} can move with all actuators at rest")
+            doubt.drop([entry])
+        rates = projected(motions.idle.T, rates.T, doubt, restored=True).T
+    if len(motions.relations):
+        rates = projected(motions.relations, rates, doubt, restored=True)
+    rates[slides] = rates[slides] * unit
+    columns = [k for k, index in enumerate(driven) if index in slides]
+    rates[:, columns] = rates[:, columns] * (1.0 / unit)
+    return rates
+
+
+def _holding(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+    """Record the forces of the actuators that hold the weights, shape=(u,) [N, N m]."""
+    return product(drive_motions(tree, doubt).T, Masses(tree, model).weights[:, None])[:, 0]
+
+
+def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
+    """Record the mass matrix of the actuated joints, shape=(u, u) [kg, kg m, kg m^2]."""
+    motions = drive_motions(tree, doubt)
+    return _symmetric(motions, product(Masses(tree, model).matrix, motions))
+
+
+def _vibrations(tree: Tree, model: pin.Model, elastic: ElasticModel, doubt: Doubt) -> Objects:
+    """Record Z'^T M Z' of :mod:`pm3dof_pin.dynamics.modes`, its lower triangle row by row [s^2]."""
+    unit = length_unit(elastic.mechanism.characteristic_length)
+    driven, passive = elastic.spring_indices.tolist(), elastic.passive_indices.tolist()
+    motions = closed_motions(tree, driven, passive, unit, doubt)
+    root = spring_root(tree.graph, elastic, tree)
+    strained = projected(product(motions.relations, root), product(motions.rates, root), doubt)
+    moved = np.hstack([motions.idle, strained])
+    moved[tree.slides] = moved[tree.slides] * unit
+    inertia = _symmetric(moved, product(Masses(tree, model).matrix, moved))
+    reference = sum(body.mass for body in model.inertias) * unit**2
+    for k in range(motions.idle.shape[1]):  # what is free follows so that its momentum is zero
+        pivot, row = inertia[k, k], inertia[k].copy()
+        if np.nanmax(np.abs(samples(pivot))) <= _NO_MASS * reference:
+            doubt.drop([sqrt(pivot * (1.0 / reference))])
+            continue
+        inverse = 1.0 / pivot
+        for i in range(k + 1, len(inertia)):
+            for j in range(i, len(inertia)):
+                inertia[i, j] = inertia[j, i] = inertia[i, j] - row[i] * (row[j] * inverse)
+    first = motions.idle.shape[1]
+    return inertia[first:, first:][np.tril_indices(len(inertia) - first)]
+
+
+def _symmetric(a: Objects, b: Objects) -> Objects:
+    """Return A^T B, which is symmetric."""
+    result = product(a.T, b)
+    for i in range(len(result)):
+        result[i, :i] = result[:i, i]
+    return result
+
+
+def holding_program(robot: Robot, poses: Matrix) -> Program:
+    """Record the holding forces, for other printers; masses are constants, geometry parameters.
+
+    Outputs: `forces`, shape=(u,); and `pivot`, the least pivot, small near singular poses.
+
+    Args:
+        robot: the robot.
+        poses: closed configurations near home, shape=(s, nq).
+
+    Raises:
+        ProgramError: there is no program.
+    """
+    graph, doubt = Graph(), Doubt()
+    tree = Tree(graph, robot, poses)
+    forces = _holding(tree, robot.model, doubt)
+    return graph.program("holding", {"forces": forces, "pivot": doubt.pivot})
+
+
+def holding(robot: Robot, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+    """Evaluate the holding forces.
+
+    Args:
+        robot: the robot.
+        model: its tree, or a copy with payloads.
+        q: configurations, shape=(n, nq).
+        threads: number of threads.
+
+    Returns:
+        Forces, shape=(n, u); and the poses at which nothing is in doubt, shape=(n,).
+
+    Raises:
+        ProgramError: there is no program for this robot.
+    """
+    return _of_drives("holding", _holding, robot, model, q, threads)
+
+
+def drive_inertia(robot: Robot, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+    """Evaluate the mass matrix that the actuated joints feel, flat; otherwise as :func:`holding`."""
+    return _of_drives("inertia", _inertia, robot, model, q, threads)
+
+
+def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+    """Evaluate the matrix whose eigenvalues are 1 / omega^2; arguments and errors otherwise as for :func:`holding`.
+
+    Args:
+        elastic: the elastic mechanism.
+        model: its tree, or a copy with payloads.
+        q: configurations of the rigid mechanism, shape=(n, nq).
+        threads: number of threads.
+
+    Returns:
+        Matrices in their lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and the poses at which
+        nothing is in doubt, shape=(n,).
+    """
+    frame = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name
+
+    def trace() -> Program:
+        poses = _samples(elastic.rigid)
+        verify(elastic.mechanism, elastic.embed(poses))
+        graph, doubt = Graph(), Doubt()
+        positions = np.array([graph.input(f"q[{k}]", poses[:, k]) for k in range(poses.shape[1])], dtype=object)
+        tree = elastic_tree(graph, elastic, positions, poses, frame)
+        return _finished("vibrations", tree, _vibrations(tree, model, elastic, doubt), doubt)
+
+    key = repr(("vibrations", masses.pattern(model), *elastic_structure(elastic, frame)))
+    compiled = cache.known(key, trace)
+    entries, sound = _evaluated(compiled, lambda names: elastic_parameters(elastic, names), model, q, threads)
+    size = math.isqrt(2 * entries.shape[1])
+    matrices = np.zeros((len(q), size, size))
+    matrices[:, *np.tril_indices(size)] = entries
+    return matrices, sound
+
+
+def _of_drives(
+    name: str,
+    record: Callable[[Tree, pin.Model, Doubt], Objects],
+    robot: Robot,
+    model: pin.Model,
+    q: Matrix,
+    threads: int | None,
+) -> tuple[Array, Mask]:
+    def trace() -> Program:
+        poses = _samples(robot)
+        verify(robot, poses)
+        doubt, tree = Doubt(), Tree(Graph(), robot, poses)
+        return _finished(name, tree, record(tree, model, doubt), doubt)
+
+    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.pattern(model))
+    key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
+    return _evaluated(cache.known(key, trace), lambda names: geometry.values(robot, names), model, q, threads)
+
+
+def _samples(robot: Robot) -> Matrix:
+    try:
+        return samples_near(robot, robot.home.q)
+    except ConvergenceError as error:
+        raise ProgramError(str(error)) from error
+
+
+def _finished(name: str, tree: Tree, values: Objects, doubt: Doubt) -> Program:
+    """Return the program of some values and of `sound`, 1 where the loops are closed and nothing is in doubt."""
+    finite = total([entry * entry for entry in values.ravel()])
+    sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
+    tolerance = 0.5 * ASSEMBLED_TOLERANCE * length_unit(tree.mechanism.characteristic_length)
+    for index in range(len(tree.mechanism.closures)):
+        sound = sound & less(closure_equations(tree, index).residual, tolerance)
+    return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})
+
+
+def _evaluated(
+    compiled: Compiled,
+    others: Callable[[tuple[str, ...]], Array],
+    model: pin.Model,
+    q: Matrix,
+    threads: int | None,
+) -> tuple[Array, Mask]:
+    """Run a program whose parameters are masses and others."""
+    found = masses.numbers(model)
+    names = tuple(name for name in compiled.program.parameters if name not in found)
+    found |= dict(zip(names, others(names), strict=True))
+    results = compiled(q, geometry.chosen(found, compiled.program.parameters), threads=threads)
+    return results[:, :-1], results[:, -1] == 1.0

@@ -1,0 +1,96 @@
+"""Values at many poses: from a compiled program, and with care where that is in doubt."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseValues:
+    """Values at many poses.
+
+    Attributes:
+        values: shape=(..., *shape of one value); NaN where it failed.
+        redone: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...).
+        failed: poses that have no value, shape=(...).
+    """
+
+    values: Array
+    redone: Mask
+    failed: Mask
+
+
+def evaluate_at(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    name: str,
+    shape: tuple[int, ...],
+    *,
+    program: Callable[[Matrix], tuple[Array, Mask]],
+    careful: Callable[[Vector], ArrayLike],
+    on_failure: OnFailure,
+    engine: Engine,
+) -> PoseValues:
+    """Compute something at many poses.
+
+    Args:
+        robot: the robot.
+        poses: solved poses, or configurations q, shape=(..., nq) [m, rad].
+        name: what is computed, for the log.
+        shape: shape of one value.
+        program: from configurations, shape=(n, nq), to values, shape=(n, size), and where nothing is in doubt,
+            shape=(n,); raises ProgramError where there is no program.
+        careful: from one configuration, shape=(nq,), to its value.
+        on_failure: "raise" what `careful` raises, or "nan" to mark such poses, and those that are not solved.
+        engine: "program", or "pinocchio" for `careful` at every pose.
+
+    Raises:
+        InvalidValueError: `poses` has another shape.
+        PM3DofError: see `careful`.
+    """
+    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
+    if q.shape[-1:] != (robot.model.nq,):
+        raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {robot.model.nq})")
+    rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
+    values: Array | None = None
+    doubtful = np.arange(len(rows))
+    if engine == "program":
+        with suppress(ProgramError):
+            values, sound = program(rows)
+            doubtful = np.flatnonzero(~sound)
+    if values is None:
+        values = np.empty((len(rows), math.prod(shape)))
+    failed = np.zeros(len(rows), dtype=bool)
+    for index in doubtful:
+        values[index] = np.nan
+        try:
+            if on_failure == "raise" or np.isfinite(rows[index]).all():
+                values[index] = np.ravel(careful(rows[index]))
+            else:
+                failed[index] = True
+        except PM3DofError:
+            if on_failure == "raise":
+                raise
+            failed[index] = True
+    redone = np.zeros(len(rows), dtype=bool)
+    redone[doubtful] = ~failed[doubtful]
+    if len(doubtful):
+        _logger.info(
+            "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
+            *(name, robot.name, int(redone.sum()), len(rows), int(failed.sum())),
+        )
+    return PoseValues(values.reshape(*q.shape[:-1], *shape), redone.reshape(q.shape[:-1]), failed.reshape(q.shape[:-1]))

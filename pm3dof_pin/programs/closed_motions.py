@@ -1,0 +1,86 @@
+"""How all joints move while the loops stay closed, on recorded numbers, some of them being driven."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.programs.elimination import Doubt, eliminate, matrix_of, samples, solve_upper, zeros
+from pm3dof_pin.programs.graph import is_zero
+from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.projection import rank
+from pm3dof_pin.programs.tool_motion import DROPPED
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.typing import Objects
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedMotions:
+    """Velocities that keep the loops closed; those of slides are measured in units of length.
+
+    Attributes:
+        rates: velocities of all joints at unit rate of each driven one, where these obey the relations, shape=(nv, k).
+        idle: basis of the motions with all driven joints at rest, shape=(nv, u).
+        relations: independent equations that rates of the driven joints obey, shape=(r, k).
+    """
+
+    rates: Objects
+    idle: Objects
+    relations: Objects
+
+
+def closed_motions(
+    tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
+) -> ClosedMotions:
+    """Record the motions of a mechanism; joints neither driven nor passive are locked.
+
+    Args:
+        tree: the mechanism.
+        driven: entries of v that are driven.
+        passive: entries of v that follow.
+        unit: unit of length [m].
+        doubt: where to record pivots and what is dropped.
+    """
+    rows = constraint_rows(tree, unit)
+    count, nv = len(passive), rows.shape[1]
+    result = eliminate(rows[:, [*passive, *driven]], range(count), doubt)
+    columns = list(result.columns)
+    others = [*result.dropped, *range(count, count + len(driven))]
+    followed = solve_upper(result.pivot_rows[:, columns], -result.pivot_rows[:, others])
+    motions = zeros(nv, len(others))
+    motions[[passive[c] for c in columns]] = followed
+    for k, c in enumerate(others):
+        motions[passive[c] if c < count else driven[c - count], k] = 1.0
+    relations = _without_zeros(result.rest[:, count:], doubt)
+    if rank(relations) < len(relations):
+        relations = eliminate(relations, range(len(driven)), doubt).pivot_rows
+    idle = len(result.dropped)
+    return ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
+
+
+def constraint_rows(tree: Tree, unit: float) -> Objects:
+    """Return the constraint Jacobian, velocities of slides and of points in units of length, shape=(m, nv)."""
+    rows = []
+    for index in range(len(tree.mechanism.closures)):
+        equations = closure_equations(tree, index)
+        for i, is_angular in enumerate(equations.is_angular):
+            row = zeros(1, len(tree.screws))[0]
+            for k, column in equations.columns.items():
+                row[k] = column[i] if is_angular else column[i] * (1.0 / unit)
+            rows.append(row)
+    matrix = matrix_of(rows, len(tree.screws))
+    slides = tree.slides
+    matrix[:, slides] = matrix[:, slides] * unit
+    return matrix
+
+
+def _without_zeros(rows: Objects, doubt: Doubt) -> Objects:
+    """Return the rows without entries that are zero at all sample poses, and without those that have no others."""
+    kept = rows.copy()
+    for place, entry in np.ndenumerate(rows):
+        if np.nanmax(np.abs(samples(entry))) <= DROPPED:
+            doubt.drop([entry])
+            kept[place] = 0.0
+    return kept[[not all(map(is_zero, row)) for row in kept]]

@@ -1,0 +1,118 @@
+"""The masses of a mechanism on recorded numbers: weights, and the mass matrix of the tree of bodies.
+
+The ten numbers of every body that has mass (mass, first moment and inertia in the axes of its joint), and gravity, are
+parameters, so that a payload needs no new program; zeros are constants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from pm3dof_pin.programs.elimination import zeros
+from pm3dof_pin.programs.graph import Scalar, is_zero
+from pm3dof_pin.programs.joints import Screw, cross, objects
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.typing import Objects
+
+_ROUNDING = 1e-15
+_ENTRIES = ("m", "h0", "h1", "h2", "I00", "I01", "I11", "I02", "I12", "I22")  # in Pinocchio's order
+_ORIGIN = objects([0.0, 0.0, 0.0])
+
+
+def numbers(model: pin.Model) -> dict[str, float]:
+    """Collect gravity and the masses of a model by name."""
+    found = {f"gravity/{k}": float(entry) for k, entry in enumerate(model.gravity.linear)}
+    for index in range(1, model.njoints):
+        entries = zip(_ENTRIES, model.inertias[index].toDynamicParameters(), strict=True)
+        found |= {f"mass/{model.names[index]}/{entry}": float(value) for entry, value in entries}
+    return {name: value if abs(value) > _ROUNDING else 0.0 for name, value in found.items()}
+
+
+def pattern(model: pin.Model) -> list[str]:
+    """Return which of the :func:`numbers` are constants, since they are zero."""
+    return [name for name, value in numbers(model).items() if value == 0.0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Mass, first moment and inertia about the world's origin, in its axes."""
+
+    mass: Scalar
+    moment: Objects
+    inertia: Objects
+
+    def __add__(self, other: _Body) -> _Body:
+        return _Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
+
+    def momentum(self, screw: Screw) -> tuple[Objects, Objects]:
+        """Return momentum and angular momentum about the world's origin at unit rate of a joint."""
+        velocity = screw.velocity(_ORIGIN)
+        linear = self.mass * velocity + cross(screw.angular, self.moment)
+        return linear, self.inertia @ screw.angular + cross(self.moment, velocity)
+
+
+class Masses:
+    """What the joints of a tree carry.
+
+    Args:
+        tree: the traced tree.
+        model: its model, or a copy with payloads.
+    """
+
+    def __init__(self, tree: Tree, model: pin.Model) -> None:
+        self._tree = tree
+        self._numbers: dict[str, Scalar] = {
+            name: tree.graph.parameter(name, value) if value else 0.0 for name, value in numbers(model).items()
+        }
+        self._carried = [self._body(index) for index in range(model.njoints)]
+        for index in reversed(range(1, model.njoints)):
+            self._carried[model.parents[index]] += self._carried[index]
+        self._owner = [
+            index for index in range(1, model.njoints) for _ in range(model.joints[index].nv)
+        ]  # joint of each entry of v
+
+    @property
+    def weights(self) -> Objects:
+        """Generalised forces that hold the tree of bodies against gravity, shape=(nv,) [N, N m]."""
+        gravity = objects([self._numbers[f"gravity/{k}"] for k in range(3)])
+        momenta = (self._carried[owner].momentum(s)[0] for owner, s in zip(self._owner, self._tree.screws, strict=True))
+        return objects([-(gravity @ momentum) for momentum in momenta])
+
+    @property
+    def matrix(self) -> Objects:
+        """Mass matrix of the tree of bodies, shape=(nv, nv) [kg, kg m, kg m^2]."""
+        screws, parents = self._tree.screws, self._tree.mechanism.model.parents
+        matrix = zeros(len(screws), len(screws))
+        for k, owner in enumerate(self._owner):
+            linear, angular = self._carried[owner].momentum(screws[k])
+            above, joint = [], owner
+            while joint:
+                above += [i for i, other in enumerate(self._owner) if other == joint]
+                joint = parents[joint]
+            for i in above:
+                matrix[i, k] = matrix[k, i] = screws[i].velocity(_ORIGIN) @ linear + screws[i].angular @ angular
+        return matrix
+
+    def _body(self, index: int) -> _Body:
+        if not index:
+            return _Body(0.0, _ORIGIN, zeros(3, 3))
+        name = self._tree.mechanism.model.names[index]
+        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = (self._numbers[f"mass/{name}/{entry}"] for entry in _ENTRIES)
+        own = [m, hx, hy, hz, xx, xy, yy, xz, yz, zz]
+        if all(map(is_zero, own)):
+            return _Body(0.0, _ORIGIN, zeros(3, 3))
+        placement = self._tree.body(index)
+        turned, place = placement.rotation @ objects([hx, hy, hz]), placement.translation
+        inertia = placement.rotation @ objects([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ placement.rotation.T
+        shift = turned + turned + m * place  # parallel axes: the moment about the joint counts twice
+        return _Body(m, turned + m * place, inertia + _across(place, shift))
+
+
+def _across(a: Objects, b: Objects) -> Objects:
+    """Return a.b 1 - (a b^T + b a^T) / 2, shape=(3, 3)."""
+    outer = np.outer(a, b)
+    matrix: Objects = np.diag([a @ b] * 3) - 0.5 * (outer + outer.T)
+    return matrix

@@ -1,0 +1,88 @@
+"""Rows turned from the right by orthogonal matrices, on recorded numbers: projections, triangles, ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pm3dof_pin.programs.elimination import ZERO, Doubt, Reflection, matrix_of, reflect, samples, total, typical
+from pm3dof_pin.programs.graph import Scalar, is_zero, sqrt
+from pm3dof_pin.typing import Objects
+
+
+def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool = False) -> Objects:
+    """Return the part of rows at right angles to independent relations.
+
+    Args:
+        relations: shape=(k, n).
+        rows: shape=(m, n).
+        doubt: where to record the pivots.
+        restored: whether the part is wanted in its own numbers instead of in an orthonormal basis of that space.
+
+    Returns:
+        shape=(m, n - k); (m, n) if restored.
+    """
+    stack = [list(row) for row in (*relations, *rows)]
+    left = list(range(relations.shape[1]))
+    reflections = []
+    for i in range(len(relations)):
+        entries = {c: stack[i][c] for c in left if not is_zero(stack[i][c])}
+        reflections.append(_turn(entries, stack[i + 1 :]))
+        left.remove(reflections[-1].indices[0])
+        earlier = [stack[i][reflection.indices[0]] for reflection in reflections[:-1]]
+        if not all(map(is_zero, earlier)):
+            square = reflections[-1].size * reflections[-1].size
+            doubt.note_pivot(sqrt(square / (square + total([entry * entry for entry in earlier]))))
+    parts = stack[len(relations) :]
+    if not restored:
+        return matrix_of(parts, relations.shape[1])[:, left]
+    for row in parts:
+        for reflection in reversed(reflections):
+            row[reflection.indices[0]] = 0.0
+        for reflection in reversed(reflections):
+            reflection.apply(row, transposed=True)
+    return matrix_of(parts, relations.shape[1])
+
+
+def compressed(rows: Objects) -> Objects:
+    """Return rows turned by an orthogonal matrix from the right, such that no more columns than rows are left."""
+    return triangular(rows) if rows.shape[1] > len(rows) else rows
+
+
+def triangular(rows: Objects) -> Objects:
+    """Return rows turned by an orthogonal matrix from the right into lower triangular ones."""
+    stack = [list(row) for row in rows]
+    left, taken = list(range(rows.shape[1])), []
+    for i, row in enumerate(stack):
+        entries = {c: row[c] for c in left if not is_zero(row[c])}
+        if not entries:
+            continue
+        reflection = _turn(entries, stack[i + 1 :])
+        for c in reflection.indices:
+            row[c] = 0.0
+        row[reflection.indices[0]] = reflection.pivot
+        left.remove(reflection.indices[0])
+        taken.append(reflection.indices[0])
+    return matrix_of(stack, rows.shape[1])[:, taken]
+
+
+def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
+    """Apply the reflection that leaves only the largest entry of a row to other rows."""
+    places = sorted(entries, key=lambda c: -typical(np.abs(samples(entries[c]))))
+    reflection = reflect([entries[c] for c in places], places)
+    for row in rows:
+        reflection.apply(row)
+    return reflection
+
+
+def rank(rows: Objects) -> int:
+    """Return the rank at the middle one of the sample poses, of numbers compared with 1."""
+    if not rows.size:
+        return 0
+    count = max(np.size(samples(entry)) for entry in rows.ravel())
+    values = np.empty((count, *rows.shape))
+    for (i, j), entry in np.ndenumerate(rows):
+        values[:, i, j] = samples(entry)
+    sizes = np.linalg.svd(values[np.isfinite(values).all(axis=(1, 2))], compute_uv=False)
+    return int(typical((sizes > ZERO).sum(axis=1)))

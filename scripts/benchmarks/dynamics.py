@@ -1,0 +1,60 @@
+"""Holding forces, inertia and natural frequencies of many poses, against Pinocchio and LAPACK pose by pose.
+
+Processor time of one thread, the least of several runs, taken in turn.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from pm3dof_pin.dynamics import actuator_forces, drive_mass_matrices, natural_frequencies
+from pm3dof_pin.elastic import ElasticModel
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.typing import Array
+
+ROBOTS = ("pm3dof", "hexapod", "three_rps")
+POSES, FEW = 4000, 20
+ROUNDS = 5
+
+
+def least(work: Callable[[], Array]) -> float:
+    """Return the least processor time of some work [s]."""
+    times = []
+    for _ in range(ROUNDS):
+        start = time.thread_time()
+        work()
+        times.append(time.thread_time() - start)
+    return min(times)
+
+
+def main() -> dict[str, float]:
+    ratios: dict[str, float] = {}
+    for name in ROBOTS:
+        model = ElasticModel.load(name)
+        few = reachable_poses(model.rigid, FEW, np.random.default_rng(0)).q
+        many = np.tile(few, (POSES // FEW, 1))
+        quantities: dict[str, Callable[..., Array]] = {
+            "holding forces": partial(actuator_forces, model.rigid),
+            "mass matrix of the drives": partial(drive_mass_matrices, model.rigid),
+            "six natural frequencies": partial(natural_frequencies, model, count=6),
+        }
+        for what, compute in quantities.items():
+            start = time.thread_time()
+            compute(many, threads=1)
+            first = time.thread_time() - start
+            each = least(lambda c=compute, q=many: c(q, threads=1)) / POSES
+            careful = least(lambda c=compute, q=few: c(q, engine="pinocchio")) / FEW
+            ratios[f"{name}: {what} against Pinocchio"] = careful / each
+            print(
+                f"{name}: {what:26} {1e6 * each:7.2f} us a pose, pose by pose {1e6 * careful:6.0f} us, "
+                f"{careful / each:5.0f} times; first use {first:.2f} s"
+            )
+    return ratios
+
+
+if __name__ == "__main__":
+    main()
