@@ -80,6 +80,14 @@ def answer() -> Callable[..., dict[str, Any]]:
     return read
 
 
+@pytest.fixture
+def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the pictures of a calibration's report, half of what the command takes; some tests look at them."""
+    from pm3dof_pin.figures import calibration_report
+
+    monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
+
+
 @pytest.fixture(scope="session")
 def tripod() -> Tripod:
     """The chapter's machine in closed form."""

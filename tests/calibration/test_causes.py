@@ -81,6 +81,7 @@ def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, t
     assert re.search("tolerances .* from the description|more than the machine could be off", reasons[0])
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_the_command_says_no_and_writes_nothing(
     run: Callable[..., Any], answer: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -154,6 +154,7 @@ def test_springs_that_are_not_there(tripod_nominal: Poses) -> None:
         spring_deflections(tripod_nominal[:2], np.ones((1, 6)))
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., Any], tmp_path: Path) -> None:
     loads = [str(number) for number in STRONGEST]
     plan = ("calibration-plan", "--poses", "24", "--candidates", "60", "--strategy", "random", "--out", "plan.csv")

@@ -221,10 +221,10 @@ def test_workspace(answer: Answer, tmp_path: Path, tripod: Tripod) -> None:
 
 
 def test_atlas(answer: Answer, tmp_path: Path) -> None:
-    arguments = ["--points", "15", "15", "9", "-q", "K", "-q", "condition_number", "-q", "slider_travel"]
+    arguments = ["--points", "9", "9", "5", "-q", "K", "-q", "slider_travel"]
     result = answer("atlas", *arguments, "--out", str(tmp_path / "atlas.nc"))
-    assert result["poses"] == 15 * 15 * 9
-    pictures = ["condition_number", *(f"slider_travel_{leg}" for leg in (1, 2, 3))]
+    assert result["poses"] == 9 * 9 * 5
+    pictures = [f"slider_travel_{leg}" for leg in (1, 2, 3)]
     expected = {"atlas.nc", *(f"atlas_{name}.png" for name in pictures)}
     assert {path.name for path in tmp_path.iterdir()} == {Path(file).name for file in result["files"]} == expected
 

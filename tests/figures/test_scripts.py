@@ -61,6 +61,8 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     if name == "studies/plan_study":
         small = {
             "shell_poses": 2,
+            "candidates": 60,
+            "test_poses": 8,
             "counts": (10,),
             "seeds": (0,),
             "strategies": ("space-filling",),

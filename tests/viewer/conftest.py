@@ -18,8 +18,19 @@ from pm3dof_pin.viewer.browser import Browser, find_browser
 Array = NDArray[np.float64]
 
 
+# Rendering in software takes most of the time of these tests, and few of them look at pixels.
+DRAWING_ON_DEMAND = """
+for (const kind of ["drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced"]) {
+    const draw = WebGL2RenderingContext.prototype[kind];
+    WebGL2RenderingContext.prototype[kind] = function (...words) {
+        if (window.isDrawing) draw.apply(this, words);
+    };
+}
+"""
+
+
 class Page:
-    """The page of a viewer in the browser."""
+    """The page of a viewer in the browser; its scene is drawn for :meth:`picture` only."""
 
     def __init__(self, browser: Browser) -> None:
         self.browser = browser
@@ -98,7 +109,12 @@ class Page:
         """What is seen, shape=(height, width, 3), in 0 .. 1."""
         from matplotlib.image import imread
 
-        return np.asarray(imread(io.BytesIO(self.browser.picture()), format="png"))[..., :3].astype(float)
+        self.ask("window.isDrawing = true, pm3dof.viewer.set_dirty()")
+        try:
+            picture = self.browser.picture()
+        finally:
+            self.ask("window.isDrawing = false")
+        return np.asarray(imread(io.BytesIO(picture), format="png"))[..., :3].astype(float)
 
 
 @pytest.fixture(scope="session")
@@ -108,6 +124,7 @@ def browser() -> Iterator[Browser]:
     except BrowserError as error:
         pytest.skip(str(error))
     with Browser(800, 600) as started:
+        started._ask("Page.addScriptToEvaluateOnNewDocument", {"source": DRAWING_ON_DEMAND})
         yield started
 
 

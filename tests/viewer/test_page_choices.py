@@ -46,7 +46,7 @@ def saved(hexapod: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def shown(page: Any, saved: Path) -> Iterator[Any]:
-    page.open(saved.as_uri())
+    page.open_again(saved.as_uri())
     page.ask("pm3dof.viewer.animator.pause()")
     for index, value in enumerate(POSE):
         page.ask(f"pm3dof.slide({index}, {value})")

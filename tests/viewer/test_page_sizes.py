@@ -17,6 +17,7 @@ pytestmark = pytest.mark.browser
 
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "linear_delta")
 SIZES = ((1400, 900), (420, 800))
+PICTURES = ((1400, "dark"), (420, "light"))
 BOX = "name => { const { left, top, right, bottom } = document.querySelector(name).getBoundingClientRect();"
 BOX += " return [left, top, right, bottom]; }"
 
@@ -52,8 +53,8 @@ def test_the_page_fits_and_is_readable(sized: Any, name: str, tmp_path: Path) ->
                 for of in ("color", "backgroundColor")
             )
             assert abs(luminance(ink) - luminance(card)) > 0.5, (theme, ink, card)
-            picture = sized.picture()
-            assert picture.std() > 0.03
+            if (width, theme) in PICTURES:
+                assert sized.picture().std() > 0.03
     assert sized.browser.errors == []
 
 
