@@ -41,13 +41,15 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         margin: part of each coordinate's range that is kept free at either end.
 
     Raises:
-        UnreachablePoseError: hardly any pose was found within the limits.
+        UnreachablePoseError: hardly any pose was found within the limits, or nothing moves.
         InvalidValueError: the margin is not between 0 and 0.5.
     """
     if not 0.0 <= margin < 0.5:
         raise InvalidValueError("margin", margin, "a part of the range, at least 0 and less than 0.5")
+    if not robot.coordinates:
+        raise UnreachablePoseError(f"{robot.name}: has no coordinates, as it has no actuated joints")
     for by_commands in (False, True):
-        if not by_commands and not _has_ranges(robot):
+        if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
             continue
         found = _draw(robot, by_commands, _TRIAL, generator, margin)
         drawn = _TRIAL
