@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+_LONGEST = 2000
+
 
 def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
     """List the known names; of many, those that are most like the name."""
@@ -21,7 +23,12 @@ def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
 
 
 class PM3DofError(Exception):
-    """Base class of every error this package raises on purpose."""
+    """Base class of every error this package raises on purpose. Its message is one line of moderate length."""
+
+    def __str__(self) -> str:
+        """Return the message: names from files may hold anything, so what does not print is escaped."""
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in super().__str__())
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle without calling the constructor again, whose arguments are not those of the message."""

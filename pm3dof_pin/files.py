@@ -1,4 +1,4 @@
-"""Writing files whole or not at all."""
+"""Reading files of moderate size; writing files whole or not at all."""
 
 from __future__ import annotations
 
@@ -7,12 +7,49 @@ import os
 import re
 import shutil
 import socket
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pm3dof_pin.exceptions import OutputError
+from pm3dof_pin.exceptions import DescriptionError, OutputError
+
+MOST_BYTES = 64 * 2**20
+"""Size of a file up to which it is read."""
+
+
+def read_bytes(path: Path | str) -> bytes:
+    """Read an ordinary file of moderate size: no device or pipe, which may give bytes for ever, or none.
+
+    Args:
+        path: the file.
+
+    Raises:
+        DescriptionError: it is unreadable, no ordinary file, or too large.
+    """
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise DescriptionError(path, "file", "expected an ordinary file, not a folder, pipe or device")
+        with Path(path).open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
+        raise DescriptionError(path, "file", f"expected a readable file ({_reason(error)})") from error
+    if len(content) > MOST_BYTES:
+        raise DescriptionError(path, "file", f"expected no more than {MOST_BYTES >> 20} MiB")
+    return content
+
+
+def read_text(path: Path | str) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark, as :func:`read_bytes` does.
+
+    Raises:
+        DescriptionError: see there; or it is no UTF-8 text.
+    """
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DescriptionError(path, "file", f"expected UTF-8 text (byte {error.start} is none)") from error
 
 
 @contextmanager
@@ -35,14 +72,14 @@ def write_atomically(path: Path | str) -> Iterator[Path]:
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=prefix, suffix=target.suffix)
         os.close(descriptor)
     except OSError as error:
-        raise OutputError(target, error.strerror or str(error)) from error
+        raise OutputError(target, _reason(error)) from error
     temporary = Path(name)
     try:
         yield temporary
         _set_default_mode(temporary)
         os.replace(temporary, target)
     except OSError as error:
-        raise OutputError(target, error.strerror or str(error)) from error
+        raise OutputError(target, _reason(error)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -90,7 +127,7 @@ def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
                 os.replace(target, old)
             os.replace(fresh, target)
     except OSError as error:
-        raise OutputError(target, error.strerror or str(error)) from error
+        raise OutputError(target, _reason(error)) from error
 
 
 def _prefix(folder: Path, name: str) -> str:
@@ -119,6 +156,10 @@ def _is_running(process: int) -> bool:
     except (OSError, OverflowError):  # somebody else's, or no number of a process
         return True
     return True
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _set_default_mode(path: Path) -> None:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.learned_part import LearnedPart
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
@@ -152,8 +152,8 @@ class Compensation:
         """Return what to command for wanted poses of the tool.
 
         Args:
-            wanted: poses of the robot as described, of shape (n,), or homogeneous transforms of the tool, shape=(4, 4)
-                or (n, 4, 4).
+            wanted: a pose of the robot as described, or poses of shape (n,), or homogeneous transforms of the tool,
+                shape=(4, 4) or (n, 4, 4).
             conditions: temperatures and loads by the names of the measurements' columns.
             on_failure: "raise", or "nan" for poses that the machine cannot reach.
             with_deviations: whether to compute the deviations too, which takes a third of the time; NaN otherwise.
@@ -165,15 +165,19 @@ class Compensation:
             InvalidValueError: poses of a wrong shape, or a condition is missing.
         """
         if isinstance(wanted, Poses):
-            nominal = wanted
+            nominal = wanted if wanted.shape else wanted.reshape(1)
         else:
-            transforms = np.asarray(wanted, dtype=float)
+            transforms = real_array("wanted", wanted)
+            if transforms.ndim not in (2, 3):
+                raise InvalidValueError("wanted", f"an array of shape {transforms.shape}", "shape (4, 4) or (n, 4, 4)")
             transforms = transforms[None] if transforms.ndim == 2 else transforms
             nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
             solved = np.flatnonzero(nominal.solved)
             missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
             if np.any(missed > _MEETS):
                 raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
+        if len(nominal.shape) > 1:
+            raise InvalidValueError("wanted", f"poses of shape {nominal.shape}", "one pose, or a list of them")
         count, drives = len(nominal), len(self.errors.robot.commands)
         commands, deviations = np.full((2, count, drives), np.nan)
         predicted, bounds = np.full((2, count), np.nan)

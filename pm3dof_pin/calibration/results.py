@@ -32,7 +32,7 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
-from pm3dof_pin.files import replace_directory, write_text_atomically
+from pm3dof_pin.files import read_bytes, replace_directory, write_text_atomically
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.typing import Array
 
@@ -123,8 +123,8 @@ def read_compensation(directory: Path | str) -> Compensation:
     """
     path = Path(directory) / COMPENSATION
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        data = json.loads(read_bytes(path))
+    except (ValueError, RecursionError) as error:
         raise DescriptionError(path, "JSON", f"expected the compensation of a calibration ({error})") from error
     _require_plausible(path, data)
     try:

@@ -317,15 +317,12 @@ def _read_path(machine: Robot, path: Path) -> Matrix:
     import numpy as np
 
     from pm3dof_pin.exceptions import DescriptionError
+    from pm3dof_pin.files import read_text
 
     units = ", ".join(f"{c.name} [{'m' if c.unit == 'm' else 'deg'}]" for c in machine.coordinates)
     count = len(machine.coordinates)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(path, "file", f"expected a readable text file ({error})") from error
     poses = []
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
             continue

@@ -15,8 +15,9 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError
 
 from pm3dof_pin.description.own_files import package_of
-from pm3dof_pin.description.xml_file import MOST_BYTES, comment_text
+from pm3dof_pin.description.xml_file import comment_text
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import MOST_BYTES
 
 _logger = logging.getLogger(__name__)
 
@@ -29,7 +30,7 @@ _ORDER = ("name", "type", "xyz", "rpy", "lower", "upper", "effort", "velocity", 
 
 _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 _SANDBOX = Path(__file__).with_name("xacro_sandbox.py")
-_SECONDS = 60
+_SECONDS = 15
 
 
 def trust_xacro(trusted: bool = True) -> None:

@@ -178,7 +178,7 @@ def _only(trees: Sequence[Path], folder: Path) -> Path:
 def _beside(tree: Path, folder: str, *names: str) -> Path | None:
     """Find a file beside the tree, or in another folder beside the tree's."""
     candidates = [place / name for name in names for place in (tree.parent, tree.parent.parent / folder)]
-    return next((path for path in candidates if path.is_file()), None)
+    return next((path for path in candidates if os.path.lexists(path)), None)  # one that cannot be read is an error
 
 
 def _format_of(tree: Path) -> Format:

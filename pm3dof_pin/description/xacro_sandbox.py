@@ -97,6 +97,8 @@ def _watch(folders: list[str], files: list[str]) -> None:
             if not (_is_within(path, folders) or os.path.realpath(path) in files):
                 allowed = ", ".join(folders)
                 raise _RefusedError(f"it reads {path}, which is not in {allowed}")
+            if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
+                raise _RefusedError(f"it reads {path}, which is no ordinary file")
         elif event in ("os.listdir", "os.scandir", "glob.glob"):
             path = os.fsdecode(arguments[0] or ".") if not isinstance(arguments[0], int) else "."
             if event != "glob.glob" and not _is_within(path, folders):

@@ -7,9 +7,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from pm3dof_pin.exceptions import DescriptionError
-
-MOST_BYTES = 64 * 2**20
-"""Size of a file up to which it is read."""
+from pm3dof_pin.files import read_bytes
 
 MOST_DEPTH = 200
 """Elements within each other that are read: what comes after, in C++ and here, goes into them by recursion."""
@@ -32,18 +30,6 @@ def read_xml(path: Path | str) -> ElementTree.Element:
     except (ValueError, LookupError) as error:  # an encoding that is not there
         raise DescriptionError(path, "file", f"expected XML in an encoding that is known ({error})") from error
     return reader.builder.close()
-
-
-def read_bytes(path: Path | str) -> bytes:
-    """Read a file of moderate size; DescriptionError where it is unreadable or too large."""
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise DescriptionError(path, "file", f"expected a readable file ({error.strerror})") from error
-    if len(content) > MOST_BYTES:
-        raise DescriptionError(path, "file", f"expected no more than {MOST_BYTES >> 20} MiB")
-    return content
 
 
 def comment_text(text: str) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 
-from pm3dof_pin.description.xml_file import read_bytes
 from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import read_text
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, where it is built in
 _MOST_DEPTH = 50
@@ -25,11 +25,9 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        text = read_bytes(path).decode("utf-8")
+        text = read_text(path)
         _check_nesting(path, text)
         data = yaml.load(text, Loader=_LOADER)
-    except UnicodeDecodeError as error:
-        raise DescriptionError(path, "file", f"expected a readable text file ({error})") from error
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f"line {mark.line + 1}" if mark else "file"

@@ -46,6 +46,12 @@ _GROWTH = 2.0
 _MOST_POINTS = 1000
 _CRITICAL = 1e-12
 _BRACKETINGS = 60
+_MOST_FALLING = 500
+_LONGEST_FALL = 0.1  # rad, or characteristic lengths
+_HALVINGS = 20
+_LEAST_DAMPING = 1e-3  # of the springs' stiffness
+_AT_REST = 1e-3  # imbalance, as a part of the loads, below which an unstable equilibrium is near
+_PUSH = 1e-2  # as a part of the loads
 _BRANCH_STEPS = (0.02, 0.05, 0.1, 0.2)
 
 _log = logging.getLogger(__name__)
@@ -163,12 +169,14 @@ class LoadPath:
     def settle(self) -> tuple[LoadedState, int]:
         """Find where the mechanism stands under the full growing loads: on the path from rest, if that leads there.
 
+        If it does not, where it comes to rest when it is let go under them, which is a stable equilibrium elsewhere.
+
         Returns:
             The equilibrium and the number of corrections of the last step.
 
         Raises:
             DeflectionRangeError: the path from rest leads out of the springs' range.
-            ConvergenceError: no equilibrium was found.
+            ConvergenceError: no stable equilibrium was found.
         """
         rest = LoadedState(self._model, self.rest, self._applied(0.0), self.rest)
         pushed = rest.motions.unstrained.T @ self.growing.forces(self.rest)
@@ -177,10 +185,37 @@ class LoadPath:
         try:
             point = self.follow(self.begin(rest, 1.0), 1.0)
         except ConvergenceError as error:
-            found = self.equilibrium(1.0, self.rest)
-            _log.warning("the equilibrium is not one that the mechanism comes to from rest: %s", error)
+            found = self._let_go(LoadedState(self._model, self.rest, self._applied(1.0), self.rest))
+            if found is None:
+                raise
+            _log.warning("the equilibrium is a stable one elsewhere, where the mechanism jumps to: %s", error)
             return found
         return point.state, point.steps
+
+    def _let_go(self, state: LoadedState) -> tuple[LoadedState, int] | None:
+        """Follow the motion from a state under its loads, all damped and without inertia; None if it does not end.
+
+        Each step is an implicit one, (T + shift) y = -residual: Newton's where T is positive definite. Where the motion
+        comes to an unstable equilibrium it is pushed off along the softest motion.
+        """
+        for step in range(_MOST_FALLING):
+            if state.out_of_range:
+                break
+            least, residual = state.least_eigenvalue, state.bearing_residual
+            if least > 0.0 and state.balanced(self._tolerance):
+                return state, step
+            shift = max(0.0, _LEAST_DAMPING - 2.0 * least)
+            move = -np.linalg.solve(state.tangent + shift * np.eye(len(residual)), residual)
+            if least <= 0.0 and state.imbalance < _AT_REST * state.load_size:
+                move += np.copysign(_PUSH * state.load_size, state.softest @ move) * state.softest
+            velocity = state.bearing_motions @ move
+            longest = np.abs(velocity / self._model.mechanism.velocity_scale).max(initial=0.0)
+            parts = min(1.0, _LONGEST_FALL / longest) * 0.5 ** np.arange(_HALVINGS)
+            moved = next(filter(None, (state.moved(part * velocity) for part in parts)), None)
+            if moved is None:
+                break
+            state = moved
+        return None
 
     def unloaded(self) -> LoadedState:
         """Find where the mechanism stands under the permanent loads alone.

@@ -203,8 +203,10 @@ def loaded_equilibrium(
     one step where they are small. Where it stops being stable at a bifurcation, a stable branch is followed. The loops
     are closed after each step. Actuated joints hold their place, through their springs if they have such.
 
-    A warning is logged if the equilibrium is not stable, if a bifurcation was passed, or if the path from rest ends
-    before the whole load is on and the equilibrium was found by Newton's method from rest, elsewhere.
+    Where the path ends before the whole load is on, at a limit point, the mechanism jumps: the result is the stable
+    equilibrium that it comes to when it is let go at rest under the whole load, all motions damped. A warning is logged
+    then, and where a bifurcation was passed. Only what a load alone holds, and what Newton's method finds from a guess,
+    may be unstable, with a warning.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -225,7 +227,7 @@ def loaded_equilibrium(
         max_steps: Newton steps to give up after.
 
     Raises:
-        ConvergenceError: no equilibrium was found: the loads may be more than the mechanism bears.
+        ConvergenceError: no stable equilibrium was found: the loads may be more than the mechanism bears.
         DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
         FrameNotFoundError: a load acts on a frame that the model does not have.
         InvalidValueError: a load is not finite or of the wrong shape, the loops are not closed, or a length that a

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import write_atomically
+from pm3dof_pin.files import read_text, write_atomically
 from pm3dof_pin.typing import Array, Matrix
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -67,16 +67,14 @@ def read_pose_file(
             finite number.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
-        raise DescriptionError(path, "file", f"expected a readable file ({reason})") from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1)]
+    lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise DescriptionError(path, "file", f"is empty, expected a heading such as {_example_heading(coordinates)}")
-    rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
+    try:
+        rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
+    except csv.Error as error:
+        raise DescriptionError(path, "file", f"expected CSV ({error})") from error
     heading = rows[0]
     _require_known(path, heading, coordinates, (*known, *numbers))
     columns = [_column(path, heading, coordinate, coordinates) for coordinate in coordinates]
@@ -101,10 +99,10 @@ def read_pose_file(
 def has_placements(path: Path | str) -> bool:
     """Tell whether a file gives placements of the tool, with quaternions; False for one that cannot be read."""
     try:
-        with Path(path).open(encoding="utf-8-sig") as file:
-            heading = next((line for line in file if line.strip() and not line.lstrip().startswith("#")), "")
-    except (OSError, UnicodeDecodeError):
+        lines = read_text(path).splitlines()
+    except DescriptionError:
         return False
+    heading = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     return QUATERNION[0] in (name.strip() for name in heading.split(","))
 
 

@@ -90,8 +90,6 @@ class AtlasStore:
             OutputError: the result cannot take its place, there is no room for it, or another atlas is unfinished.
         """
         self._require_place()
-        for torn in self.path.parent.glob(f".{self.path.stem}-????????{self.path.suffix}"):
-            torn.unlink()  # of a killed run: this one is the only one
         if not self.parts.is_dir():
             self.parts.unlink(missing_ok=True)
             self._require_room()

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, rotation_vector
-from pm3dof_pin.exceptions import MeasurementError, UnreachablePoseError, lines_in_words
-from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.exceptions import DescriptionError, MeasurementError, UnreachablePoseError, lines_in_words
+from pm3dof_pin.files import read_text, write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
@@ -342,22 +342,25 @@ class _Reader:
     def _numbers(self) -> tuple[list[int], dict[str, Array]]:
         """Return the lines of the rows and the columns by name; an empty cell is NaN."""
         try:
-            text = self._path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            raise MeasurementError(self._path, f"expected a readable CSV file ({error})") from error
+            text = read_text(self._path)
+        except DescriptionError as error:
+            raise MeasurementError(self._path, error.expected) from error
         reader = csv.reader(io.StringIO(text, newline=""))
-        header = [name.strip() for name in next(reader, [])]
-        self._check_header(header)
-        lines, rows = [], []
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) != len(header):
-                raise MeasurementError(
-                    self._path, f"{len(cells)} cells, expected {len(header)} as in the header", [reader.line_num]
-                )
-            lines.append(reader.line_num)
-            rows.append([self._number(cell, name, lines[-1]) for cell, name in zip(cells, header, strict=True)])
+        try:
+            header = [name.strip() for name in next(reader, [])]
+            self._check_header(header)
+            lines, rows = [], []
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                if len(cells) != len(header):
+                    raise MeasurementError(
+                        self._path, f"{len(cells)} cells, expected {len(header)} as in the header", [reader.line_num]
+                    )
+                lines.append(reader.line_num)
+                rows.append([self._number(cell, name, lines[-1]) for cell, name in zip(cells, header, strict=True)])
+        except csv.Error as error:
+            raise MeasurementError(self._path, f"expected CSV ({error})", [reader.line_num]) from error
         table = np.array(rows, dtype=float).reshape(len(rows), len(header))
         return lines, {name: table[:, k] for k, name in enumerate(header)}
 

@@ -31,6 +31,7 @@ from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
 from pm3dof_pin.typing import Vector
 
 _MEETING = 1e-9  # m, rad
+_MOST_GROUPS = 31  # beside REACH, in 32 bits
 _NORM_TOLERANCE = 1e-9
 
 
@@ -354,8 +355,11 @@ class Mechanism:
         return tuple(Coordinate(name, self._single_joints[name].unit, joint=name) for name in self.motion_coordinates)
 
     def _complete_limit_groups(self, groups: tuple[LimitGroup, ...]) -> tuple[LimitGroup, ...]:
-        """Add groups for limits that are in none, named after their joints or frames without numbers."""
+        """Add groups for limits that are in none, named after their joints or frames without numbers; at most 31."""
         joints = {joint for group in groups for joint in group.joints}
+        for group in groups:
+            for name in group.joints:
+                self._require_joint(name, f"{self._source}: limit_groups: {group.name}")
         closures = {index for group in groups for index in group.closures}
         found: dict[str, LimitGroup] = {}
 
@@ -372,7 +376,12 @@ class Mechanism:
         for index, loop in enumerate(self.closures):
             if loop.swing_limit is not None and index not in closures:
                 add(f"{loop.frame_a}-{loop.frame_b}", closure=(index,))
-        return groups + tuple(found.values())
+        groups += tuple(found.values())
+        if len(groups) > _MOST_GROUPS:
+            groups, rest = groups[: _MOST_GROUPS - 1], groups[_MOST_GROUPS - 1 :]
+            others = tuple(name for group in rest for name in group.joints)
+            groups += (LimitGroup("others", others, tuple(index for group in rest for index in group.closures)),)
+        return groups
 
     def _require_joint(self, name: str, where: str) -> None:
         if not self.model.existJointName(name):

@@ -146,7 +146,7 @@ def test_bad_files_and_folders(place: Path, run: Run) -> None:
 
     missing = run("calibrate", "none.csv", "--out", "none", cwd=place)
     assert missing.returncode == 1
-    assert "expected a readable CSV file" in missing.stderr
+    assert "expected a readable file" in missing.stderr
     assert run("compensate", "0", "0", "0.49", "--calibration", "none", cwd=place).returncode == 1
     assert run("calibrate", "m.csv", "--method", "svm", "--out", "none", cwd=place).returncode == 2
 

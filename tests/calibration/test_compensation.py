@@ -210,6 +210,18 @@ def test_cross_validation_tells_before_after_and_floor(measured: Measurements, t
     np.testing.assert_allclose(held_out.noise, np.sqrt(3.0 * 7.5e-6**2 + 3.0 * (0.1 * 7.0710678e-5) ** 2), rtol=1e-6)
 
 
+def test_one_pose_or_a_list_of_them_and_nothing_else(
+    measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    correction = Compensation(tripod_errors)
+    np.testing.assert_array_equal(
+        correction.compensate(tripod_nominal[0]).commands, correction.compensate(tripod_nominal[:1]).commands
+    )
+    for wanted in (tripod_nominal[:4].reshape(2, 2), tripod_nominal[:4].transforms.reshape(2, 2, 4, 4), "a pose"):
+        with pytest.raises(InvalidValueError, match="wanted"):
+            correction.compensate(wanted)
+
+
 def test_too_few_and_out_of_reach(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     with pytest.raises(InvalidValueError, match="at least 4"):
         calibrate(measured[:3], tripod_errors, Options("gp"))

@@ -10,7 +10,8 @@ import pytest
 from pm3dof_pin.description.closures import LoopClosure, read_closures
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
 from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
+from pm3dof_pin.kinematics.robot import Robot
 
 TWO_LOOPS = """
 closed_loop: [[tip_a, socket_a], [tip_b, socket_b]]
@@ -155,3 +156,11 @@ def test_a_wrong_entry_is_named(tmp_path: Path, text: str, element: str, said: s
         read_closures(path)
     assert (caught.value.path, caught.value.element) == (path, element)
     assert said in str(caught.value)
+
+
+def test_a_limit_group_of_a_joint_that_is_not_there(tmp_path: Path) -> None:
+    for source in (find_robot("pm3dof").path, find_robot("pm3dof").source):
+        text = source.read_text(encoding="utf-8").replace("stroke: [slider1_joint", "stroke: [elbow")
+        (tmp_path / source.name).write_text(text, encoding="utf-8")
+    with pytest.raises(JointNotFoundError, match=r"limit_groups: stroke: no joint 'elbow'"):
+        Robot.load(tmp_path / "pm3dof.urdf")

@@ -151,5 +151,5 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "picture.yaml"
     path.write_bytes(b"\x89PNG\xff\xfe")
-    with pytest.raises(DescriptionError, match="expected a readable text file"):
+    with pytest.raises(DescriptionError, match="expected UTF-8 text"):
         TripodParameters.load(path)

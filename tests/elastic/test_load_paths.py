@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.elastic import (
     ElasticModel,
     JointSpring,
-    LoadedEquilibrium,
     Loads,
     load_deflection,
     loaded_equilibrium,
@@ -162,13 +161,23 @@ def test_turns_at_a_continuous_joint_are_counted() -> None:
         assert loaded_equilibrium(arm, rest, moment).spring_deflections == pytest.approx([3.5], rel=1e-12)
 
 
-def test_an_equilibrium_off_the_path_from_rest_is_said_to_be_one(
-    hexapod: ElasticModel, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("sideways", [6890.0, 0.0])
+def test_beyond_a_limit_point_the_hexapod_jumps_to_a_stable_equilibrium(
+    sideways: float, hexapod: ElasticModel, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found = loaded_equilibrium(hexapod, hexapod.rigid.home, pulled(hexapod, 6890.0, 0.0, -689e3))
-    assert isinstance(found, LoadedEquilibrium)
-    assert "not one that the mechanism comes to from rest" in caplog.text
-    assert found.stable or "is not stable" in caplog.text
+    """Newton's method from rest finds an unstable one there; it is checked on six springs written out."""
+    force = np.array([sideways, 0.0, -689e3, 0.0, 0.0, 0.0])
+    found = loaded_equilibrium(hexapod, hexapod.rigid.home, pulled(hexapod, *force[:3]))
+    assert "a stable one elsewhere, where the mechanism jumps to" in caplog.text
+    struts, pose = SixStruts(hexapod), np.array(found.displacement())
+    np.testing.assert_allclose(struts.forces(pose), force, atol=1e-2)
+    step = 1e-6
+    stiffness = np.column_stack(
+        [(struts.forces(pose + d) - struts.forces(pose - d)) / (2.0 * step) for d in step * np.eye(6)]
+    )
+    # of the second variation of the energy, in rotation vectors of the right size: only the signs count
+    assert np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0] > 0.0
+    assert found.stable
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,10 @@ refused by one of the package's errors nor read as a machine that can be:
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import logging
+import os
 import random
 import re
 import shutil
@@ -20,7 +22,7 @@ import sys
 import tempfile
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,8 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]{2,}")
 _NASTY = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e999", "0", "-0", "-1", "0,1945", "1.2.3", "1_000", "0x10",
     "1e5", "-1e5", "1e20", "true", "null", "~", "''", "999999999999999999999", "\u0663", "1e", "5kg", ".5.",
+    "yes", "off", "1:30", ".nan", "-.Inf", "NaN", "infinity", "1e400", "9" * 10_000, "\u22125", "\uff11", "5mm",
+    "0.1 m", "5e-324", "+1", "1,000", "0b1", "0o17", "1j", "[1]", "{a: 1}", "!!float x", "2024-13-45", "0 0", "1e-9",
 )  # fmt: skip
 _NOISE = (
     "\x00",
@@ -50,6 +54,24 @@ _NOISE = (
     "!!python/object:os.system",
     "\t",
 )
+
+
+_NAMES = (
+    "a/b", "../x", "/etc/passwd", "a b", "a\nb", "a\x07b", "\x1b[31m", "\u202eb", "\u2028", "<!--<script>", "</script>",
+    "x" * 200_000, "%s{}$(pwd)", "-rf", "__class__", "CON", ".", "world", "universe",
+)  # fmt: skip
+_DOCTYPES = (
+    '<!DOCTYPE r [<!ENTITY a0 "ha">'
+    + "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(12))
+    + "]><r>&a12;</r>",
+    '<!DOCTYPE robot SYSTEM "file:///etc/passwd">',
+    '<!DOCTYPE robot PUBLIC "x" "http://127.0.0.1:9/x.dtd" [<!ENTITY % p SYSTEM "file:///dev/zero"> %p;]>',
+)
+_BLOCKS = (
+    "a: &a [x, x]\n" + "".join(f"{c}: &{c} [{f'*{b}, ' * 9}*{b}]\n" for b, c in itertools.pairwise("abcdefghijkl")),
+    "<<: {name: x, stiffness: 1}\n", "<<: [1]\n", "? [a, b]\n: 1\n", "1: 2\n", "null: 3\n", "&r x: *r\n", "--- \n",
+    "%TAG ! tag:x,2000:\n", "x: !!binary aGVsbG8=\n", "x: !!python/name:os.system\n", "x: !!set {a, b}\n",
+)  # fmt: skip
 
 
 def mutate(text: str, generator: random.Random) -> str:
@@ -114,36 +136,108 @@ def _deep(text: str, generator: random.Random) -> str:
     return text[:place] + generator.choice(("<a>", "[", "{a: ", "(")) * 5_000 + text[place:]
 
 
+def _swapped(text: str, generator: random.Random) -> str:
+    """Exchange two quoted values, two numbers or two words."""
+    pattern = generator.choice((re.compile(r'(?<=")[^"\n]*(?=")'), _NUMBER, _WORD))
+    found = list(pattern.finditer(text))
+    if len(found) < 2:
+        return text
+    one, other = sorted(generator.sample(found, 2), key=lambda match: match.start())
+    return text[: one.start()] + other[0] + text[one.end() : other.start()] + one[0] + text[other.end() :]
+
+
+def _name(text: str, generator: random.Random) -> str:
+    pattern = re.compile(r'(?<=")[^"\n]*(?=")|(?<=: )[A-Za-z_]\w+|^\w+(?=[:,])', re.MULTILINE)
+    return _replaced(text, pattern, lambda _: generator.choice(_NAMES), generator)
+
+
+def _block(text: str, generator: random.Random) -> str:
+    """Copy an element or a run of lines to another place, or put a hostile one there."""
+    if text.lstrip().startswith("<"):
+        if generator.random() < 0.3:
+            return generator.choice(_DOCTYPES) + text.partition("?>")[2]
+        pattern = re.compile(r"<(\w+)[^<>]*/>|<(\w+)[^<>]*>.*?</\2>", re.DOTALL)
+        places = [match.end() for match in re.finditer(">", text)]
+    else:
+        pattern = re.compile(r"^(?:.*\n){1,6}", re.MULTILINE)
+        places = [match.end() for match in re.finditer("\n", text)]
+    found = list(pattern.finditer(text))
+    if not found or not places:
+        return text
+    match, place = generator.choice(found), generator.choice(places)
+    if not text.lstrip().startswith("<") and generator.random() < 0.3:
+        return text[:place] + generator.choice(_BLOCKS) + text[place:]
+    return text[:place] + match[0] + text[place:]
+
+
 _OPERATIONS: tuple[Callable[[str, random.Random], str], ...] = (
     _number, _number, _number, _number, _scaled, _scaled, _word, _word, _line, _line, _cut, _noise, _deep,
+    _swapped, _swapped, _name, _name, _block, _block, _block,
 )  # fmt: skip
 
 
+def _encoded(text: str, generator: random.Random) -> bytes:
+    """Write a text in an encoding that is not expected, or with bytes that are no text."""
+    return generator.choice((
+        text.encode(errors="replace")[:-3] + b"\xff\xfe",
+        text.encode("utf-16", errors="replace"),
+        text.encode("utf-8-sig", errors="replace"),
+        text.encode("cp1252", errors="replace") + b"\xe9",
+        text.replace("UTF-8", "utf-7").replace("utf-8", "no-such-code").encode(errors="replace"),
+        text.replace("\n", "\r").encode(errors="replace"),
+        bytes(len(text)),
+    ))  # fmt: skip
+
+
+def _replace_by_no_file(file: Path, generator: random.Random) -> None:
+    """Put something in the place of a file that is none."""
+    file.unlink()
+    match generator.randrange(6):
+        case 0:
+            file.mkdir()
+        case 1:
+            os.mkfifo(file)
+        case 2:
+            file.symlink_to("/dev/zero")
+        case 3:
+            file.symlink_to(file)
+        case 4:
+            with file.open("wb") as hole:
+                hole.truncate(5 << 30)
+        case _:
+            file.touch(mode=0)
+
+
 class Input:
-    """One kind of input: a folder of sound files, which of them is damaged, and what reads it.
+    """One kind of input: folders of sound files, which of them is damaged, and what reads it.
 
     Args:
-        source: folder that is copied.
+        sources: folders, of which one is copied.
         pattern: the files, of which one is damaged.
         read: reads the folder's copy; raises if what it accepts is no machine.
     """
 
-    def __init__(self, source: Path, pattern: str, read: Callable[[Path], None]) -> None:
-        self.source = source
+    def __init__(self, sources: Sequence[Path], pattern: str, read: Callable[[Path], None]) -> None:
+        self.sources = sources
         self.pattern = pattern
         self.read = read
 
-    def mutant(self, folder: Path, seed: int) -> Path:
-        """Copy the folder with a file damaged, and return that file."""
+    def mutant(self, above: Path, seed: int) -> Path:
+        """Copy a folder with a file damaged, and return the copy."""
         generator = random.Random(seed)
-        shutil.copytree(self.source, folder)
+        source = generator.choice(self.sources)
+        folder = above / source.name
+        shutil.copytree(source, folder)
         file = generator.choice(sorted(path for path in folder.glob(self.pattern) if path.is_file()))
         damaged = mutate(file.read_text(encoding="utf-8"), generator)
-        if generator.random() < 0.05:  # a byte that is no text
-            file.write_bytes(damaged.encode(errors="replace")[:-3] + b"\xff\xfe")
+        chance = generator.random()
+        if chance < 0.05:
+            file.write_bytes(_encoded(damaged, generator))
+        elif chance < 0.1:
+            _replace_by_no_file(file, generator)
         else:
-            file.write_text(damaged, encoding="utf-8", errors="replace")
-        return file
+            file.write_text(damaged, encoding="utf-8", errors="replace", newline="")
+        return folder
 
 
 def _require(holds: Any, what: str) -> None:
@@ -170,6 +264,8 @@ def _read_robot(path: Path) -> Any:
         for number in (getattr(spring, "stiffness", 1.0), getattr(spring, "bending_stiffness", 1.0)):
             _require(1e-12 <= number <= 1e18, f"stiffness {number}")
     if robot.actuated_joints and robot.home.closure_residual < 1e-6:
+        home = robot.at([robot.home.q])
+        _require(home.solved.all() and np.isfinite(home.coordinates).all() and home.broken_limits.size, "home")
         forces = holding_forces(robot.home).actuator_forces
         _require(np.isfinite(forces).all() and np.abs(forces).max() < 1e12, f"forces {forces}")
     return robot
@@ -178,7 +274,7 @@ def _read_robot(path: Path) -> Any:
 def _read_errors(folder: Path) -> None:
     from pm3dof_pin.errors.error_parameters import GeometricErrors
 
-    errors = GeometricErrors.load(folder / "pm3dof.urdf")
+    errors = GeometricErrors.load(next(folder.glob("*.urdf")))
     _require((errors.tolerances > 0.0).all() and (errors.tolerances <= 1.0).all(), "tolerances")
 
 
@@ -187,8 +283,11 @@ def _read_parameters(folder: Path) -> None:
 
     from pm3dof_pin.chapter import Tripod
 
-    tripod = Tripod.load(folder / "pm3dof.yaml")
-    _require(np.isfinite(tripod.bounds).all(), "bounds")
+    if folder.name == "pm3dof_description":
+        tripod = Tripod.load(folder / "config" / "pm3dof.yaml")
+        _require(np.isfinite(tripod.bounds).all(), "bounds")
+    else:
+        _read_robot(next(folder.glob("xacro/*.urdf.xacro")))
 
 
 def _read_measurements(folder: Path) -> None:
@@ -197,7 +296,7 @@ def _read_measurements(folder: Path) -> None:
     from pm3dof_pin.kinematics.robot import load
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
-    measurements = read_measurements(folder / "measurements.csv", load("pm3dof"))
+    measurements = read_measurements(folder / "measurements.csv", load(folder.name))
     _require(np.isfinite(measurements.commands).all(), "commands")
 
 
@@ -207,7 +306,7 @@ def _read_plan(folder: Path) -> None:
     from pm3dof_pin.kinematics.robot import load
     from pm3dof_pin.measuring.measurement_file import read_commands
 
-    _require(np.isfinite(read_commands(folder / "plan.csv", load("pm3dof"))).all(), "commands")
+    _require(np.isfinite(read_commands(folder / "plan.csv", load(folder.name))).all(), "commands")
 
 
 def _read_calibration(folder: Path) -> None:
@@ -216,84 +315,94 @@ def _read_calibration(folder: Path) -> None:
     from pm3dof_pin.calibration.results import read_compensation
     from pm3dof_pin.kinematics.robot import load
 
-    compensation = read_compensation(folder)
-    answer = compensation.compensate(load("pm3dof").solve([[0.1, -0.2, 0.5]]), compensation.with_usual_conditions({}))
+    compensation, robot = read_compensation(folder / "calibration"), load(folder.name)
+    answer = compensation.compensate(robot.solve(robot.home_coordinates), compensation.with_usual_conditions({}))
     _require(np.isfinite(answer.commands).all(), "commands")
     _require((answer.predicted_error < 1.0).all(), f"predicted error {answer.predicted_error}")
 
 
-def inputs(calibration: Path | None = None) -> dict[str, Input]:
+def inputs(calibrations: Sequence[Path] = ()) -> dict[str, Input]:
     """Return the kinds of input, by name.
 
     Args:
-        calibration: folder with plan.csv, measurements.csv and a folder `calibration`; without it these are left out.
+        calibrations: folders, each named as its robot, with plan.csv, measurements.csv and a folder `calibration`;
+            without any these kinds are left out.
     """
-    tripod, hexapod = ROBOTS / "pm3dof_description", ROBOTS / "hexapod_description"
+    robots, machines = sorted(ROBOTS.glob("*_description")), sorted(MACHINES.iterdir())
+    closed = [*(robot / "urdf" for robot in robots), *(machine for machine in machines if any(machine.glob("*.urdf")))]
+    tripod = ROBOTS / "pm3dof_description"
+
+    def read_urdf(folder: Path) -> None:
+        _read_robot(next(folder.glob("*.urdf")))
+
     kinds = {
-        "urdf": Input(tripod / "urdf", "pm3dof.urdf", lambda folder: _read_robot(folder / "pm3dof.urdf")),
-        "closures": Input(hexapod / "urdf", "*.closures.yaml", lambda folder: _read_robot(folder / "hexapod.urdf")),
-        "springs": Input(tripod / "urdf", "*.closures.yaml", lambda folder: _read_robot(folder / "pm3dof.urdf")),
-        "srdf": Input(tripod, "srdf/*.srdf", lambda folder: _read_robot(folder / "urdf" / "pm3dof.urdf")),
-        "errors": Input(tripod / "urdf", "*.errors.yaml", _read_errors),
-        "parameters": Input(tripod / "config", "pm3dof.yaml", _read_parameters),
-        "mjcf": Input(MACHINES / "walker", "*.xml", lambda folder: _read_robot(folder / "walker.xml")),
-        "xacro": Input(hexapod, "xacro/*", lambda folder: _read_robot(folder / "xacro" / "hexapod.urdf.xacro")),
+        "urdf": Input(closed, "*.urdf", read_urdf),
+        "closures": Input(closed, "*.closures.yaml", read_urdf),
+        "springs": Input([tripod / "urdf"], "*.closures.yaml", read_urdf),
+        "srdf": Input(robots, "srdf/*.srdf", lambda folder: read_urdf(folder / "urdf")),
+        "errors": Input([robot / "urdf" for robot in robots], "*.errors.yaml", _read_errors),
+        "parameters": Input([tripod, tripod, *robots], "config/[hlpt]*[!3].yaml", _read_parameters),
+        "mjcf": Input(
+            [MACHINES / "walker", *(robot / "mjcf" for robot in robots)],
+            "*.xml",
+            lambda folder: _read_robot(next(folder.glob("*.xml"))),
+        ),
+        "xacro": Input(robots, "xacro/**/*", lambda folder: _read_robot(next(folder.glob("xacro/*.urdf.xacro")))),
+        "measurements": Input(calibrations, "measurements.csv", _read_measurements),
+        "plan": Input(calibrations, "plan.csv", _read_plan),
+        "calibration": Input(calibrations, "calibration/[cn]*/*", _read_calibration),
+        "compensation": Input(calibrations, "calibration/*.json", _read_calibration),
     }
-    if calibration is not None:
-        kinds |= {
-            "measurements": Input(calibration, "measurements.csv", _read_measurements),
-            "plan": Input(calibration, "plan.csv", _read_plan),
-            "calibration": Input(calibration / "calibration", "[cn]*/*[lf]", lambda folder: _read_calibration(folder)),
-            "compensation": Input(calibration / "calibration", "*.json", _read_calibration),
-        }
-    return kinds
+    return {name: kind for name, kind in kinds.items() if kind.sources}
 
 
-def outcome(kind: Input, seed: int, folder: Path) -> str:
+class _HangError(BaseException):
+    """A mutant took too long; nothing that handles errors handles it."""
+
+
+def outcome(kind: Input, seed: int, above: Path) -> str:
     """Return "refused", "accepted", or what went wrong with a mutant."""
     from pm3dof_pin.exceptions import PM3DofError
 
     try:
-        kind.mutant(folder, seed)
-        kind.read(folder)
+        kind.read(kind.mutant(above, seed))
     except PM3DofError as error:
         return "refused" if "\n" not in str(error) else f"message of several lines: {error}"
-    except TimeoutError:
+    except _HangError:
         return "hang"
     except Exception:
         return traceback.format_exc(limit=-4)
     return "accepted"
 
 
-def _work(name: str, seeds: range, calibration: Path | None, keep: Path | None, seconds: int) -> None:
+def _work(name: str, seeds: range, calibrations: list[Path], keep: Path | None, seconds: int) -> None:
     """Run mutants in this process, a line of JSON on standard output for each."""
 
     def ring(*_: object) -> None:
-        raise TimeoutError
+        raise _HangError
 
     signal.signal(signal.SIGALRM, ring)
     logging.disable(logging.CRITICAL)
-    kind = inputs(calibration)[name]
+    kind = inputs(calibrations)[name]
     for seed in seeds:
         print(json.dumps({"begins": seed}), flush=True)
         with tempfile.TemporaryDirectory(prefix="mutant_") as above:
-            folder = Path(above) / kind.source.name
             signal.alarm(seconds)
-            said = outcome(kind, seed, folder)
+            said = outcome(kind, seed, Path(above))
             signal.alarm(0)
             if keep is not None and said not in ("refused", "accepted"):
-                shutil.copytree(folder, keep / f"{name}_{seed}", dirs_exist_ok=True)
+                kind.mutant(keep / f"{name}_{seed}", seed)
         print(json.dumps({"seed": seed, "said": said}), flush=True)
 
 
 def run(
-    name: str, seeds: range, calibration: Path | None, keep: Path | None, seconds: int = SECONDS
+    name: str, seeds: range, calibrations: list[Path], keep: Path | None, seconds: int = SECONDS
 ) -> Iterator[tuple[int, str]]:
     """Run mutants in processes of their own; one that dies is a finding, and the next process goes on behind it."""
     first = seeds.start
     while first < seeds.stop:
         command = [sys.executable, __file__, "--work", name, "--seed", str(first), "--count", str(seeds.stop - first)]
-        command += ["--calibration", str(calibration)] if calibration else []
+        command += [part for folder in calibrations for part in ("--calibration", str(folder))]
         command += ["--keep", str(keep)] if keep else []
         command += ["--seconds", str(seconds)]
         last = first - 1
@@ -317,7 +426,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--input", action="append")
-    parser.add_argument("--calibration", type=Path, help="folder with plan.csv, measurements.csv, calibration/")
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        action="append",
+        default=[],
+        help="folder named as its robot, with plan.csv, measurements.csv, calibration/",
+    )
     parser.add_argument("--keep", type=Path, help="folder for what went wrong")
     parser.add_argument("--seconds", type=int, default=SECONDS, help="what is a hang, of this machine")
     parser.add_argument("--work", help=argparse.SUPPRESS)

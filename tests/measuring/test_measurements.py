@@ -232,7 +232,7 @@ def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, t
     path.write_text(text)
     with pytest.raises(MeasurementError, match=problem):
         read_measurements(path, tripod_errors.robot)
-    with pytest.raises(MeasurementError, match="expected a readable CSV file"):
+    with pytest.raises(MeasurementError, match="expected a readable file"):
         read_measurements(tmp_path / "missing.csv", tripod_errors.robot)
 
 

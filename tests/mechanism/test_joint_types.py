@@ -123,3 +123,20 @@ def test_an_unknown_type_is_named(write_robot: Writer, kind: str) -> None:
 def test_an_unknown_joint_is_named(write_robot: Writer) -> None:
     with pytest.raises(JointNotFoundError, match=r"joint_name: no joint 'no_such_joint'.*hip, knee, ankle"):
         _load(write_robot, "no_such_joint: SPHERICAL")
+
+
+def test_more_kinds_of_limits_than_bits_are_all_heeded(tmp_path: Path) -> None:
+    """Forty joints whose names differ in letters: the last one beyond its limit breaks one."""
+    names = [first + second for first in "abcdefgh" for second in "vwxyz"]
+    links = '<link name="base"/>' + "".join(_LINK.format(f"link_{name}", 1.0) for name in names)
+    parents = ["base", *(f"link_{name}" for name in names)]
+    joints = "".join(
+        _JOINT.format(name=name, parent=parent, child=f"link_{name}", xyz="0 0 0.1", rpy="0 0 0")
+        for name, parent in zip(names, parents, strict=False)
+    )
+    (tmp_path / "many.urdf").write_text(f'<robot name="many">{links}{joints}</robot>', encoding="utf-8")
+    robot = Robot.load(tmp_path / "many.urdf")
+    for number in (0, 29, 30, 31, 39):
+        poses = robot.at(2.5 * np.eye(40)[number])
+        assert not poses.within_limits
+    assert robot.at(np.zeros(40)).within_limits

@@ -316,3 +316,17 @@ def test_what_is_not_read_is_named(tmp_path: Path, text: str, error: type[Except
     path.write_text(text, encoding="utf-8")
     with pytest.raises(error, match=said):
         Robot.load(path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('<joint name="hip_l"', '<joint class="no_such" name="hip_l"', "<joint>: no default class 'no_such'"),
+        ('type="capsule" size="0.03"', 'type="capsule" size="0"', "its inertia is no number"),
+    ],
+)
+def test_what_pinocchio_would_stumble_over_is_refused(before: str, after: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "walker.xml"
+    path.write_text(STANDING.replace(before, after, 1), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=said):
+        Robot.load(path)

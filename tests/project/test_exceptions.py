@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pm3dof_pin import exceptions
-from pm3dof_pin.exceptions import MissingPackageError, PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, MissingPackageError, PM3DofError
 
 KINDS = [kind for _, kind in inspect.getmembers(exceptions, inspect.isclass) if issubclass(kind, PM3DofError)]
 EXAMPLES = {"path": Path("a.yaml"), "known": ("b", "c"), "residual": 1.0, "steps": 3, "names": ["d"]}
@@ -33,3 +33,11 @@ def test_a_missing_package_is_named_by_another_process() -> None:
     error = pickle.loads(pickle.dumps(MissingPackageError("scikit-learn", "learning", "training neural networks")))
     assert "pm3dof-pin[learning]" in str(error)
     assert (error.package, error.extra) == ("scikit-learn", "learning")
+
+
+def test_a_message_is_one_line_whatever_a_name_holds() -> None:
+    message = str(InvalidValueError("joint", "a\nb\x1b[31m\u2028\u202e" + "x" * 100_000, "a name"))
+    assert message.isprintable()
+    assert message.startswith("joint = a\\nb\\x1b[31m\\u2028\\u202exxx")
+    assert message.endswith("xxx: expected a name")
+    assert len(message) < 3000

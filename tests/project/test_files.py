@@ -1,7 +1,8 @@
-"""Files are written whole or not at all, and what a killed process left is cleared away."""
+"""Files: only ordinary ones are read, each is written whole or not at all, and what a killed process left goes."""
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from pm3dof_pin.files import replace_directory, write_atomically, write_text_atomically
+from pm3dof_pin.exceptions import DescriptionError
+from pm3dof_pin.files import read_bytes, replace_directory, write_atomically, write_text_atomically
+from pm3dof_pin.kinematics.robot import Robot
 
 KILLED = """
 import os, signal
@@ -49,3 +52,32 @@ def test_temporaries_of_running_processes_and_other_computers_stay(tmp_path: Pat
     write_text_atomically(tmp_path / "map.nc", "third")
     assert foreign.exists()
     assert (tmp_path / "map.nc").read_text(encoding="utf-8") == "third"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pipes with names, and links need rights")
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device", "loop", "hole"])
+def test_what_is_no_ordinary_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "arm.closures.yaml"
+    match kind:
+        case "pipe":
+            os.mkfifo(file)
+        case "folder":
+            file.mkdir()
+        case "device":
+            file.symlink_to("/dev/zero")
+        case "loop":
+            file.symlink_to(file)
+        case "hole":
+            with file.open("wb") as hole:
+                hole.truncate(1 << 40)
+    with pytest.raises(DescriptionError, match=r"arm\.closures\.yaml: file: expected"):
+        read_bytes(file)
+    (tmp_path / "arm.urdf").write_text('<robot name="arm"><link name="base"/></robot>', encoding="utf-8")
+    with pytest.raises(DescriptionError, match=r"arm\.closures\.yaml: file: expected"):
+        Robot.load(tmp_path / "arm.urdf")
+
+
+@pytest.mark.parametrize("name", ["a\0b.yaml", "x" * 5000])
+def test_names_that_no_file_can_have_are_refused(name: str) -> None:
+    with pytest.raises(DescriptionError, match="expected a readable file"):
+        read_bytes(name)

@@ -114,7 +114,7 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         ),
         (["--robot", "hexapod", "0", "0", "0.135"], 2, "hexapod takes x"),
         (["10", "0", "0.5", "--path", "path.txt"], 2, "--path: the file has the poses"),
-        (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable text file"),
+        (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable file"),
         (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
     ],
 )
