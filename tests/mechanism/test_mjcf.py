@@ -307,7 +307,7 @@ def test_the_closures_file_beside_it_goes_first(tmp_path: Path) -> None:
             "<actuator>.*'ghost'",
         ),
         (SEVERAL_BODIES.replace('type="slide"', 'type="screw"'), DescriptionError, r"reads \([^/:]*\)"),
-        (SEVERAL_BODIES.replace("<geom", '<geom class="ghost"', 1), DescriptionError, "a model that Pinocchio reads"),
+        (SEVERAL_BODIES.replace("<geom", '<geom class="ghost"', 1), DescriptionError, "no default class 'ghost'"),
         ("<mujoco><include file='ghost.xml'/></mujoco>", DescriptionError, r"ghost\.xml: file: expected a readable"),
     ],
 )
@@ -318,15 +318,8 @@ def test_what_is_not_read_is_named(tmp_path: Path, text: str, error: type[Except
         Robot.load(path)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "said"),
-    [
-        ('<joint name="hip_l"', '<joint class="no_such" name="hip_l"', "<joint>: no default class 'no_such'"),
-        ('type="capsule" size="0.03"', 'type="capsule" size="0"', "its inertia is no number"),
-    ],
-)
-def test_what_pinocchio_would_stumble_over_is_refused(before: str, after: str, said: str, tmp_path: Path) -> None:
+def test_a_shape_without_size_has_no_inertia(tmp_path: Path) -> None:
     path = tmp_path / "walker.xml"
-    path.write_text(STANDING.replace(before, after, 1), encoding="utf-8")
-    with pytest.raises(DescriptionError, match=said):
+    path.write_text(STANDING.replace('type="capsule" size="0.03"', 'type="capsule" size="0"', 1), encoding="utf-8")
+    with pytest.raises(DescriptionError, match="its inertia is no number"):
         Robot.load(path)
