@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 import pm3dof_pin
+from pm3dof_pin.cli.options import with_groups
 from pm3dof_pin.exceptions import PM3DofError
 
 WORK_FAILED = 1
@@ -46,7 +47,7 @@ _OF_MAPS = {"stiffness-map", "workspace", "atlas", "evaluate", "error-map"}
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
 
-def make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
+def _make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; the modules of the others are not imported."""
     app = typer.Typer(
         name="pm3dof",
@@ -61,7 +62,8 @@ def make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
     for name in commands:
         function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name]}"), name.replace("-", "_"))
         settings = NEGATIVE_NUMBERS if name in _WITH_POSE else None
-        app.command(name, cls=_map_command() if name in _OF_MAPS else None, context_settings=settings)(function)
+        kind = _map_command() if name in _OF_MAPS else None
+        app.command(name, cls=kind, context_settings=settings)(with_groups(function))
     return app
 
 
@@ -75,7 +77,7 @@ def __getattr__(name: str) -> Any:
     """Make the whole command, `app`, when it is asked for."""
     if name != "app":
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return make_app()
+    return _make_app()
 
 
 def _print_version(wanted: bool) -> None:
@@ -109,7 +111,7 @@ def main() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports which fonts it looks for
     asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
-        make_app([asked] if asked in COMMANDS else COMMANDS)(prog_name="pm3dof")
+        _make_app([asked] if asked in COMMANDS else COMMANDS)(prog_name="pm3dof")
     except PM3DofError as error:
         typer.echo(f"pm3dof: {error}", err=True)
     except MemoryError as error:

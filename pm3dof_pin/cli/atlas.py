@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import (
     CoordinateRange,
     EngineName,
     EngineOption,
+    Quantities,
     Ranges,
     Threads,
     Values,
     declared_ranges,
+    known_quantities,
     robot_grid,
 )
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, tilt_angle
+from pm3dof_pin.cli.options import Json, MachineOptions, tilt_angle
 from pm3dof_pin.cli.output import message, print_result
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -37,28 +37,13 @@ _DEFAULT_POINTS = (91, 91, 61)
 _DEFAULT_TILT = 45.0
 _DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
 
-Quantities = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--quantity",
-        "-q",
-        help="What to map; may be given several times. --list names them all.",
-        autocompletion=completion.quantities,
-    ),
-]
-
-
-class PrecisionName(StrEnum):
-    """Numbers on disk."""
-
-    SINGLE = "single"
-    DOUBLE = "double"
+_Precision = StrEnum("_Precision", {"SINGLE": "single", "DOUBLE": "double"})
 
 
 def atlas(
+    which: MachineOptions,
     quantity: Quantities = None,
     out: Annotated[Path, typer.Option(help="Result: NetCDF (.nc) or Zarr (.zarr).")] = Path("results/atlas.nc"),
-    robot: RobotName = THE_TRIPOD,
     ranges: Ranges = None,
     values: Values = None,
     counts: Annotated[
@@ -82,7 +67,7 @@ def atlas(
     keep_beyond_limits: Annotated[
         bool, typer.Option("--keep-beyond-limits", help="Keep values of poses that break a joint limit.")
     ] = False,
-    precision: Annotated[PrecisionName, typer.Option(help="Of the numbers on disk.")] = PrecisionName.SINGLE,
+    precision: Annotated[_Precision, typer.Option(help="Of the numbers on disk.")] = _Precision.SINGLE,
     pictures: Annotated[bool, typer.Option(help="Draw slices through every quantity but matrices.")] = True,
     formats: Formats = None,
     threads: Threads = None,
@@ -91,9 +76,6 @@ def atlas(
     ] = None,
     engine: EngineOption = EngineName.PROGRAM,
     list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and exit.")] = False,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Quantities over the workspace of a robot as labelled arrays: angles in degrees, lengths in metres.
@@ -102,27 +84,23 @@ def atlas(
     for pm3dof z_e, theta_x, theta_y. A job that was interrupted goes on where it stopped when the same command is given
     again.
     """
-    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
-    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
     from pm3dof_pin.maps.atlas import Atlas, compute_atlas
-    from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
+    from pm3dof_pin.maps.quantities import MappedRobot
 
-    for name in quantity or ():
-        if name not in QUANTITIES:
-            raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
+    known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
     if points and min(points) < LEAST_POINTS:
         raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
-    loaded = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
-    existing = {name: entry for name, entry in QUANTITIES.items() if entry.exists(MappedRobot(loaded))}
+    loaded = which.load()
+    existing = {name: entry for name, entry in known.items() if entry.exists(MappedRobot(loaded))}
     if list_quantities:
         mapped = MappedRobot(loaded)
-        known = {name: {"unit": entry.unit_for(mapped), "what": entry.long_name} for name, entry in existing.items()}
-        lines = [f"{name}: {entry['what']} [{entry['unit']}]" for name, entry in known.items()]
-        print_result({"quantities": known}, lines, as_json=as_json)
+        listed = {name: {"unit": entry.unit_for(mapped), "what": entry.long_name} for name, entry in existing.items()}
+        lines = [f"{name}: {entry['what']} [{entry['unit']}]" for name, entry in listed.items()]
+        print_result({"quantities": listed}, lines, as_json=as_json)
         return
     names = tuple(quantity or (name for name in _DEFAULT_QUANTITIES if name in existing))
     if ranges or counts:
@@ -154,17 +132,14 @@ def atlas(
         message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
         raise
     files = [path, *_draw(path, loaded, formats)] if pictures else [path]
-    remove_former(path.parent, rf"{re.escape(path.stem)}_(?:{'|'.join(QUANTITIES)})(?:_.+)?", files)
+    remove_former(path.parent, rf"{re.escape(path.stem)}_(?:{'|'.join(known)})(?:_.+)?", files)
     result = {
-        "files": [str(file) for file in files],
         "robot": loaded.name,
         "dimensions": grid.dims,
         "poses": grid.size,
         "quantities": job.quantities,
     }
-    print_result(result, [f"{grid.size:,} poses: {', '.join(job.quantities)}"], as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result, [f"{grid.size:,} poses: {', '.join(job.quantities)}"], as_json=as_json, files=files)
 
 
 def _tilt_ranges(

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.error_parameters import closing_errors
+from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -23,39 +22,24 @@ if TYPE_CHECKING:
 _ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
-class MethodName(StrEnum):
-    """How a machine is calibrated."""
-
-    LM = "lm"
-    NN = "nn"
-    GP = "gp"
-    LM_NN = "lm+nn"
-    LM_GP = "lm+gp"
+MethodName = StrEnum("MethodName", {"LM": "lm", "NN": "nn", "GP": "gp", "LM_NN": "lm+nn", "LM_GP": "lm+gp"})
+"""How a machine is calibrated."""
 
 
-class TargetOffsets(StrEnum):
-    """Whether targets are where the file has them."""
+TargetOffsets = StrEnum("TargetOffsets", {"FIXED": "fixed", "ESTIMATE": "estimate"})
+"""Whether targets are where the file has them."""
 
-    FIXED = "fixed"
-    ESTIMATE = "estimate"
-
-
-class LossName(StrEnum):
-    """What residuals cost in the identification."""
-
-    SQUARES = "squares"
-    HUBER = "huber"
-    TUKEY = "tukey"
+_Loss = StrEnum("_Loss", {"SQUARES": "squares", "HUBER": "huber", "TUKEY": "tukey"})
 
 
 def calibrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
     out: Annotated[Path, typer.Option(help="Folder to write; an older calibration there is replaced.")],
+    which: RobotOptions,
     method: Annotated[
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
     ] = MethodName.LM_GP,
-    robot: RobotName = THE_TRIPOD,
     own_frame: Annotated[
         bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
     ] = False,
@@ -84,10 +68,8 @@ def calibrate(
             "the measurements most likely, from 1 to 3."
         ),
     ] = None,
-    loss: Annotated[LossName, typer.Option(help="Robustness of the identification.")] = LossName.TUKEY,
+    loss: Annotated[_Loss, typer.Option(help="Robustness of the identification.")] = _Loss.TUKEY,
     seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
@@ -109,7 +91,7 @@ def calibrate(
         )
 
     with _warnings_as_messages():
-        errors = closing_errors(load_errors(robot, tool_frame, package_path))
+        errors = closing_errors(which.load_errors())
         measurements = read(file)
         others = None if validation is None else read(validation)
         options = Options(method.value, seed, eta, prior, loss.value)
@@ -129,11 +111,11 @@ def calibrate(
             judged = None if others is None else validated_errors(calibration, others)
             maps = workspace_errors(calibration)
             progress(3, 4)
-            name = find_robot(robot).name
+            name = find_robot(which.robot).name
             said = verdict(calibration, held_out, judged)
             more: Any = {"validation": judged, "objections": reasons, "judgement": said}
             report = report_as_html(calibration, name, held_out, maps, **more)
-            folder = write_calibration(calibration, robot, out, held_out, report, **more)
+            folder = write_calibration(calibration, which.robot, out, held_out, report, **more)
             progress(4, 4)
     summary = summary_of(calibration, name, held_out, **more)
     for reason in reasons:

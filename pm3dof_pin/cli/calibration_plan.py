@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.calibrate import TargetOffsets
-from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.calibrate import MethodName, TargetOffsets
+from pm3dof_pin.cli.error_parameters import closing_errors
+from pm3dof_pin.cli.options import Json, RobotOptions
+from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -27,17 +26,7 @@ _TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses unt
 _DEFAULT_POSES = 9
 
 
-class MethodName(StrEnum):
-    """How the machine will be calibrated."""
-
-    LM = "lm"
-    NN = "nn"
-    GP = "gp"
-    LM_NN = "lm+nn"
-    LM_GP = "lm+gp"
-
-
-class StrategyName(StrEnum):
+class _Strategy(StrEnum):
     """How poses are chosen."""
 
     D_OPTIMAL = "d-optimal"
@@ -49,10 +38,11 @@ class StrategyName(StrEnum):
 
 
 def calibration_plan(
+    which: RobotOptions,
     poses: Annotated[int | None, typer.Option(min=1, help="Number of poses to measure (9).")] = None,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/plan.csv"),
     strategy: Annotated[
-        StrategyName | None,
+        _Strategy | None,
         typer.Option(
             help="How poses are chosen; that of --method by default. least-sensitive is the chapter's rule; d-optimal "
             "and tip-optimal are for parameters, space-filling and process-variance for what is learned."
@@ -69,7 +59,6 @@ def calibration_plan(
             help="Take as many poses as bring the tip error, beyond that of the best commands, under this [m, rms].",
         ),
     ] = None,
-    robot: RobotName = THE_TRIPOD,
     positions: Annotated[
         bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
     ] = False,
@@ -125,8 +114,6 @@ def calibration_plan(
         Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (.png, .pdf, .svg).")
     ] = None,
     formats: Formats = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
@@ -152,7 +139,7 @@ def calibration_plan(
     if not whole and (accuracy is not None or method is not MethodName.LM):
         raise typer.BadParameter("--positions and --targets are for --method lm, without --accuracy")
     way = STRATEGY_OF_METHOD[method.value] if strategy is None else strategy.value
-    errors = load_errors(robot, tool_frame, package_path)
+    errors = which.load_errors()
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
         choices = (
@@ -193,12 +180,10 @@ def calibration_plan(
         minimum = minimum_poses(*(rows[: 2 * len(errors)] for rows in (problem.regressor, problem.nuisance_regressor)))
         if picture is not None:
             files += _draw(problem, minimum, picture, formats)
-    result = _result(problem, plan, minimum, others) | {"files": [str(file) for file in files]}
+    result = _result(problem, plan, minimum, others)
     result |= {"method": method.value, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
     result |= {"accuracy_m": accuracy, "accuracy_reached": None if accuracy is None else tried[count] <= accuracy}
-    print_result(result, _lines(result), as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result, _lines(result), as_json=as_json, files=files)
 
 
 def _rehearsed(

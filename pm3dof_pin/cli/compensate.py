@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json, Wrench
+from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
 from pm3dof_pin.cli.output import message, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.pose_arguments import (
-    NamedConfiguration,
-    OutFile,
-    Pose,
-    PoseChoice,
-    expected_numbers,
-    pose_echo,
-    read_poses,
-    readings,
-    write_batch,
-)
+from pm3dof_pin.cli.poses import expected_numbers, place, pose_echo, read_poses, readings, write_batch
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -33,12 +23,11 @@ _TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
 
 def compensate(
     calibration: Annotated[Path, typer.Option(metavar="DIR", help="Folder that `pm3dof calibrate` wrote.")],
-    pose: Pose = None,
+    at: PlaceOptions,
     robot: Annotated[
         str | None,
         typer.Option("--robot", metavar="NAME|PATH", help="The robot, to be sure that the folder is one of it."),
     ] = None,
-    configuration: NamedConfiguration = None,
     poses: Annotated[
         Path | None,
         typer.Option(
@@ -66,7 +55,7 @@ def compensate(
     from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
-    chosen = PoseChoice.of(pose, configuration, poses, out)
+    chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=out)
     given = _conditions(condition or []) | dict(zip(WRENCH_COLUMNS, wrench or (), strict=False))
     known = read_compensation(calibration)
     machine = known.errors.robot
@@ -75,9 +64,9 @@ def compensate(
         raise InvalidValueError("--calibration", calibration, f"one of {asked.name}, it is of {found}")
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
-    if chosen.file is not None:
+    if chosen.poses is not None:
         names = () if known.learned is None else known.learned.inputs.conditions
-        file, many = read_poses(machine, chosen.file, placements=True, numbers=names)
+        file, many = read_poses(machine, chosen.poses, placements=True, numbers=names)
         conditions = _completed(known, {**given, **file.numbers})
         with progress_bar("compensating") as progress:
             answer = known.compensate(many, conditions, on_failure="nan", with_deviations=False, progress=progress)
@@ -90,7 +79,7 @@ def compensate(
         }
         write_batch(many, columns, out, as_json)
         return
-    solved = chosen.solve(machine)
+    solved = place(machine, chosen)
     conditions = _completed(known, given)
     answer = known.compensate(solved.reshape(1), conditions)
     units = {command.unit for command in machine.commands}

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.error_budget import budget_lines, budget_of
-from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
+from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, robot_grid
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, Wrench
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.options import Json, Out, RobotOptions, Wrench
+from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -41,8 +40,8 @@ def _coverage(text: str) -> str:
 
 
 def error_map(
-    robot: RobotName = THE_TRIPOD,
-    out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
+    which: RobotOptions,
+    out: Out = Path("results"),
     over: Over = None,
     at: Values = None,
     whole: Annotated[
@@ -92,8 +91,6 @@ def error_map(
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
@@ -116,7 +113,7 @@ def error_map(
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
         raise typer.BadParameter("expected --samples, --whole, or --over and --at, not several of them")
-    errors = load_errors(robot, tool_frame, package_path)
+    errors = which.load_errors()
     named = robot_grid(errors.robot, over or [], at or [])
     ranges = {name: (float(values[0]), float(values[-1]), len(values)) for name, values in named.axes.items()}
     fixed = {entry.name: named.fixed[entry.name] for entry in at or []}
@@ -171,9 +168,7 @@ def error_map(
             result |= found
         names = "|".join(name.removesuffix(".png") for name in PICTURES)
         remove_former(out, rf"{names}|error_ranking|least_sensitive_region", files)
-    print_result(result | {"files": [str(file) for file in files]}, _lines(result, place), as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result, _lines(result, place), as_json=as_json, files=files)
 
 
 def _in_words(robot: Robot, fixed: Any) -> str:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 
 if TYPE_CHECKING:
     from pm3dof_pin.description.error_file import ErrorEntry
@@ -23,13 +22,11 @@ _POSES = 20
 
 
 def error_parameters(
+    which: RobotOptions,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the minimal and complete parameters, an error file to be edited."),
     ] = None,
-    robot: RobotName = THE_TRIPOD,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Say which geometric errors a robot has, and find a minimal and complete set of them.
@@ -46,8 +43,8 @@ def error_parameters(
     from pm3dof_pin.files import write_text_atomically
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
-    file = find_robot(robot, package_path or ()).errors
-    loaded = load_errors(robot, tool_frame, package_path)
+    file = find_robot(which.robot, which.package_path or ()).errors
+    loaded = which.load_errors()
     declared = loaded if file.is_file() else None
     first = declared.parameters if declared is not None else ()
     named = {parameter.name for parameter in first}
@@ -114,15 +111,6 @@ def _described(result: dict[str, Any], entries: Sequence[ErrorEntry]) -> list[st
 
 def _places(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= _LISTED else f"{names[0]}, {names[1]} ... {names[-1]} ({len(names)})"
-
-
-def load_errors(
-    name: str, tool_frame: str | None = None, package_paths: Sequence[Path] | None = None
-) -> GeometricErrors:
-    """Load the robot of `--robot`, `--tool-frame` and `--package-path` with all its error parameters."""
-    from pm3dof_pin.errors.error_parameters import GeometricErrors
-
-    return GeometricErrors.load(name, tool_frame=tool_frame, package_paths=package_paths or ())
 
 
 def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:

@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import (
     EngineName,
     EngineOption,
+    Quantities,
     Ranges,
     Threads,
     Values,
     declared_ranges,
+    known_quantities,
     robot_grid,
 )
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.options import Json, MachineOptions, Out
+from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.stiffness import Model
+from pm3dof_pin.description.coordinates import shown_in
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
@@ -38,20 +39,12 @@ _LEAST_SHARE = 0.05  # of a spring that is printed
 
 
 def evaluate(
-    robot: RobotName = THE_TRIPOD,
+    which: MachineOptions,
     model: Annotated[
         Model, typer.Option(help="elastic: felt and principal stiffness; chapter: the diagonal of section 8.2.3.")
     ] = Model.ELASTIC,
-    quantity: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--quantity",
-            "-q",
-            help="Any quantity of `pm3dof atlas --list` instead; may be repeated.",
-            autocompletion=completion.quantities,
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
+    quantity: Quantities = None,
+    out: Out = Path("results"),
     ranges: Ranges = None,
     values: Values = None,
     points: Annotated[
@@ -61,9 +54,6 @@ def evaluate(
     formats: Formats = None,
     threads: Threads = None,
     engine: EngineOption = EngineName.PROGRAM,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """The stiffness over the whole workspace: mean, spread, extremes and where, global indices, critical springs.
@@ -72,22 +62,18 @@ def evaluate(
     those of --range; averages are over its volume. For each axis: which spring gives most, in which part of the
     workspace, and what stiffening it by 10 % brings at least.
     """
-    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
-    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
     from pm3dof_pin.files import write_text_atomically
-    from pm3dof_pin.maps.quantities import QUANTITIES, MappedRobot
+    from pm3dof_pin.maps.quantities import MappedRobot
     from pm3dof_pin.maps.storage import write_netcdf
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
-    for name in quantity or ():
-        if name not in QUANTITIES:
-            raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
-    loaded = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    known = known_quantities(quantity)
+    loaded = which.load()
     mapped = MappedRobot(loaded)
     if model is Model.CHAPTER:
         if quantity:
             raise typer.BadParameter("--model chapter does not go with --quantity")
-        if not QUANTITIES[_OF_CHAPTER[0]].exists(mapped):
+        if not known[_OF_CHAPTER[0]].exists(mapped):
             raise typer.BadParameter(f"--model chapter is for tripods of the chapter's family, not {loaded.name}")
     wanted = _OF_CHAPTER if model is Model.CHAPTER else tuple(quantity) if quantity else None
     grid = _grid(loaded, ranges, values, points)
@@ -102,10 +88,8 @@ def evaluate(
             files += _draw(mapped.robot, mapped, grid, out, formats)
         remove_former(out, "critical_springs", files)
         progress(2, 2)
-    result = _result(loaded, grid, found, model if not quantity else None) | {"files": [str(file) for file in files]}
-    print_result(result, _lines(grid, found), as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    result = _result(loaded, grid, found, model if not quantity else None)
+    print_result(result, _lines(grid, found), as_json=as_json, files=files)
 
 
 def _grid(robot: Robot, ranges: Any, values: Any, points: int | None) -> Grid:
@@ -171,7 +155,7 @@ def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model |
 
 def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
     moving = [coordinate for coordinate in grid.coordinates if coordinate.name in grid.axes]
-    names = ", ".join(f"{c.name} [{'deg' if c.unit == 'rad' else c.unit}]" for c in moving)
+    names = ", ".join(f"{c.name} [{shown_in(c.unit)[1]}]" for c in moving)
 
     def place(values: dict[str, float]) -> str:
         shown = ((c, values[c.name]) for c in moving)

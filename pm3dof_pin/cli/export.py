@@ -8,33 +8,21 @@ from typing import Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD
+from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, RobotName, ToolFrame, description_path
 
-
-class Format(StrEnum):
-    """The formats of pm3dof_pin.export.formats, which is not imported for the help."""
-
-    DRAKE = "drake"
-    GEPETTO = "gepetto"
-    MJCF = "mjcf"
-    ROS = "ros"
-    SDF = "sdf"
-    URDF = "urdf"
+# those of pm3dof_pin.export.formats, which is not imported for the help
+_Format = StrEnum("_Format", "drake gepetto mjcf ros sdf urdf")
 
 
 def export(
-    format_name: Annotated[Format, typer.Argument(metavar="FORMAT", help="What to write.")],
-    robot: RobotName = THE_TRIPOD,
+    which: MachineOptions,
+    format_name: Annotated[_Format, typer.Argument(metavar="FORMAT", help="What to write.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Folder to write to; made if it is not there. By default results/FORMAT."),
     ] = None,
     meshes: Annotated[bool, typer.Option(help="Shapes that are meshes, and their files.")] = True,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
 ) -> None:
     """A robot's description for another tool, its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
 
@@ -46,16 +34,8 @@ def export(
     from pm3dof_pin.export.formats import export_robot
 
     folder = out if out is not None else Path("results") / format_name.value
-    described = description_path(robot, config)
     try:
-        written = export_robot(
-            described,
-            format_name.value,
-            folder,
-            meshes=meshes,
-            tool_frame=tool_frame,
-            package_paths=package_path or (),
-        )
+        written = export_robot(which.path, format_name.value, folder, meshes=meshes, **which.reading)
     except DescriptionError as error:
         if meshes and "mesh" in error.element:
             message("pm3dof: --no-meshes exports the robot without them")

@@ -5,13 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any
 
-
-class FileKind(StrEnum):
-    """The YAML files of a robot."""
-
-    CLOSURES = "closures"
-    ERRORS = "errors"
-    PARAMETERS = "parameters"
+FileKind = StrEnum("FileKind", {"CLOSURES": "closures", "ERRORS": "errors", "PARAMETERS": "parameters"})
+"""The YAML files of a robot."""
 
 
 def file_schema(kind: FileKind) -> dict[str, Any]:

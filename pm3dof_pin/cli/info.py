@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.file_schemas import FileKind, file_schema
-from pm3dof_pin.cli.options import Json
+from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
+from pm3dof_pin.description.coordinates import shown_in
 
 if TYPE_CHECKING:
     from pm3dof_pin.description.robots import RobotFiles
@@ -26,12 +27,10 @@ _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite
 
 
 def info(
+    which: RobotOptions,
     path: Annotated[
         str | None, typer.Argument(metavar="ROBOT", help="As --robot.", autocompletion=completion.robots)
     ] = None,
-    robot: RobotName = "pm3dof",
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     schema: Annotated[
         FileKind | None,
         typer.Option("--schema", help="Print the JSON Schema of a YAML file instead, for editors."),
@@ -43,14 +42,13 @@ def info(
     Works on anything that can be read, and says what is missing and what to try.
     """
     from pm3dof_pin.description.robots import find_robot, robot_names
-    from pm3dof_pin.kinematics.robot import Robot
 
     if schema is not None:
         print_result(file_schema(schema), [], as_json=True)
         return
-    robot = path or robot
-    files = find_robot(robot, package_path or ())
-    machine = Robot.load(robot, tool_frame=tool_frame, package_paths=package_path or ())
+    which = replace(which, robot=path or which.robot)
+    files = find_robot(which.robot, which.package_path or ())
+    machine = which.load()
     result = (
         _files(files)
         | _errors(files, machine)
@@ -277,5 +275,5 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
 
 def _in_degrees(unit: str, *values: float) -> list[str]:
     """Write values for a person: angles in degrees, nothing where there is no value."""
-    factor, shown = (180.0 / math.pi, "deg") if unit == "rad" else (1.0, "m")
+    factor, shown = shown_in(unit)
     return [*(f"{factor * value:.6g}" if math.isfinite(value) else "-" for value in values), shown]

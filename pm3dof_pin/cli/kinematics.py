@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, finite_number, is_the_tripod
+from pm3dof_pin.cli.options import Json, MachineOptions, OutFile, PoseOptions, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.pose_arguments import (
-    Config,
-    NamedConfiguration,
-    OutFile,
-    PackagePath,
-    Pose,
-    PoseChoice,
-    PosesFile,
-    RobotName,
-    ToolFrame,
-    expected_numbers,
-    load_robot,
-    read_poses,
-    readings,
-    si_values,
-    solve_pose,
-    write_batch,
-)
+from pm3dof_pin.cli.poses import expected_numbers, place, read_poses, readings, si_values, solve_pose, write_batch
+from pm3dof_pin.description.coordinates import shown_in
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.description.coordinates import Coordinate
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
@@ -49,14 +33,8 @@ Commands = Annotated[
 
 
 def ik(
-    pose: Pose = None,
-    robot: RobotName = THE_TRIPOD,
-    configuration: NamedConfiguration = None,
-    poses: PosesFile = None,
-    out: OutFile = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
+    chosen: PoseOptions,
+    which: MachineOptions,
     as_json: Json = False,
 ) -> None:
     """Commands of the drives for a pose (inverse kinematics): angles in degrees, lengths in metres.
@@ -64,23 +42,23 @@ def ik(
     The commands are what the counters of the drives show; beside them stand the angles of the passive joints. A pose
     that breaks a joint limit is still answered, with a message and exit status 1.
     """
-    chosen = PoseChoice.of(pose, configuration, poses, out)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
-    if chosen.file is not None:
-        file, many = read_poses(machine, chosen.file)
-        write_batch(many, file.columns_as_written | readings(machine.command_coordinates, many.commands), out, as_json)
+    if chosen.poses is not None:
+        file, many = read_poses(machine, chosen.poses)
+        columns = file.columns_as_written | readings(machine.command_coordinates, many.commands)
+        write_batch(many, columns, chosen.out, as_json)
         return
-    solved = chosen.solve(machine)
+    solved = place(machine, chosen)
     result, broken = _result(machine, solved)
     print_result(result, _ik_lines(machine, result), as_json=as_json)
     stop_on_broken_limits(broken)
 
 
 def fk(
+    which: MachineOptions,
     u: Commands = None,
-    robot: RobotName = THE_TRIPOD,
     poses: Annotated[
         Path | None,
         typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg a command."),
@@ -89,9 +67,6 @@ def fk(
     all_modes: Annotated[
         bool, typer.Option("--all", help="Every assembly mode of chapter 8's machine, not only its own.")
     ] = False,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Pose for commands of the drives (forward kinematics): lengths in metres, angles in degrees.
@@ -99,21 +74,21 @@ def fk(
     Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
     message and exit status 1; so are other assembly modes with --all, where none is reached from home.
     """
-    chosen = PoseChoice.of(u, None, poses, out)
-    if all_modes and (not is_the_tripod(robot) or chosen.file is not None):
+    chosen = PoseOptions(pose=u, poses=poses, out=out)
+    if all_modes and (not which.is_the_tripod or poses is not None):
         raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     if chosen.is_empty:
         raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
-    if chosen.file is not None:
-        file, many = read_poses(machine, chosen.file, forward=True)
+    if poses is not None:
+        file, many = read_poses(machine, poses, forward=True)
         write_batch(many, file.columns_as_written | readings(machine.coordinates, many.coordinates), out, as_json)
         return
     modes: list[Vector] = []
     residuals: list[float] = []
     if all_modes:
         commands = si_values(machine, machine.command_coordinates, chosen.numbers)
-        modes, residuals = _all_modes(commands, config)
+        modes, residuals = _all_modes(commands, which.tripod())
         solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
     else:
         solved = solve_pose(machine, chosen.numbers, forward=True)
@@ -183,25 +158,22 @@ def _ik_lines(robot: Robot, result: dict[str, Any]) -> list[str]:
 
 def _reading(value: float, unit: str, digits: int) -> tuple[str, str]:
     """Return a number in the unit of the command line: angles in degrees, with so many digits; and that unit."""
-    return (fixed(value, max(digits, 6)), "m") if unit == "m" else (fixed(math.degrees(value), digits), "deg")
+    factor, shown = shown_in(unit)
+    return fixed(factor * value, max(digits, 6) if unit == "m" else digits), shown
 
 
 def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> list[str]:
-    header = [f"{c.name} [{'m' if c.unit == 'm' else 'deg'}]" for c in coordinates]
-    rows = [
-        [fixed(v, 12) if c.unit == "m" else fixed(math.degrees(v), 9) for c, v in zip(coordinates, pose, strict=True)]
-        for pose in poses
-    ]
+    header = [f"{c.name} [{shown_in(c.unit)[1]}]" for c in coordinates]
+    digits = {"m": 12, "rad": 9}
+    rows = [[_reading(v, c.unit, digits[c.unit])[0] for c, v in zip(coordinates, pose, strict=True)] for pose in poses]
     return table_lines(header, rows)
 
 
-def _all_modes(commands: Vector, config: Path | None) -> tuple[list[Vector], list[float]]:
+def _all_modes(commands: Vector, tripod: Tripod) -> tuple[list[Vector], list[float]]:
     """Return every pose that the chapter's machine can have at its commands, with errors of the links' lengths [m]."""
     from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
-    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.exceptions import UnreachablePoseError
 
-    tripod = Tripod.load(config)
     modes = all_assembly_modes(tripod, commands)
     if not len(modes):
         travels = ", ".join(f"{travel:g}" for travel in commands)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,29 +15,26 @@ from typer.core import TyperCommand
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import finite_number
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.cli.pose_arguments import check_units
+from pm3dof_pin.cli.poses import check_units
+from pm3dof_pin.description.coordinates import Coordinate, shown_in
 
 if TYPE_CHECKING:
-    from pm3dof_pin.description.coordinates import Coordinate
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.maps.quantities import Quantity
 
 
-class EngineName(StrEnum):
-    """What computes a batch."""
-
-    PROGRAM = "program"
-    PINOCCHIO = "pinocchio"
+EngineName = StrEnum("EngineName", {"PROGRAM": "program", "PINOCCHIO": "pinocchio"})  # what computes a batch
 
 
 @dataclass(frozen=True)
 class CoordinateRange:
-    """Values of a coordinate that varies, angles in degrees."""
+    """Values of a coordinate that varies, or one that stands still; angles in degrees."""
 
     name: str
     first: float
     last: float
-    count: int
+    count: int = 1
 
     @classmethod
     def parse(cls, text: str) -> CoordinateRange:
@@ -47,21 +44,13 @@ class CoordinateRange:
             raise typer.BadParameter(f"'{text}' is not NAME FIRST LAST COUNT")
         return cls(words[0], finite_number(words[1]), finite_number(words[2]), int(words[3]))
 
-
-@dataclass(frozen=True)
-class CoordinateValue:
-    """Value of a coordinate that stands still, angles in degrees."""
-
-    name: str
-    value: float
-
     @classmethod
-    def parse(cls, text: str) -> CoordinateValue:
+    def parse_value(cls, text: str) -> CoordinateRange:
         """Read NAME VALUE."""
         words = text.split()
         if len(words) != _VALUES["--at"]:
             raise typer.BadParameter(f"'{text}' is not NAME VALUE")
-        return cls(words[0], finite_number(words[1]))
+        return cls(words[0], finite_number(words[1]), finite_number(words[1]))
 
 
 class MapCommand(TyperCommand):
@@ -82,34 +71,46 @@ class MapCommand(TyperCommand):
 _VALUES = {"--range": 4, "--over": 4, "--at": 2}
 """Number of values of each such option."""
 
+
+def _ranges(name: str, metavar: str, parse: Callable[[str], CoordinateRange], text: str) -> Any:
+    """Return an option that may be repeated, for values of coordinates."""
+    return typer.Option(name, metavar=metavar, parser=parse, help=text, autocompletion=completion.coordinates)
+
+
 Ranges = Annotated[
     list[CoordinateRange] | None,
-    typer.Option(
+    _ranges(
         "--range",
-        metavar="NAME FIRST LAST COUNT",
-        parser=CoordinateRange.parse,
-        help="Values of a coordinate [deg, m]; may be repeated. Coordinates not named stay at home.",
-        autocompletion=completion.coordinates,
+        "NAME FIRST LAST COUNT",
+        CoordinateRange.parse,
+        "Values of a coordinate [deg, m]; may be repeated. Coordinates not named stay at home.",
     ),
 ]
 Over = Annotated[
     list[CoordinateRange] | None,
-    typer.Option(
+    _ranges(
         "--over",
-        metavar="NAME FIRST LAST COUNT",
-        parser=CoordinateRange.parse,
-        help="Values of a coordinate of the map [deg, m], twice; the first two by default, over their ranges.",
-        autocompletion=completion.coordinates,
+        "NAME FIRST LAST COUNT",
+        CoordinateRange.parse,
+        "Values of a coordinate of the map [deg, m], twice; the first two by default, over their ranges.",
     ),
 ]
 Values = Annotated[
-    list[CoordinateValue] | None,
-    typer.Option(
+    list[CoordinateRange] | None,
+    _ranges(
         "--at",
-        metavar="NAME VALUE",
-        parser=CoordinateValue.parse,
-        help="Value of a coordinate that stands still [deg, m]; may be repeated. Home by default.",
-        autocompletion=completion.coordinates,
+        "NAME VALUE",
+        CoordinateRange.parse_value,
+        "Value of a coordinate that stands still [deg, m]; may be repeated. Home by default.",
+    ),
+]
+Quantities = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--quantity",
+        "-q",
+        help="What to map, by name; may be repeated. `pm3dof atlas --list` names them all.",
+        autocompletion=completion.quantities,
     ),
 ]
 EngineOption = Annotated[
@@ -120,60 +121,69 @@ Threads = Annotated[
 ]
 
 
-def robot_grid(robot: Robot, ranges: Sequence[CoordinateRange], values: Sequence[CoordinateValue] = ()) -> Grid:
+def known_quantities(names: Sequence[str] | None) -> Mapping[str, Quantity]:
+    """Return all quantities that can be mapped, having checked those of `--quantity`."""
+    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
+    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
+    from pm3dof_pin.maps.quantities import QUANTITIES
+
+    for name in names or ():
+        if name not in QUANTITIES:
+            raise typer.BadParameter(f"no quantity '{name}', expected one of {', '.join(QUANTITIES)}")
+    return QUANTITIES
+
+
+def robot_grid(
+    robot: Robot, ranges: Sequence[CoordinateRange] | None, values: Sequence[CoordinateRange] | None = None
+) -> Grid:
     """Return the grid of `--range` (or `--over`) and `--at`; wrong usage ends the command with status 2."""
     import numpy as np
 
-    names = [entry.name for entry in ranges] + [entry.name for entry in values]
+    given = [*(ranges or ()), *(values or ())]
+    names = [entry.name for entry in given]
+    known = {coordinate.name: coordinate for coordinate in robot.coordinates}
     for name in names:
         if names.count(name) > 1:
             raise typer.BadParameter(f"{name} is given twice")
+        if name not in known:
+            raise typer.BadParameter(f"{robot.name} has no coordinate '{name}': expected one of {', '.join(known)}")
     axes: dict[str, tuple[float, float, int] | float] = {}
-    for wanted in ranges:
-        coordinate = _coordinate(robot, wanted.name)
+    for wanted in ranges or ():
         if wanted.count < 1 or (wanted.first >= wanted.last if wanted.count > 1 else wanted.first != wanted.last):
-            given = f"{wanted.name} {wanted.first:g} {wanted.last:g} {wanted.count}"
-            raise typer.BadParameter(f"{given}: expected growing values")
-        axes[wanted.name] = (_si(coordinate, wanted.first), _si(coordinate, wanted.last), wanted.count)
-    for entry in values:
-        coordinate = _coordinate(robot, entry.name)
-        axes[entry.name] = _si(coordinate, entry.value)
-        low, high = robot.range_of(coordinate)
-        if not low <= _si(coordinate, entry.value) <= high:
-            span = (low, high) if coordinate.unit == "m" else (math.degrees(low), math.degrees(high))
-            unit = "m" if coordinate.unit == "m" else "deg"
-            message(
-                f"pm3dof: --at {entry.name} {entry.value:g}: {entry.name} runs {span[0]:.4g} to {span[1]:.4g} {unit}"
-            )
-    numbers = {entry.name: (entry.first, entry.last) for entry in ranges}
-    numbers |= {entry.name: (entry.value, entry.value) for entry in values}
+            words = f"{wanted.name} {wanted.first:g} {wanted.last:g} {wanted.count}"
+            raise typer.BadParameter(f"{words}: expected growing values")
+        first, last = (_si(known[wanted.name], end) for end in (wanted.first, wanted.last))
+        axes[wanted.name] = (first, last, wanted.count)
+    for entry in values or ():
+        axes[entry.name] = value = _si(known[entry.name], entry.first)
+        low, high = robot.range_of(known[entry.name])
+        if not low <= value <= high:
+            factor, unit = shown_in(known[entry.name].unit)
+            span = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
+            message(f"pm3dof: --at {entry.name} {entry.first:g}: {entry.name} runs {span}")
+    numbers = {entry.name: (entry.first, entry.last) for entry in given}
     home = zip(robot.coordinates, robot.home_coordinates, strict=True)
-    ends = [numbers.get(c.name, [value if c.unit == "m" else math.degrees(value)] * 2) for c, value in home]
+    ends = [numbers.get(c.name, (shown_in(c.unit)[0] * value,) * 2) for c, value in home]
     check_units(robot, robot.coordinates, np.array(ends).T)
     return robot.grid(**axes)
 
 
 def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
-    """Return the ranges of coordinates as `--range` takes them, with the number of values of each."""
-    import numpy as np
+    """Return the ranges of coordinates as `--range` takes them, with the number of values of each.
 
+    A joint that turns without end, or further than once around, makes one turn.
+    """
     ranges = []
     for coordinate, count in zip(coordinates, counts, strict=True):
         lower, upper = robot.range_of(coordinate)
-        if not np.isfinite([lower, upper]).all():
+        if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:
+            lower, upper = -math.pi, math.pi
+        if not math.isfinite(upper - lower):
             raise typer.BadParameter(f"{coordinate.name} of {robot.name} has no range: give one with its name")
-        factor = 1.0 if coordinate.unit == "m" else 180.0 / np.pi
-        ranges.append(CoordinateRange(coordinate.name, float(lower * factor), float(upper * factor), count))
+        factor = shown_in(coordinate.unit)[0]
+        ranges.append(CoordinateRange(coordinate.name, factor * float(lower), factor * float(upper), count))
     return ranges
 
 
-def _coordinate(robot: Robot, name: str) -> Coordinate:
-    for coordinate in robot.coordinates:
-        if coordinate.name == name:
-            return coordinate
-    names = ", ".join(coordinate.name for coordinate in robot.coordinates)
-    raise typer.BadParameter(f"{robot.name} has no coordinate '{name}': expected one of {names}")
-
-
 def _si(coordinate: Coordinate, number: float) -> float:
-    return number if coordinate.unit == "m" else math.radians(number)
+    return math.radians(number) if coordinate.unit == "rad" else number

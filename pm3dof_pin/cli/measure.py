@@ -8,13 +8,12 @@ from typing import Annotated
 
 import typer
 
-from pm3dof_pin.cli.error_parameters import closing_errors, load_errors
-from pm3dof_pin.cli.options import THE_TRIPOD, Json
+from pm3dof_pin.cli.error_parameters import closing_errors
+from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result
-from pm3dof_pin.cli.pose_arguments import PackagePath, RobotName, ToolFrame
 
 
-class SourceName(StrEnum):
+class _Source(StrEnum):
     """A source of errors."""
 
     GEOMETRIC = "geometric"
@@ -24,24 +23,21 @@ class SourceName(StrEnum):
     VIBRATION = "vibration"
 
 
-class WorldName(StrEnum):
-    """What is wrong with the simulated machine."""
-
-    EVERYTHING = "everything"
-    GEOMETRY = "geometry"
+_World = StrEnum("_World", {"EVERYTHING": "everything", "GEOMETRY": "geometry"})
 
 
 def measure(
+    which: RobotOptions,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/measurements.csv"),
     poses: Annotated[int, typer.Option(min=1, help="Number of random poses within all joint limits.")] = 60,
     plan: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Commands to measure at instead, of `calibration-plan`.")
     ] = None,
     world: Annotated[
-        WorldName,
+        _World,
         typer.Option(help="geometry: only the parameters of the error file are wrong; everything: much more."),
-    ] = WorldName.EVERYTHING,
-    only: Annotated[SourceName | None, typer.Option(help="Leave the machine one of its sources of error.")] = None,
+    ] = _World.EVERYTHING,
+    only: Annotated[_Source | None, typer.Option(help="Leave the machine one of its sources of error.")] = None,
     load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
     wrench: Annotated[
         tuple[float, float, float, float, float, float] | None,
@@ -57,9 +53,6 @@ def measure(
     seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
     noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
     positions: Annotated[bool, typer.Option("--positions", help="See positions only, not whole poses.")] = False,
-    robot: RobotName = THE_TRIPOD,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
     as_json: Json = False,
 ) -> None:
     """Simulate the measurements of a machine with errors, into the file that `calibrate` reads. Lengths in metres."""
@@ -72,7 +65,7 @@ def measure(
     from pm3dof_pin.measuring.measurement_file import read_plan, write_measurements
     from pm3dof_pin.simulation.worlds import World
 
-    errors = load_errors(robot, tool_frame, package_path)
+    errors = which.load_errors()
     generator = np.random.default_rng(seed)
     sample = reachable_poses(errors.robot, poses, generator)
     commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)

@@ -6,24 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, Payload, payloads_of
+from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.pose_arguments import (
-    Config,
-    NamedConfiguration,
-    OutFile,
-    PackagePath,
-    Pose,
-    PoseChoice,
-    PosesFile,
-    RobotName,
-    ToolFrame,
-    column_of,
-    load_robot,
-    pose_echo,
-    read_poses,
-    write_batch,
-)
+from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_batch
 from pm3dof_pin.cli.stiffness import AXES
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
@@ -33,16 +18,10 @@ if TYPE_CHECKING:
 
 
 def modes(
-    pose: Pose = None,
+    chosen: PoseOptions,
+    which: MachineOptions,
     count: Annotated[int, typer.Option(min=1, help="Number of modes, from the lowest on.")] = 6,
     payload: Payload = 0.0,
-    robot: RobotName = THE_TRIPOD,
-    configuration: NamedConfiguration = None,
-    poses: PosesFile = None,
-    out: OutFile = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Natural frequencies and mode shapes at a pose: angles in degrees, lengths in metres.
@@ -56,17 +35,16 @@ def modes(
     from pm3dof_pin.dynamics import natural_frequencies, natural_modes
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
-    chosen = PoseChoice.of(pose, configuration, poses, out)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     model, payloads = ElasticModel(machine), payloads_of(machine, payload)
-    if chosen.file is not None:
-        file, many = read_poses(machine, chosen.file)
+    if chosen.poses is not None:
+        file, many = read_poses(machine, chosen.poses)
         frequencies = np.full((len(many), count), np.nan)
         frequencies[many.solved] = natural_frequencies(model, many.q[many.solved], count=count, payloads=payloads)
         columns = {column_of(f"mode{mode}", "Hz"): column for mode, column in enumerate(frequencies.T, start=1)}
-        write_batch(many, file.columns_as_written | columns, out, as_json)
+        write_batch(many, file.columns_as_written | columns, chosen.out, as_json)
         return
-    solved = chosen.solve(machine).configuration()
+    solved = place(machine, chosen).configuration()
     found = natural_modes(model, solved, count=count, payloads=payloads)
     broken = broken_limits(machine, solved)
     pose_entry, pose_line = pose_echo(machine, solved.q)

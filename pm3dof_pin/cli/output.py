@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -12,12 +13,15 @@ import typer
 LIMIT_BROKEN = 1
 
 
-def print_result(result: Mapping[str, Any], lines: Iterable[str], *, as_json: bool) -> None:
-    """Print a result once, as a JSON object or as lines for a person."""
+def print_result(result: Mapping[str, Any], lines: Iterable[str], *, as_json: bool, files: Sequence[Path] = ()) -> None:
+    """Print a result once, as a JSON object or as lines for a person; then name the files that were written."""
     if as_json:
-        typer.echo(json.dumps(_plain(result), indent=2, allow_nan=False))
+        named = {"files": list(map(str, files))} if files else {}
+        typer.echo(json.dumps(_plain({**result, **named}), indent=2, allow_nan=False))
     else:
         typer.echo("\n".join(lines))
+    for file in files:
+        message(f"wrote {file}")
 
 
 def message(text: str) -> None:

@@ -16,12 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class PictureFormat(StrEnum):
-    """Formats of pictures: dots at 300 dpi, or lines and letters."""
-
-    PNG = "png"
-    PDF = "pdf"
-    SVG = "svg"
+PictureFormat = StrEnum("PictureFormat", "png pdf svg")  # dots at 300 dpi, or lines and letters
 
 
 Formats = Annotated[
@@ -34,7 +29,7 @@ def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) ->
     """Write a picture in the formats of `--format`; the suffix of the path does not matter."""
     from pm3dof_pin.figures.style import save_pictures
 
-    return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.PNG,)])
+    return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.png,)])
 
 
 def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:

@@ -4,24 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, Payload, payloads_of
+from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.pose_arguments import (
-    Config,
-    NamedConfiguration,
-    OutFile,
-    PackagePath,
-    Pose,
-    PoseChoice,
-    PosesFile,
-    RobotName,
-    ToolFrame,
-    column_of,
-    load_robot,
-    pose_echo,
-    read_poses,
-    write_batch,
-)
+from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_batch
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
@@ -32,15 +17,9 @@ if TYPE_CHECKING:
 
 
 def statics(
-    pose: Pose = None,
+    chosen: PoseOptions,
+    which: MachineOptions,
     payload: Payload = 0.0,
-    robot: RobotName = THE_TRIPOD,
-    configuration: NamedConfiguration = None,
-    poses: PosesFile = None,
-    out: OutFile = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Holding forces of the actuators against gravity, at a pose: angles in degrees, lengths in metres.
@@ -51,14 +30,13 @@ def statics(
     """
     from pm3dof_pin.dynamics import holding_forces
 
-    chosen = PoseChoice.of(pose, configuration, poses, out)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     payloads = payloads_of(machine, payload)
-    if chosen.file is not None:
-        file, many = read_poses(machine, chosen.file)
-        write_batch(many, file.columns_as_written | _columns(machine, many, payloads), out, as_json)
+    if chosen.poses is not None:
+        file, many = read_poses(machine, chosen.poses)
+        write_batch(many, file.columns_as_written | _columns(machine, many, payloads), chosen.out, as_json)
         return
-    solved = chosen.solve(machine).configuration()
+    solved = place(machine, chosen).configuration()
     forces = holding_forces(solved, payloads=payloads)
     broken = broken_limits(machine, solved)
     pose_entry, pose_line = pose_echo(machine, solved.q)

@@ -6,34 +6,18 @@ import itertools
 import math
 from collections.abc import Sequence
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, is_the_tripod
+from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.pose_arguments import (
-    Config,
-    NamedConfiguration,
-    OutFile,
-    PackagePath,
-    Pose,
-    PoseChoice,
-    PosesFile,
-    RobotName,
-    ToolFrame,
-    column_of,
-    load_robot,
-    pose_echo,
-    read_poses,
-    si_values,
-    write_batch,
-)
+from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, si_values, write_batch
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
+    from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.elastic.condensation import CartesianCompliance
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.free_motions import FreeMotionStiffness
@@ -55,26 +39,17 @@ JSON_UNITS = {
 UNITS = ("N/m", "N/m", "N/m", "N m/rad", "N m/rad", "N m/rad")
 
 
-class Model(StrEnum):
-    """Stiffness models."""
-
-    ELASTIC = "elastic"
-    CHAPTER = "chapter"
+Model = StrEnum("Model", {"ELASTIC": "elastic", "CHAPTER": "chapter"})
+"""Stiffness models."""
 
 
 def stiffness(
-    pose: Pose = None,
+    chosen: PoseOptions,
+    which: MachineOptions,
     model: Annotated[
         Model,
         typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3 (pm3dof)."),
     ] = Model.ELASTIC,
-    robot: RobotName = THE_TRIPOD,
-    configuration: NamedConfiguration = None,
-    poses: PosesFile = None,
-    out: OutFile = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Stiffness of the tool at a pose: angles in degrees, lengths in metres.
@@ -86,20 +61,19 @@ def stiffness(
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.report import cartesian_compliance
 
-    chosen = PoseChoice.of(pose, configuration, poses, out)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     if model is Model.CHAPTER:
-        if not is_the_tripod(robot) or not chosen.numbers:
+        if not which.is_the_tripod or not chosen.numbers:
             raise typer.BadParameter(f"--model chapter is for a pose of the machine of chapter 8, {THE_TRIPOD}")
-        _print_chapter(config, si_values(machine, machine.coordinates, chosen.numbers), as_json)
-        stop_on_broken_limits(broken_limits(machine, chosen.solve(machine).configuration()))
+        _print_chapter(which.tripod(), si_values(machine, machine.coordinates, chosen.numbers), as_json)
+        stop_on_broken_limits(broken_limits(machine, place(machine, chosen).configuration()))
         return
     elastic = ElasticModel(machine)
-    if chosen.file is not None:
-        file, many = read_poses(machine, chosen.file)
-        write_batch(many, file.columns_as_written | _columns(elastic, many), out, as_json)
+    if chosen.poses is not None:
+        file, many = read_poses(machine, chosen.poses)
+        write_batch(many, file.columns_as_written | _columns(elastic, many), chosen.out, as_json)
         return
-    solved = chosen.solve(machine).configuration()
+    solved = place(machine, chosen).configuration()
     tool = cartesian_compliance(elastic, solved)
     pose_entry, pose_line = pose_echo(machine, solved.q)
     result = {"robot": machine.name, **pose_entry, **_read(tool.compliance, tool.spring_names, tool.contributions)}
@@ -155,11 +129,10 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     return columns
 
 
-def _print_chapter(config: Path | None, pose: Vector, as_json: bool) -> None:
+def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
     from pm3dof_pin.chapter import chapter_stiffness as chapter
-    from pm3dof_pin.chapter.tripod import Tripod
 
-    diagonal = chapter.chapter_stiffness(Tripod.load(config), pose)
+    diagonal = chapter.chapter_stiffness(tripod, pose)
     index = float(chapter.global_index(diagonal))
     named = dict(zip(chapter.AXES, diagonal, strict=True))
     rows = [[axis, f"{value:.6e}", chapter.UNITS[axis]] for axis, value in named.items()]

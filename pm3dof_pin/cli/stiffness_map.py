@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, declared_ranges, robot_grid
-from pm3dof_pin.cli.options import Json, finite_number, load_tripod, tilt_angle
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
+from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import robot_of_engine, rows_as_data, rows_as_lines
 
@@ -40,16 +38,8 @@ JOB_PICTURES = rf"stiffness_map_.+|{'|'.join(name.removesuffix('.png') for name 
 
 
 def stiffness_map(
-    out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="NAME|PATH",
-            help="A robot, by name or by the path of its description; without it, the chapter's map.",
-            autocompletion=completion.robots,
-        ),
-    ] = None,
+    which: MachineOrChapterOptions,
+    out: Out = Path("results"),
     over: Over = None,
     values: Values = None,
     height: Annotated[
@@ -66,9 +56,6 @@ def stiffness_map(
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
@@ -78,12 +65,12 @@ def stiffness_map(
     natural frequency over two coordinates; where the tool is rigid in some direction, the stiffness of its free
     motions. Pictures of a former run are replaced.
     """
-    if robot is None and not over and not values and tool_frame is None:
-        _map_of_chapter(out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, config, engine)
+    if which.robot is None and not over and not values and which.tool_frame is None:
+        _map_of_chapter(which, out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, engine)
         return
     if height is not None or tilt is not None:
         raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
-    loaded = load_robot(robot or "pm3dof", config=config, tool_frame=tool_frame, package_paths=package_path)
+    loaded = which.load()
     from pm3dof_pin.maps.quantities import MappedRobot
 
     if over and len(over) != 2:
@@ -112,7 +99,6 @@ def stiffness_map(
     spans = _ranges(dataset)
     result = {
         "robot": loaded.name,
-        "files": [str(file) for file in files],
         "dimensions": grid.dims,
         "fixed": dict(grid.fixed),
         "poses": grid.size,
@@ -124,9 +110,7 @@ def stiffness_map(
         "",
         f"{grid.size:,} poses over {' and '.join(grid.dims)}, {inside:,} within every limit",
     ]
-    print_result(result, lines, as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result, lines, as_json=as_json, files=files)
 
 
 def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
@@ -197,6 +181,7 @@ def _draw(
 
 
 def _map_of_chapter(
+    which: MachineOrChapterOptions,
     out: Path,
     height: float | None,
     tilt: float | None,
@@ -204,7 +189,6 @@ def _map_of_chapter(
     pictures: bool,
     formats: list[PictureFormat] | None,
     as_json: bool,
-    config: Path | None,
     engine: EngineName,
 ) -> None:
     from pm3dof_pin.chapter.section import stiffness_section
@@ -212,7 +196,7 @@ def _map_of_chapter(
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
-    tripod, machine = load_tripod(config), robot_of_engine(engine, config)
+    tripod, machine = which.tripod(), robot_of_engine(engine, which)
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []
@@ -234,7 +218,6 @@ def _map_of_chapter(
         remove_former(out, JOB_PICTURES, files)
     rows, statistics = table_8_3(tripod, robot=machine), _ranges(section)
     result = {
-        "files": [str(file) for file in files],
         "z_e_m": z_e,
         "poses": points**2,
         "poses_within_limits": inside,
@@ -245,11 +228,9 @@ def _map_of_chapter(
         "",
         f"{points**2:,} poses at z_e = {z_e:.6f} m, {inside:,} within every joint limit",
     ]
-    if height is None and tilt is None and config is None:
+    if height is None and tilt is None and which.config is None:
         lines += ["", "Table 8.3, on its own grid", *rows_as_lines(rows)]
-    print_result(result | {"rows": rows_as_data(rows)}, lines, as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result | {"rows": rows_as_data(rows)}, lines, as_json=as_json, files=files)
 
 
 def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | None = None) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pm3dof_pin.cli.map_options import EngineName, EngineOption
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, load_tripod
+from pm3dof_pin.cli.options import Config, Json, MachineOptions
 from pm3dof_pin.cli.output import print_result, table_lines
-from pm3dof_pin.cli.pose_arguments import Config, load_robot
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.table_8_3 import TableRow
@@ -20,41 +18,28 @@ def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption
     """Table 8.3, published and computed side by side; with --engine pinocchio on Jacobians of the URDF."""
     from pm3dof_pin.chapter import table_8_3 as table
 
-    rows = table.table_8_3(load_tripod(config), robot=robot_of_engine(engine, config))
+    which = MachineOptions(config=config)
+    rows = table.table_8_3(which.tripod(), robot=robot_of_engine(engine, which))
     print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
 
 
-def robot_of_engine(engine: EngineName, config: Path | None) -> Robot | None:
+def robot_of_engine(engine: EngineName, which: MachineOptions) -> Robot | None:
     """Return the chapter's machine on Pinocchio for `--engine pinocchio`, and None for the closed form."""
-    return load_robot(THE_TRIPOD, config=config) if engine is EngineName.PINOCCHIO else None
+    return which.load() if engine is EngineName.PINOCCHIO else None
 
 
 def rows_as_data(rows: Sequence[TableRow]) -> list[dict[str, Any]]:
     """Return the rows as plain data for JSON."""
-    return [
-        {
-            "axis": row.axis,
-            "statistic": row.statistic,
-            "published": row.published,
-            "computed": row.computed,
-            "relative_difference": row.relative_difference,
-            "last_digit_difference": row.last_digit_difference,
-            "remark": row.remark,
-        }
-        for row in rows
-    ]
+    keys = ("axis", "statistic", "published", "computed", "relative_difference", "last_digit_difference", "remark")
+    return [{key: getattr(row, key) for key in keys} for row in rows]
 
 
 def rows_as_lines(rows: Sequence[TableRow]) -> list[str]:
     """Return the rows as a table for a person, remarks below it."""
     cells = [
         [
-            row.axis,
-            row.statistic,
-            f"{row.published:.4e}",
-            f"{row.computed:.4e}",
-            f"{row.relative_difference:+.1e}",
-            _verdict(row),
+            *(row.axis, row.statistic, f"{row.published:.4e}", f"{row.computed:.4e}"),
+            *(f"{row.relative_difference:+.1e}", _verdict(row)),
         ]
         for row in rows
     ]

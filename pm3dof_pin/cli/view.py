@@ -12,19 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pm3dof_pin.cli.options import THE_TRIPOD
+from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
-from pm3dof_pin.cli.pose_arguments import (
-    Config,
-    NamedConfiguration,
-    PackagePath,
-    Pose,
-    PoseChoice,
-    RobotName,
-    ToolFrame,
-    check_units,
-    load_robot,
-)
+from pm3dof_pin.cli.poses import check_units, place
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,34 +51,18 @@ _OF_MOTION: dict[_Shown, MotionQuantity] = {
 }
 
 
-class Others(StrEnum):
-    """What the other three motions do while an ellipsoid's three are probed."""
-
-    FREE = "free"
-    HELD = "held"
-
-
-class Load(StrEnum):
-    """A unit force or moment at the tool, along or about an axis of the base."""
-
-    X = "x"
-    Y = "y"
-    Z = "z"
-    RX = "rx"
-    RY = "ry"
-    RZ = "rz"
+_Others = StrEnum(
+    "_Others", {"FREE": "free", "HELD": "held"}
+)  # what the other three motions do while an ellipsoid's three are probed
+_Load = StrEnum("_Load", "x y z rx ry rz")  # a unit force or moment at the tool, along or about an axis of the base
 
 
 def view(
-    pose: Pose = None,
-    robot: RobotName = THE_TRIPOD,
-    configuration: NamedConfiguration = None,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
+    chosen: PlaceOptions,
+    which: MachineOptions,
     of: Annotated[_Shown, typer.Option(help="What the ellipsoids show.")] = _Shown.STIFFNESS,
     others: Annotated[
-        Others | None,
+        _Others | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
     ] = None,
     forces: Annotated[
@@ -99,7 +73,7 @@ def view(
         bool, typer.Option("--labels", help="Names of the points; of the chapter's machine its lengths and angles too.")
     ] = False,
     shares: Annotated[
-        Load | None,
+        _Load | None,
         typer.Option(metavar="LOAD", help="Colour the legs by their share in the compliance: x, y, z, rx, ry, rz."),
     ] = None,
     workspace: Annotated[
@@ -144,12 +118,11 @@ def view(
     from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.viewer import Viewer
 
-    if path is not None and (pose or configuration is not None):
+    if path is not None and not chosen.is_empty:
         raise typer.BadParameter("--path: the file has the poses; expected no POSE or --configuration beside it")
-    chosen = PoseChoice.of(pose, configuration)
-    machine = load_robot(robot, config=config, tool_frame=tool_frame, package_paths=package_path)
+    machine = which.load()
     along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
-    shown = chosen.solve(machine).configuration() if along is None else along.configuration(0)
+    shown = place(machine, chosen).configuration() if along is None else along.configuration(0)
     broken = list(map(str, broken_limits(machine, shown))) if along is None else _limits_on_path(along)
     with Viewer(machine, host=host, port=port) as viewer:
         viewer.display(shown)
@@ -248,16 +221,16 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
         _draw_ellipsoids(viewer, model, _Shown.COMPLIANCE, None)
 
 
-def _colour_legs(viewer: Viewer, model: ElasticModel, shares: Load | None) -> None:
+def _colour_legs(viewer: Viewer, model: ElasticModel, shares: _Load | None) -> None:
     """Colour the legs under a unit load, or have the page ready to do it when asked."""
     import numpy as np
 
     from pm3dof_pin.exceptions import PM3DofError
 
-    loads = [shares] if shares is not None else [Load.Z, *Load]
+    loads = [shares] if shares is not None else [_Load.z, *_Load]
     for load in loads:
         try:
-            viewer.colour_legs(model, np.eye(6)[list(Load).index(load)], visible=shares is not None)
+            viewer.colour_legs(model, np.eye(6)[list(_Load).index(load)], visible=shares is not None)
             return
         except PM3DofError:  # nothing gives under this load
             if shares is not None:

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.map_options import CoordinateValue, EngineName, EngineOption, Values, robot_grid
-from pm3dof_pin.cli.options import THE_TRIPOD, Json, load_tripod
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.map_options import CoordinateRange, EngineName, EngineOption, Values, robot_grid
+from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out
+from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
-from pm3dof_pin.cli.pose_arguments import Config, PackagePath, ToolFrame, load_robot
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -27,16 +26,8 @@ _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
 
 
 def workspace(
-    out: Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")] = Path("results"),
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="NAME|PATH",
-            help="A robot, by name or by the path of its description; without it, the chapter's Fig. 8.2.",
-            autocompletion=completion.robots,
-        ),
-    ] = None,
+    which: MachineOrChapterOptions,
+    out: Out = Path("results"),
     coordinate: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,9 +47,6 @@ def workspace(
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     formats: Formats = None,
     engine: EngineOption = EngineName.PROGRAM,
-    tool_frame: ToolFrame = None,
-    package_path: PackagePath = None,
-    config: Config = None,
     as_json: Json = False,
 ) -> None:
     """The reachable set under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
@@ -70,15 +58,13 @@ def workspace(
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    given = robot or coordinate or values or tool_frame or engine is not EngineName.PROGRAM
+    given = which.robot or coordinate or values or which.tool_frame or engine is not EngineName.PROGRAM
     tripod = None
     with progress_bar("workspace") as progress:
         if given:
-            name = robot or THE_TRIPOD
-            loaded = load_robot(name, config=config, tool_frame=tool_frame, package_paths=package_path)
-            space = _robot_space(loaded, coordinate, values, engine)
+            space = _robot_space(which.load(), coordinate, values, engine)
         else:
-            tripod = load_tripod(config)
+            tripod = which.tripod()
             space = _chapter_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
@@ -97,10 +83,7 @@ def workspace(
         from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
 
         result["printed_ranges"] = [statement.text for statement in compare_printed_ranges(tripod, found)]
-    result["files"] = [str(file) for file in files]
-    print_result(result, _lines(found, result), as_json=as_json)
-    for file in files:
-        message(f"wrote {file}")
+    print_result(result, _lines(found, result), as_json=as_json, files=files)
 
 
 def _chapter_space(tripod: Tripod) -> LimitSpace:
@@ -110,7 +93,7 @@ def _chapter_space(tripod: Tripod) -> LimitSpace:
 
 
 def _robot_space(
-    loaded: Robot, names: list[str] | None, values: list[CoordinateValue] | None, engine: EngineName
+    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, engine: EngineName
 ) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space

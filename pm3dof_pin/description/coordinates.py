@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -9,6 +10,11 @@ Unit: TypeAlias = Literal["m", "rad"]
 ToolComponent: TypeAlias = Literal["x", "y", "z", "rx", "ry", "rz"]
 
 TOOL_COMPONENTS: tuple[ToolComponent, ...] = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def shown_in(unit: str) -> tuple[float, str]:
+    """Return what a number in SI units is multiplied by for people, and the unit then: angles are in degrees."""
+    return (180.0 / math.pi, "deg") if unit == "rad" else (1.0, unit)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,231 @@
+"""Poses as they are given on the command line and in files: solved, their units checked, and written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from pm3dof_pin.cli.options import PlaceOptions
+from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result
+from pm3dof_pin.description.coordinates import Coordinate, shown_in
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pm3dof_pin.kinematics.pose_file import PoseFile
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.typing import Array, Vector
+
+BROKEN_LIMITS = "broken_limits"
+"""Heading of the column that names the limits a pose breaks."""
+
+_FAR = 100.0  # sizes of the machine beyond which a length is in another unit
+_MOST_DEGREES = 360.0
+_FEW_DEGREES = 0.5
+
+
+def place(robot: Robot, chosen: PlaceOptions) -> Poses:
+    """Find the one pose chosen, shape=(); for those of a file there is :func:`read_poses`.
+
+    Raises:
+        UnreachablePoseError: the pose is out of reach.
+        PM3DofError: the configuration has no such name, or its loops do not close.
+    """
+    if chosen.numbers:
+        return solve_pose(robot, chosen.numbers)
+    return robot.at(_named_configuration(robot, chosen.configuration))
+
+
+def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
+    """Find the pose at coordinates (or commands) [deg, m], shape=(); UnreachablePoseError where it is out of reach."""
+    from pm3dof_pin.exceptions import UnreachablePoseError
+
+    given = robot.command_coordinates if forward else robot.coordinates
+    values = si_values(robot, given, numbers)
+    try:
+        # a single pose is worth no compiled program, whose imports take longer than it
+        solve = robot.forward if forward else robot.solve
+        return solve(values, engine="pinocchio")
+    except UnreachablePoseError as error:
+        residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
+        raise UnreachablePoseError(
+            f"pose {_pose_in_words(given, values)} is out of reach: no assembled configuration was found{residual}"
+            f"{_ranges_left(robot, given, values)}"
+        ) from error
+
+
+def read_poses(
+    robot: Robot, path: Path, *, forward: bool = False, placements: bool = False, numbers: Sequence[str] = ()
+) -> tuple[PoseFile, Poses]:
+    """Read a file of poses (`forward`: of commands) and solve them, those out of reach being NaN.
+
+    It may hold `placements` of the tool, x_m, y_m, z_m, qw, qx, qy, qz, instead of coordinates; further columns of
+    `numbers` are read where they are there.
+
+    Raises:
+        DescriptionError: the file cannot be read, or a column or entry of it is wrong.
+    """
+    import numpy as np
+
+    from pm3dof_pin.kinematics.pose_file import has_placements, possible_headings, read_placements, read_pose_file
+
+    if placements and has_placements(path):
+        file, transforms = read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
+        return file, robot.reach(transforms, on_failure="nan")
+    given, others = robot.coordinates, robot.command_coordinates
+    if forward:
+        given, others = others, given
+    known = [heading for coordinate in others for heading in possible_headings(coordinate)]
+    file = read_pose_file(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
+    if file.unused:
+        message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
+    check_units(robot, given, file.values * _factors(given))
+    solve = robot.forward if forward else robot.solve
+    return file, solve(np.array(file.values), on_failure="nan")
+
+
+def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
+    """Write columns about many poses with the limits they break, and exit with status 1 if some break one."""
+    from pm3dof_pin.kinematics.pose_file import columns_text, write_columns
+
+    table = {**columns, BROKEN_LIMITS: _limit_words(poses)}
+    inside = int(poses.within_limits.sum())
+    if as_json:
+        print_result({"poses": len(poses), "poses_within_limits": inside, "columns": table}, [], as_json=True)
+    if out is not None:
+        write_columns(out, table)
+        message(f"wrote {out}")
+    elif not as_json:
+        typer.echo(columns_text(table), nl=False)
+    if inside < len(poses):
+        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see {BROKEN_LIMITS}")
+        raise typer.Exit(LIMIT_BROKEN)
+
+
+def column_of(name: str, unit: str) -> str:
+    """Return the heading of a column: what it holds, and the unit."""
+    return f"{name}_{unit.replace(' ', '_')}"
+
+
+def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
+    """Return columns of a file, angles in degrees, from values of coordinates, shape=(n, number of coordinates)."""
+    from pm3dof_pin.kinematics.pose_file import heading_of
+
+    return {heading_of(c): shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
+
+
+def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
+    """Return coordinates given in [deg, m] in SI units, having checked their number and plausible units."""
+    import numpy as np
+
+    if not coordinates:
+        raise typer.BadParameter(f"{robot.name} has neither coordinates nor commands: use --configuration")
+    if len(numbers) != len(coordinates):
+        raise typer.BadParameter(f"{expected_numbers(robot, coordinates)}, not {len(numbers)} numbers")
+    check_units(robot, coordinates, np.array([numbers]))
+    return np.array([math.radians(n) if c.unit == "rad" else n for c, n in zip(coordinates, numbers, strict=True)])
+
+
+def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
+    """Return how a pose of the robot is written: names, units and ranges."""
+    words = []
+    for coordinate in coordinates:
+        factor, unit = shown_in(coordinate.unit)
+        lower, upper = (f"{factor * end:.4g}" for end in robot.range_of(coordinate))
+        limits = "" if "inf" in lower + upper else f" {lower} .. {upper}"
+        words.append(f"{coordinate.name}{limits} [{unit}]")
+    return f"{robot.name} takes {', '.join(words)}"
+
+
+def pose_echo(robot: Robot, q: Vector) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """Return the pose that a result answers for: an entry for JSON [m, rad] and a line for people; or nothing."""
+    coordinates = robot.coordinates
+    if not coordinates:
+        return {}, []
+    values = robot.at([q])[0].coordinates
+    entry = dict(zip((c.name for c in coordinates), map(float, values), strict=True))
+    return {"pose": entry}, [f"pose {_pose_in_words(coordinates, values)}", ""]
+
+
+def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:
+    """Refuse numbers, shape=(n, number of coordinates) [deg, m], that are in another unit, and say in which."""
+    import numpy as np
+
+    table = np.asarray(numbers, dtype=float)
+    if not table.size:
+        return
+    size = max(robot.characteristic_length, *(abs(v) for c, v in _home_of(robot, coordinates) if c.unit == "m"), 0.0)
+    angles = []
+    for coordinate, column in zip(coordinates, table.T, strict=True):
+        worst = float(column[np.abs(column).argmax()])
+        if coordinate.unit == "m" and abs(worst) > _FAR * size:
+            raise typer.BadParameter(
+                f"{coordinate.name} = {worst:g} m looks like millimetres: expected metres ({worst / 1000:g})"
+            )
+        if coordinate.unit == "rad" and abs(worst) > _MOST_DEGREES:
+            raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a turn: expected degrees")
+        if coordinate.unit == "rad":
+            angles.append((coordinate, worst))
+    if any(worst for _, worst in angles) and all(abs(worst) < _FEW_DEGREES for _, worst in angles):
+        small = ", ".join(f"{c.name} = {worst:g}" for c, worst in angles if worst)
+        turned = ", ".join(f"{math.degrees(worst):.6g}" for _, worst in angles if worst)
+        message(f"pm3dof: {small} are taken as degrees; if radians were meant: {turned}")
+
+
+def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | Vector) -> str:
+    """Return a pose [rad, m] as `theta_x = 10 deg, z_e = 0.5 m`."""
+    words = []
+    for coordinate, value in zip(coordinates, values, strict=True):
+        factor, unit = shown_in(coordinate.unit)
+        words.append(f"{coordinate.name} = {round(factor * value, 9) + 0.0:.9g} {unit}")
+    return ", ".join(words)
+
+
+def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> str:
+    """Return the ranges of those coordinates whose values are outside of them: "; u3 runs 0.155 to 0.325 m"."""
+    words = []
+    for coordinate, value in zip(coordinates, values, strict=True):
+        low, high = robot.range_of(coordinate)
+        factor, unit = shown_in(coordinate.unit)
+        if not low <= value <= high:
+            words.append(f"{coordinate.name} runs {factor * low:.4g} to {factor * high:.4g} {unit}")
+    return f"; {', '.join(words)}" if words else ""
+
+
+def _limit_words(poses: Poses) -> list[str]:
+    """Return the names of the limit groups that each pose breaks, "reach" for one out of reach, in one word each."""
+    names = ("reach", *(group.name for group in poses.robot.limit_groups))
+    return [
+        "+".join(name for bit, name in enumerate(names) if flags & (1 << bit))
+        for flags in poses.broken_limits.ravel().tolist()
+    ]
+
+
+def _named_configuration(robot: Robot, name: str | None) -> Vector:
+    from pm3dof_pin.exceptions import InvalidValueError
+
+    named = robot.named_configurations
+    if name is None or (name == "home" and "home" not in named):
+        return robot.assemble(robot.home).q
+    if name not in named:
+        expected = f"one of {', '.join(named)}" if named else "home, as no other has a name"
+        raise InvalidValueError("--configuration", name, expected)
+    return robot.assemble(named[name]).q
+
+
+def _home_of(robot: Robot, coordinates: Sequence[Coordinate]) -> list[tuple[Coordinate, float]]:
+    home = robot.at(robot.home.q)
+    transforms = home.transforms if any(coordinate.tool for coordinate in coordinates) else None
+    return list(zip(coordinates, robot.read(tuple(coordinates), home.q, transforms), strict=True))
+
+
+def _factors(coordinates: Sequence[Coordinate]) -> Any:
+    """Units of the command line in SI units, shape=(number of coordinates,)."""
+    import numpy as np
+
+    return np.array([shown_in(coordinate.unit)[0] for coordinate in coordinates])
