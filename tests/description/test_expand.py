@@ -6,8 +6,8 @@ import copy
 import logging
 import math
 import re
+import runpy
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -94,20 +94,25 @@ def test_same_but_rounding(text: str, other: str, same: bool) -> None:
     assert same_but_rounding(text, other) is same
 
 
-def test_the_script_checks_and_writes(tmp_path: Path) -> None:
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, SCRIPT, *arguments], capture_output=True, text=True, check=False)
+def test_the_script_checks_and_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = runpy.run_path(str(SCRIPT))["main"]
 
-    assert run("--check").returncode == 0
+    def run(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
+        return int(main())
+
+    assert run("--check") == 0
     elsewhere = ("--config", str(FOLDER / "config" / "pm3dof.yaml"), "--output", str(tmp_path))
-    missing = run("--check", *elsewhere)
-    assert missing.returncode == 1
-    assert "not as generated" in missing.stdout
+    assert run("--check", *elsewhere) == 1
+    assert "not as generated" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
-    assert run(*elsewhere).returncode == 0
-    assert run("--check", *elsewhere).returncode == 0
+    assert run(*elsewhere) == 0
+    assert run("--check", *elsewhere) == 0
     assert (tmp_path / "urdf" / "pm3dof.urdf").read_bytes() == (FOLDER / "urdf" / "pm3dof.urdf").read_bytes()
-    assert run("--config", "x.yaml").returncode == 2
+    with pytest.raises(SystemExit, match="2"):
+        run("--config", "x.yaml")
 
 
 # Tripods of one's own

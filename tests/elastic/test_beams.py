@@ -250,8 +250,9 @@ def test_a_portal_closed_by_a_weld(
     result = cartesian_compliance(model, q)
     assert result.motions.relation_rank.rank == (6 if hinge is None else 5)
     assert_same(result.compliance, expected)
-    assert_same(compliance(model, [q])[0], expected)
     assert_same(result.stiffness, np.linalg.inv(expected))
+    if (motor is None) == (feet[0] == feet[1]):  # each kind of portal compiles a program of its own
+        assert_same(compliance(model, [q])[0], expected)
 
 
 @pytest.mark.parametrize("crank", [0.4, 0.9, 1.7])

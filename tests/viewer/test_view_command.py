@@ -9,8 +9,9 @@ import socket
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,13 @@ from pm3dof_pin.kinematics.robot import Robot
 COMMAND = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "view"]
 
 
-def run(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-        env=os.environ | environment,
-        timeout=120,
-    )
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def run(run: Run) -> Run:
+    """The command in this process: where it does not serve."""
+    return partial(run, "view")
 
 
 @contextmanager
@@ -68,7 +66,7 @@ def test_serves_until_it_is_told_to_end(number: int) -> None:
             pass
 
 
-def test_a_taken_port() -> None:
+def test_a_taken_port(run: Run) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         result = run("0", "0", "0.5", "--no-open", "--port", str(port))
@@ -118,7 +116,9 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
     ],
 )
-def test_bad_input_gives_one_clear_message(arguments: list[str], status: int, words: str, tmp_path: Path) -> None:
+def test_bad_input_gives_one_clear_message(
+    run: Run, arguments: list[str], status: int, words: str, tmp_path: Path
+) -> None:
     result = run(*arguments, cwd=tmp_path)
     assert result.returncode == status, result.stderr
     assert words in result.stderr
@@ -137,7 +137,7 @@ def test_bad_input_gives_one_clear_message(arguments: list[str], status: int, wo
         ("0 0 0.49\n0 0 0.9\n", "out of reach"),
     ],
 )
-def test_bad_path_files(text: str, words: str, tmp_path: Path) -> None:
+def test_bad_path_files(run: Run, text: str, words: str, tmp_path: Path) -> None:
     file = tmp_path / "path.txt"
     file.write_text(text, encoding="utf-8")
     result = run("--path", str(file), "--html", str(tmp_path / "page.html"))
@@ -146,8 +146,9 @@ def test_bad_path_files(text: str, words: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_no_browser_for_a_picture(tmp_path: Path) -> None:
-    result = run("0", "0", "0.5", "--picture", "picture.png", cwd=tmp_path, PM3DOF_BROWSER=str(tmp_path / "gone"))
+def test_no_browser_for_a_picture(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PM3DOF_BROWSER", str(tmp_path / "gone"))
+    result = run("0", "0", "0.5", "--picture", "picture.png", cwd=tmp_path)
     assert result.returncode == 1
     assert "expected the path of Chromium or Chrome" in result.stderr
     assert list(tmp_path.iterdir()) == []
@@ -164,7 +165,7 @@ def test_no_screen_is_no_error() -> None:
     assert "no browser could be opened here: open the address yourself" in said
 
 
-def test_a_page_of_a_pose_beyond_a_limit(tmp_path: Path) -> None:
+def test_a_page_of_a_pose_beyond_a_limit(run: Run, tmp_path: Path) -> None:
     result = run("0", "0", "0.59", "--html", "page.html", cwd=tmp_path)
     assert result.returncode == 1
     assert "wrote page.html" in result.stderr
@@ -173,7 +174,7 @@ def test_a_page_of_a_pose_beyond_a_limit(tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_the_page_it_writes(page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
+def test_the_page_it_writes(run: Run, page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path) -> None:
     options = ["--shares", "z", "--frames", "--workspace", "felt_stiffness:z", "--of", "compliance", "--html"]
     result = run("10", "-15", "0.5", *options, "page.html", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -194,7 +195,7 @@ def test_the_page_it_writes(page: Any, mechanism: Robot, tripod: Tripod, tmp_pat
 
 
 @pytest.mark.browser
-def test_the_path_it_plays(page: Any, tmp_path: Path) -> None:
+def test_the_path_it_plays(run: Run, page: Any, tmp_path: Path) -> None:
     (tmp_path / "path.txt").write_text("# TX TY Z\n0 0 0.49\n20, -10, 0.5  # there\n0 0 0.49\n", encoding="utf-8")
     result = run("--path", "path.txt", "--duration", "2", "--html", "page.html", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -209,7 +210,7 @@ def test_the_path_it_plays(page: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_the_picture_it_takes(browser: Any, tmp_path: Path) -> None:
+def test_the_picture_it_takes(run: Run, browser: Any, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     result = run("--robot", "hexapod", "--picture", "picture.png", "--size", "320", "240", cwd=tmp_path)
