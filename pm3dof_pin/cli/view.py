@@ -202,7 +202,7 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
 
 def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, others: OtherMotions | None) -> None:
     from pm3dof_pin.elastic.report import cartesian_compliance
-    from pm3dof_pin.exceptions import DescriptionError, SingularConfigurationError
+    from pm3dof_pin.exceptions import DescriptionError, RigidDirectionError, SingularConfigurationError
 
     if viewer.mechanism.tool_frame is None:
         return
@@ -213,12 +213,11 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
                 viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=_ELASTIC[of], others=others)
             else:
                 viewer.motion_ellipsoid(_OF_MOTION.get(of, "velocity"), kind=kind)
-    except (SingularConfigurationError, DescriptionError) as error:
-        if of is not _Shown.STIFFNESS:
-            message(f"pm3dof: no ellipsoids are drawn: {error}")
-            return
+    except RigidDirectionError:
         message("pm3dof: the tool is rigid in some direction: ellipsoids of the compliance are drawn")
         _draw_ellipsoids(viewer, model, _Shown.COMPLIANCE, None)
+    except (SingularConfigurationError, DescriptionError) as error:
+        message(f"pm3dof: no ellipsoids are drawn: {error}")
 
 
 def _colour_legs(viewer: Viewer, model: ElasticModel, shares: _Load | None) -> None:

@@ -66,7 +66,9 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
             compiled = cache.known(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
             model.programs[name] = ElasticProgram(compiled, parameters(model, compiled.program.parameters))
         except ProgramError as error:
-            _logger.warning("%s, %s: computed by Pinocchio pose by pose: %s", model, quantity.name, error)
+            _logger.warning(
+                "%s: %s is computed by Pinocchio, pose by pose: %s", model.mechanism.name, quantity.name, error
+            )
             model.programs[name] = error
     found = model.programs[name]
     if isinstance(found, ProgramError):

@@ -321,7 +321,7 @@ def _condensed(
         triangle, order = _triangle(eliminate(whitened, range(6), Doubt()))
         return triangle, matrix_of(np.eye(6).tolist(), 6), order
     strains, motions = _diagonal([r.strain for r in rows]), _diagonal([r.motion for r in rows])
-    twists = np.vstack([r.twist for r in rows])
+    twists = np.vstack([zeros(0, 6), *(r.twist for r in rows)])
     result = eliminate(np.hstack([twists, strains, motions]), range(6), doubt)
     triangle, order = _triangle(result)
     width = 6 + strains.shape[1]
@@ -337,8 +337,8 @@ def _condensed(
 def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
     """Do the same with all springs at once: where relations depend on each other, or springs are asked for singly."""
     twists, motions = (
-        np.vstack([b.twist for b in held]),
-        np.vstack([widened(b.motion, b.sources, len(root)) for b in held]),
+        np.vstack([zeros(0, 6), *(b.twist for b in held)]),
+        np.vstack([zeros(0, len(root)), *(widened(b.motion, b.sources, len(root)) for b in held)]),
     )
     result = eliminate(np.hstack([twists, motions]), range(6), doubt)
     triangle, order = _triangle(result)
@@ -387,7 +387,7 @@ def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt, *, without_rigid: bo
             for c in range(6):
                 solution[i, c] = (twist[i, c] - total([row[j] * solution[j, c] for j in range(i)])) * inverse
         blocks.append(solution)
-    return np.vstack(blocks)
+    return np.vstack([zeros(0, 6), *blocks])
 
 
 def _diagonal(blocks: Sequence[Objects]) -> Objects:

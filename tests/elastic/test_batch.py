@@ -34,6 +34,7 @@ from pm3dof_pin.elastic.quantities import (
     free_stiffness,
     spring_shares,
 )
+from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -224,6 +225,21 @@ def planar_compliance(bases: np.ndarray, heads: np.ndarray, stiffnesses: np.ndar
     inverse = np.linalg.inv(strut_rates(bases, heads, pose))
     matrix: np.ndarray = inverse @ np.diag(1.0 / stiffnesses) @ inverse.T
     return matrix
+
+
+def test_a_tool_that_nothing_holds(tmp_path: Path) -> None:
+    """A body afloat, with a sprung arm: no compliance, and no stiffness to be inverted for one."""
+    path = tmp_path / "afloat.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1" mass="1"/>
+        <body name="b"><joint name="j" axis="0 1 0" stiffness="10"/><geom size="0.1" mass="1"/>
+        <site name="tcp" pos="0.2 0 0"/></body></body></worldbody></mujoco>"""
+    )
+    robot = Robot.load(path, tool_frame="tcp")
+    poses = robot.at(np.stack([robot.home.q, robot.home.q]))
+    for engine in ("program", "pinocchio"):
+        with pytest.raises(FreeDirectionError, match="'tcp' moves freely"):
+            compliance(robot, poses, engine=engine)
 
 
 def test_planar_machine_with_redundant_closures(rigid_tree: Callable[..., Robot]) -> None:
