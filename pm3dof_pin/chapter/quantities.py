@@ -35,19 +35,9 @@ def _is_tripod(mapped: MappedRobot) -> bool:
     return _tripod_of(mapped.robot) is not None
 
 
-def _chapter_axes(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the axes of Table 8.3."""
-    return AXES
-
-
-def _leg_numbers(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the numbers of the legs."""
-    return tuple(str(leg + 1) for leg in range(len(mapped.robot.commands)))
-
-
 @quantity(
     "chapter_diagonal",
-    dims=(Dimension("chapter_axis", _chapter_axes),),
+    dims=(Dimension("chapter_axis", lambda mapped: AXES),),
     unit="N m/rad (theta_x, theta_y, theta_z), N/m (t_z, t_x, t_y)",
     long_name="stiffness as the chapter computes it",
     exists=_is_tripod,
@@ -58,17 +48,13 @@ def _chapter_diagonal(evaluation: Evaluation) -> Array:
     return chapter_stiffness(tripod, evaluation.poses.coordinates, on_failure="nan")
 
 
-@quantity("chapter_global", unit="mixed", long_name="mean of the chapter's six numbers", exists=_is_tripod)
-def _chapter_global(evaluation: Evaluation) -> Array:
-    return global_index(_chapter_diagonal(evaluation))
-
-
-@quantity(
+quantity("chapter_global", unit="mixed", long_name="mean of the chapter's six numbers", exists=_is_tripod)(
+    lambda evaluation: global_index(_chapter_diagonal(evaluation))
+)
+quantity(
     "slider_travel",
-    dims=(Dimension("leg", _leg_numbers),),
+    dims=(Dimension("leg", lambda mapped: tuple(str(leg + 1) for leg in range(len(mapped.robot.commands)))),),
     unit="m",
     long_name="slider travel along the guideways",
     exists=_is_tripod,
-)
-def _slider_travel(evaluation: Evaluation) -> Array:
-    return evaluation.poses.commands
+)(lambda evaluation: evaluation.poses.commands)

@@ -6,6 +6,8 @@ Those of geometry and temperature come from compiled programs; weight and vibrat
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from operator import attrgetter
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -76,44 +78,17 @@ def _read(
     return np.concatenate([_read(sources, poses[[row]], classes, read, shape) for row in range(len(poses))])
 
 
-_GEOMETRY = ("kinematic parameters",)
+_GEOMETRY = "kinematic parameters"
 
-
-@quantity(
-    "geometric_error", unit="m", long_name="tip error by geometry, root mean square over machines", exists=_has_tool
-)
-def _geometric_error(evaluation: Evaluation) -> Array:
-    return _over(evaluation, _GEOMETRY, lambda budget: budget.tip_rms)
-
-
-@quantity("geometric_error_bound", unit="m", long_name="bound of the tip error by geometry", exists=_has_tool)
-def _geometric_error_bound(evaluation: Evaluation) -> Array:
-    return _over(evaluation, _GEOMETRY, lambda budget: budget.worst_tip)
-
-
-@quantity(
-    "geometric_error_left",
-    unit="m",
-    long_name="tip error by geometry that no command can undo, root mean square",
-    exists=_has_tool,
-)
-def _geometric_error_left(evaluation: Evaluation) -> Array:
-    return _over(evaluation, _GEOMETRY, lambda budget: budget.left_rms)
-
-
-@quantity(
-    "geometric_error_energy",
-    unit="m",
-    long_name="energy E of (8.15) of the pose error by geometry, mean",
-    exists=_has_tool,
-)
-def _geometric_error_energy(evaluation: Evaluation) -> Array:
-    return _over(evaluation, _GEOMETRY, lambda budget: budget.energy)
-
-
-@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=_has_tool)
-def _thermal_error(evaluation: Evaluation) -> Array:
-    return _over(evaluation, ("thermal",), lambda budget: budget.tip_rms)
+for _name, _class, _attribute, _long_name in (
+    ("geometric_error", _GEOMETRY, "tip_rms", "tip error by geometry, root mean square over machines"),
+    ("geometric_error_bound", _GEOMETRY, "worst_tip", "bound of the tip error by geometry"),
+    ("geometric_error_left", _GEOMETRY, "left_rms", "tip error by geometry that no command can undo, root mean square"),
+    ("geometric_error_energy", _GEOMETRY, "energy", "energy E of (8.15) of the pose error by geometry, mean"),
+    ("thermal_error", "thermal", "tip_rms", "tip error by temperature, root mean square"),
+):
+    _error = partial(_over, classes=(_class,), read=attrgetter(_attribute))
+    quantity(_name, unit="m", long_name=_long_name, exists=_has_tool)(_error)
 
 
 @quantity(

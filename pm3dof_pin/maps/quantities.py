@@ -104,16 +104,13 @@ class Evaluation:
     ) -> None:
         self.mapped = mapped
         self.poses = poses
-        self.engine: Engine = engine
-        self.threads = threads
+        self.batch: Any = {"on_failure": "nan", "engine": engine, "threads": threads}
         self._elastic: dict[str, Array] = {}
 
     def elastic(self, quantity: ElasticQuantity) -> Array:
         """Return a quantity of the elastic behaviour of the tool, shape=(..., *its shape); NaN where it fails."""
         if quantity.name not in self._elastic:
-            self._elastic[quantity.name] = evaluate(
-                self.mapped.elastic, self.poses, quantity, on_failure="nan", engine=self.engine, threads=self.threads
-            ).values
+            self._elastic[quantity.name] = evaluate(self.mapped.elastic, self.poses, quantity, **self.batch).values
         return self._elastic[quantity.name]
 
     def at_each(self, shape: tuple[int, ...], compute: Callable[[Array], Array]) -> Array:
@@ -207,44 +204,9 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     return tuple(known[name] for name in selected)
 
 
-def _axes_of_twists(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the entries of a twist or wrench."""
-    return AXES
-
-
-def _principal_values(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of three principal values, ascending."""
-    return ("least", "middle", "greatest")
-
-
-def _numbers_to_six(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the numbers of six values, ascending."""
-    return tuple(str(number + 1) for number in range(_MODES))
-
-
 def _has_drives_and_tool(mapped: MappedRobot) -> bool:
     """Tell whether there is something that moves the tool."""
     return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
-
-
-def _singularity_types(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the types of singularity that the robot can have."""
-    return mapped.singularity_types
-
-
-def _spring_names(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the springs."""
-    return mapped.elastic.spring_names
-
-
-def _command_names(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the commands."""
-    return tuple(command.name for command in mapped.robot.commands)
-
-
-def _drive_names(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return the names of the actuated joints."""
-    return mapped.robot.actuated_joints
 
 
 def _command_unit(mapped: MappedRobot) -> str:
@@ -268,39 +230,36 @@ def _listed_units(entries: Iterable[tuple[str, str]]) -> str:
     return ", ".join(f"{unit} ({', '.join(names)})" for unit, names in by_unit.items())
 
 
-AXIS = Dimension("axis", _axes_of_twists)
-AXIS_2 = Dimension("axis_2", _axes_of_twists)
-PRINCIPAL = Dimension("principal", _principal_values)
-MODE = Dimension("mode", _numbers_to_six)
-NATURAL_MODE = Dimension("natural_mode", _numbers_to_six)
-SPRING = Dimension("spring", _spring_names)
-SINGULARITY = Dimension("singularity", _singularity_types)
-COMMAND = Dimension("command", _command_names)
-DRIVE = Dimension("drive", _drive_names)
-
-_AXIS_UNIT = "N/m (x, y, z), N m/rad (rx, ry, rz)"
-
-
-@quantity(
-    "K",
-    "stiffness",
-    dims=(AXIS, AXIS_2),
-    unit="N/m, N, N m/rad",
-    long_name="elastic stiffness at the tool, axes of the base",
-)
-def _stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(STIFFNESS)
+_SIX = tuple(str(number + 1) for number in range(_MODES))  # ascending values
+AXIS = Dimension("axis", lambda mapped: AXES)
+AXIS_2 = Dimension("axis_2", lambda mapped: AXES)
+PRINCIPAL = Dimension("principal", lambda mapped: ("least", "middle", "greatest"))
+MODE = Dimension("mode", lambda mapped: _SIX)
+NATURAL_MODE = Dimension("natural_mode", lambda mapped: _SIX)
+SPRING = Dimension("spring", lambda mapped: mapped.elastic.spring_names)
+SINGULARITY = Dimension("singularity", lambda mapped: mapped.singularity_types)
+COMMAND = Dimension("command", lambda mapped: tuple(command.name for command in mapped.robot.commands))
+DRIVE = Dimension("drive", lambda mapped: mapped.robot.actuated_joints)
+_DRIVE_2 = Dimension("drive_2", lambda mapped: mapped.robot.actuated_joints)
 
 
-@quantity(
-    "C", "compliance", dims=(AXIS, AXIS_2), unit="m/N, 1/N, rad/(N m)", long_name="elastic compliance at the tool"
-)
-def _compliance(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(COMPLIANCE)
+def _part_of(source: ElasticQuantity, part: Any = np.s_[...]) -> Callable[[Evaluation], Array]:
+    """Return a quantity that is a part of one of the elastic behaviour."""
+    return lambda evaluation: evaluation.elastic(source)[part]
+
+
+for _names, _source, _unit, _long_name in (
+    (("K", "stiffness"), STIFFNESS, "N/m, N, N m/rad", "elastic stiffness at the tool, axes of the base"),
+    (("C", "compliance"), COMPLIANCE, "m/N, 1/N, rad/(N m)", "elastic compliance at the tool"),
+):
+    quantity(*_names, dims=(AXIS, AXIS_2), unit=_unit, long_name=_long_name)(_part_of(_source))
 
 
 @quantity(
-    "felt_stiffness", dims=(AXIS,), unit=_AXIS_UNIT, long_name="stiffness felt along one axis, all other motions free"
+    "felt_stiffness",
+    dims=(AXIS,),
+    unit="N/m (x, y, z), N m/rad (rx, ry, rz)",
+    long_name="stiffness felt along one axis, all other motions free",
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
     felt = evaluation.elastic(FELT_STIFFNESS)
@@ -310,29 +269,15 @@ def _felt_stiffness(evaluation: Evaluation) -> Array:
     return np.where(felt * _RIGID >= np.repeat(least, 3, axis=-1), np.inf, felt)
 
 
-@quantity(
-    "translational_stiffness",
-    dims=(PRINCIPAL,),
-    unit="N/m",
-    long_name="principal translational stiffnesses, rotations free",
+for _name, _row, _unit, _long_name in (
+    ("translational_stiffness", 0, "N/m", "principal translational stiffnesses, rotations free"),
+    ("rotational_stiffness", 1, "N m/rad", "principal rotational stiffnesses, translations free"),
+):
+    _principal = _part_of(PRINCIPAL_STIFFNESS, np.s_[..., _row, :])
+    quantity(_name, dims=(PRINCIPAL,), unit=_unit, long_name=_long_name)(_principal)
+quantity("eigenvalues", dims=(MODE,), unit="N/m", long_name="eigenvalues of K at its characteristic length")(
+    _part_of(CONDITIONING, np.s_[..., :_MODES])
 )
-def _translational_stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(PRINCIPAL_STIFFNESS)[..., 0, :]
-
-
-@quantity(
-    "rotational_stiffness",
-    dims=(PRINCIPAL,),
-    unit="N m/rad",
-    long_name="principal rotational stiffnesses, translations free",
-)
-def _rotational_stiffness(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(PRINCIPAL_STIFFNESS)[..., 1, :]
-
-
-@quantity("eigenvalues", dims=(MODE,), unit="N/m", long_name="eigenvalues of K at its characteristic length")
-def _eigenvalues(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(CONDITIONING)[..., :_MODES]
 
 
 @quantity("condition_number", unit="1", long_name="condition number of K at its characteristic length")
@@ -342,9 +287,9 @@ def _condition_number(evaluation: Evaluation) -> Array:
     return ratio
 
 
-@quantity("characteristic_length", unit="m", long_name="length that makes rotations as stiff as translations")
-def _characteristic_length(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(CONDITIONING)[..., _MODES]
+quantity("characteristic_length", unit="m", long_name="length that makes rotations as stiff as translations")(
+    _part_of(CONDITIONING, np.s_[..., _MODES])
+)
 
 
 @quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")
@@ -352,20 +297,16 @@ def _spring_shares(evaluation: Evaluation) -> Array:
     return evaluation.elastic(spring_shares(evaluation.mapped.elastic))
 
 
-@quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowest natural frequencies")
-def _natural_frequencies(evaluation: Evaluation) -> Array:
-    model = evaluation.mapped.elastic
-    return natural_frequencies(
-        model, evaluation.poses, count=_MODES, on_failure="nan", engine=evaluation.engine, threads=evaluation.threads
-    )
+def _frequencies(evaluation: Evaluation, count: int) -> Array:
+    return natural_frequencies(evaluation.mapped.elastic, evaluation.poses, count=count, **evaluation.batch)
 
 
-@quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")
-def _first_frequency(evaluation: Evaluation) -> Array:
-    model = evaluation.mapped.elastic
-    return natural_frequencies(
-        model, evaluation.poses, count=1, on_failure="nan", engine=evaluation.engine, threads=evaluation.threads
-    )[..., 0]
+quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowest natural frequencies")(
+    lambda evaluation: _frequencies(evaluation, _MODES)
+)
+quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")(
+    lambda evaluation: _frequencies(evaluation, 1)[..., 0]
+)
 
 
 @quantity(
@@ -376,30 +317,18 @@ def _first_frequency(evaluation: Evaluation) -> Array:
     exists=_has_drives_and_tool,
 )
 def _holding_forces(evaluation: Evaluation) -> Array:
-    return actuator_forces(
-        evaluation.mapped.robot,
-        evaluation.poses,
-        on_failure="nan",
-        engine=evaluation.engine,
-        threads=evaluation.threads,
-    )
+    return actuator_forces(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
 
 
 @quantity(
     "drive_inertia",
-    dims=(DRIVE, Dimension("drive_2", _drive_names)),
+    dims=(DRIVE, _DRIVE_2),
     unit="kg, kg m, kg m^2",
     long_name="mass matrix that the drives feel",
     exists=_has_drives_and_tool,
 )
 def _drive_inertia(evaluation: Evaluation) -> Array:
-    return drive_mass_matrices(
-        evaluation.mapped.robot,
-        evaluation.poses,
-        on_failure="nan",
-        engine=evaluation.engine,
-        threads=evaluation.threads,
-    )
+    return drive_mass_matrices(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
 
 
 @quantity(
