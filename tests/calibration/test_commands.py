@@ -53,6 +53,7 @@ def test_one_source_of_errors_and_loads(place: Path, run: Run, answer: Answer) -
     assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -> None:
     """The tracker stands upside down, two metres away."""
     header, *rows = (place / "m.csv").read_text().splitlines()
@@ -114,6 +115,7 @@ def test_poses_beyond_limits_and_reach(place: Path, run: Run) -> None:
     assert "Traceback" not in far.stderr
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer: Answer) -> None:
     pytest.importorskip("sklearn")
     plan = ("calibration-plan", "--poses", "12", "--candidates", "200", "--out", "plan.csv")
@@ -128,6 +130,7 @@ def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer:
     assert not (place / "positions" / "calibrated").exists()
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_bad_files_and_folders(place: Path, run: Run) -> None:
     text = (place / "m.csv").read_text().splitlines()
     cells = text[3].split(",")
@@ -152,12 +155,13 @@ def test_bad_files_and_folders(place: Path, run: Run) -> None:
 
 
 ROBOTS = {
-    "hexapod": ("hexapod", "lm+gp", 40),
-    "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 30),
-    "ur5": ("ur5", "lm", 40),
+    "hexapod": ("hexapod", "lm", 20),
+    "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 20),
+    "ur5": ("ur5", "lm", 20),
 }
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> None:
     """Measured, calibrated and commanded: at the coordinates of home, and at a file of poses."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pm3dof_pin.calibration import neural_network
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import save_figure
 
@@ -28,6 +30,15 @@ PLAN = StudyPlan(seeds=(0,), counts=(9, 30), worlds=("everything", "geometry"), 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("study")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_networks() -> Iterator[None]:
+    """Two of them instead of five, and two decays tried instead of four: most of the time goes into training."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(neural_network, "_MEMBERS", 2)
+        patch.setattr(neural_network, "_DECAYS", (1e-2, 1.0))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -27,12 +27,6 @@ Run = Callable[..., Any]
 Answer = Callable[..., dict[str, Any]]
 
 
-def run_process(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run `pm3dof` in a process of its own."""
-    command = [sys.executable, "-m", "pm3dof_pin", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
 def test_ik_known_pose(answer: Answer) -> None:
     """The travels of three simulators, and negative numbers without tricks."""
     result = answer("ik", "10", "-15", "0.5")

@@ -115,12 +115,12 @@ def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
 
 
 def test_measured_calibrated_compensated(pm3dof: Run, case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
-    if case.name in ("four_bar", "walker"):
+    if case.name in ("four_bar", "walker", "hexapod", "ur5"):  # the latter in tests/calibration/test_commands.py
         return
     if case.name != "five_bar":  # one report with its pictures is enough
         monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
-    pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 20, "--seed", 1)
-    few = ("--force",) if case.name == "delta" else ()  # 120 equations for its 204 error parameters
+    pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 12, "--seed", 1)
+    few = ("--force",) if case.name == "delta" else ()  # 72 equations for its 204 error parameters
     pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm", *few)
     home = _home(pm3dof, case)
     result = pm3dof("compensate", *case.options, "--calibration", "calibrated", "--json", *home.values()).json
