@@ -19,7 +19,7 @@ _LEAST = 1e-6  # a length of zero would leave no direction
 
 
 @dataclass(frozen=True)
-class _Axis:
+class ActuatorAxis:
     """An actuated joint's axis in the world: origin on the moved body [m] and positive unit direction."""
 
     joint: str
@@ -27,29 +27,30 @@ class _Axis:
     direction: Array
     turns: bool
 
+    @classmethod
+    def of(cls, configuration: Configuration) -> tuple[ActuatorAxis, ...]:
+        """Return the axes of all actuated joints, in their order."""
+        mechanism, placements, axes = configuration.mechanism, joint_placements(configuration), []
+        for name in mechanism.actuated_joints:
+            placement = placements[mechanism.model.getJointId(name)]
+            direction = placement[:3, :3] @ mechanism.joint_axis(name)
+            axes.append(cls(name, placement[:3, 3], direction, not mechanism.single_joint(name).translates))
+        return tuple(axes)
+
     @property
     def unit(self) -> str:
         """Unit of its actuator's force."""
         return "N m" if self.turns else "N"
 
+    def arrow(self, force: float, *, scale: float, width: float) -> Array:
+        """Return what makes the arrow of :func:`draw_arrow` a force [N, N m] on the axis, shape=(4, 4).
 
-def actuator_axes(configuration: Configuration) -> tuple[_Axis, ...]:
-    """Return the axes of the actuated joints, in their order."""
-    mechanism = configuration.mechanism
-    placements = joint_placements(configuration)
-    axes = []
-    for name in mechanism.actuated_joints:
-        joint = mechanism.model.getJointId(name)
-        placement = placements[joint]
-        axes.append(
-            _Axis(
-                name,
-                placement[:3, 3],
-                placement[:3, :3] @ mechanism.joint_axis(name),
-                not mechanism.single_joint(name).translates,
-            )
-        )
-    return tuple(axes)
+        A force of 1 is `scale` long [m], its head half `width` wide [m]; a short arrow is slimmer.
+        """
+        turn = objects.turn_z_to(self.direction if force >= 0.0 else -self.direction)
+        length = max(scale * abs(force), _LEAST * width)
+        slim = min(width, 0.5 * length)
+        return objects.transform(turn * np.array([slim, slim, length]), self.origin)
 
 
 def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
@@ -60,14 +61,3 @@ def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
     for name, (geometry, height) in parts.items():
         scene.set_object(f"{path}/{name}", objects.overlaid_mesh(geometry, COLOUR), casts_shadow=False)
         scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
-
-
-def arrow_transform(axis: _Axis, force: float, *, scale: float, width: float) -> Array:
-    """Return what makes the arrow of :func:`draw_arrow` a force [N, N m] on an axis, shape=(4, 4).
-
-    A force of 1 is `scale` long [m], its head half `width` wide [m]; a short arrow is slimmer.
-    """
-    turn = objects.turn_z_to(axis.direction if force >= 0.0 else -axis.direction)
-    length = max(scale * abs(force), _LEAST * width)
-    slim = min(width, 0.5 * length)
-    return objects.transform(turn * np.array([slim, slim, length]), axis.origin)

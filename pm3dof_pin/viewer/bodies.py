@@ -36,7 +36,7 @@ _GREY = (0.8, 0.8, 0.82, 1.0)
 
 
 @dataclass(frozen=True)
-class Part:
+class _Part:
     """One drawn object of a body; its placement and its box's corners, shape=(8, 3) [m], are in the body's frame."""
 
     name: str
@@ -53,7 +53,7 @@ class Body:
     name: str
     joint: int
     placement: Array
-    parts: list[Part] = field(default_factory=list)
+    parts: list[_Part] = field(default_factory=list)
 
     @property
     def path(self) -> str:
@@ -66,24 +66,46 @@ class Body:
         return f"{self.path}/visual"
 
 
-def bodies_of(mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> tuple[Body, ...]:
-    """Return what is to be drawn of a mechanism.
+class Bodies(tuple[Body, ...]):
+    """All that is drawn of a mechanism."""
 
-    By default the visuals of the file it was read from; where these are missing or lack a mesh, a stick figure.
+    @classmethod
+    def of(cls, mechanism: Mechanism, visuals: pin.GeometryModel | Path | str | None = None) -> Bodies:
+        """Return what is to be drawn of a mechanism.
 
-    Raises:
-        DescriptionError: a file given as `visuals` is unreadable, or a mesh that it names is missing.
-    """
-    geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
-    if geometry is not None and geometry.ngeoms:
-        return _drawn_bodies(mechanism, geometry)
-    return _stick_figure(mechanism)
+        By default the visuals of the file it was read from; where these are missing or lack a mesh, a stick figure.
 
+        Raises:
+            DescriptionError: a file given as `visuals` is unreadable, or a mesh that it names is missing.
+        """
+        geometry = visuals if isinstance(visuals, pin.GeometryModel) else _geometry(mechanism, visuals)
+        if geometry is not None and geometry.ngeoms:
+            return cls(_drawn_bodies(mechanism, geometry))
+        return cls(_stick_figure(mechanism))
 
-def body_placements(bodies: tuple[Body, ...], configuration: Configuration) -> dict[str, Array]:
-    """Return the placement of every body in the world by its path in the scene, shape=(4, 4) each."""
-    joints = joint_placements(configuration)
-    return {body.path: joints[body.joint] @ body.placement for body in bodies}
+    def placements(self, configuration: Configuration) -> dict[str, Array]:
+        """Return the placement of every body in the world by its path in the scene, shape=(4, 4) each."""
+        joints = joint_placements(configuration)
+        return {body.path: joints[body.joint] @ body.placement for body in self}
+
+    def box(self, configuration: Configuration) -> Array:
+        """Return least and greatest coordinates of all that is drawn, shape=(2, 3) [m]."""
+        points = self._corner_points(configuration)
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    def outermost_points(self, configuration: Configuration) -> Array:
+        """Return few points that have all that is drawn between them, nearly, shape=(n, 3) [m]."""
+        points = self._corner_points(configuration)
+        index = np.arange(_DIRECTIONS) + 0.5
+        height, azimuth = 1.0 - 2.0 * index / _DIRECTIONS, (3.0 - math.sqrt(5.0)) * math.pi * index  # on a sphere
+        width = np.sqrt(1.0 - height**2)
+        directions = np.stack([width * np.cos(azimuth), width * np.sin(azimuth), height])
+        return np.asarray(points[np.unique((points @ directions).argmax(axis=0))])
+
+    def _corner_points(self, configuration: Configuration) -> Array:
+        placements = self.placements(configuration)
+        clouds = [_moved(part.corners, placements[body.path]) for body in self for part in body.parts]
+        return np.concatenate(clouds) if clouds else np.zeros((1, 3))
 
 
 def joint_placements(configuration: Configuration) -> list[Array]:
@@ -92,32 +114,6 @@ def joint_placements(configuration: Configuration) -> list[Array]:
     data = model.createData()
     pin.forwardKinematics(model, data, np.array(configuration.q))
     return [np.array(placement.homogeneous) for placement in data.oMi]
-
-
-def bounding_box(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
-    """Return least and greatest coordinates of all that is drawn of a mechanism, shape=(2, 3) [m]."""
-    points = _corner_points(bodies, configuration)
-    return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def outermost_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
-    """Return points that have all that is drawn of a mechanism between them, nearly; few of them, shape=(n, 3) [m]."""
-    points = _corner_points(bodies, configuration)
-    index = np.arange(_DIRECTIONS) + 0.5
-    height, azimuth = 1.0 - 2.0 * index / _DIRECTIONS, (3.0 - math.sqrt(5.0)) * math.pi * index  # evenly on a sphere
-    width = np.sqrt(1.0 - height**2)
-    directions = np.stack([width * np.cos(azimuth), width * np.sin(azimuth), height])
-    return np.asarray(points[np.unique((points @ directions).argmax(axis=0))])
-
-
-def _corner_points(bodies: tuple[Body, ...], configuration: Configuration) -> Array:
-    placements = body_placements(bodies, configuration)
-    clouds = [
-        part.corners @ placements[body.path][:3, :3].T + placements[body.path][:3, 3]
-        for body in bodies
-        for part in body.parts
-    ]
-    return np.concatenate(clouds) if clouds else np.zeros((1, 3))
 
 
 def _geometry(mechanism: Mechanism, urdf: Path | str | None) -> pin.GeometryModel | None:
@@ -145,7 +141,7 @@ def _drawn_bodies(mechanism: Mechanism, geometry: pin.GeometryModel) -> tuple[Bo
     return tuple(bodies.values())
 
 
-def _part(shape: pin.GeometryObject, placement: Array) -> list[Part]:
+def _part(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
     """Return a box, cylinder, sphere, ellipsoid or capsule; nothing for other shapes."""
     kind, geometry, turn = type(shape.geometry).__name__, shape.geometry, np.eye(4)
     if kind == "Box":
@@ -167,7 +163,7 @@ def _part(shape: pin.GeometryObject, placement: Array) -> list[Part]:
     box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
     colour = _colour(shape.meshColor)
     return [
-        Part(
+        _Part(
             f"{_name(shape)}_{number}" if number else _name(shape),
             objects.mesh(lowered, colour[:3], opacity=colour[3]),
             placement @ turn,
@@ -178,7 +174,7 @@ def _part(shape: pin.GeometryObject, placement: Array) -> list[Part]:
     ]
 
 
-def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[Part]:
+def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
     """Return the meshes of a file, each in its own colour unless the URDF gives one.
 
     The file is read again: Pinocchio keeps no colours, and its triangles of some Collada files are wrong ones.
@@ -189,7 +185,7 @@ def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[Part]:
         colour = _colour(shape.meshColor) if shape.overrideMaterial else _own_colour(mesh)
         body = objects.mesh(objects.triangles(vertices, mesh.faces), colour[:3], opacity=colour[3])
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
-        parts.append(Part(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
+        parts.append(_Part(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
     return parts
 
 
@@ -212,8 +208,11 @@ def _name(shape: pin.GeometryObject) -> str:
 
 def _corners(box: Array, placement: Array) -> Array:
     """Return the corners of a box of least and greatest coordinates, moved by a placement, shape=(8, 3)."""
-    corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
-    moved: Array = corners @ placement[:3, :3].T + placement[:3, 3]
+    return _moved(np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3), placement)
+
+
+def _moved(points: Array, placement: Array) -> Array:
+    moved: Array = points @ placement[:3, :3].T + placement[:3, 3]
     return moved
 
 
@@ -238,16 +237,16 @@ def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
     return tuple(body for body in bodies if body.parts)
 
 
-def _rod(name: str, end: Array, size: float) -> list[Part]:
+def _rod(name: str, end: Array, size: float) -> list[_Part]:
     length = float(np.linalg.norm(end))
     if length < 1e-6 * size:
         return []
     turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
     lowered = objects.mesh(objects.cylinder(0.02 * size, length), _STICK_COLOUR)
-    return [Part(name, lowered, turn @ objects.Y_TO_Z, (*_STICK_COLOUR, 1.0), np.stack([np.zeros(3), end]))]
+    return [_Part(name, lowered, turn @ objects.Y_TO_Z, (*_STICK_COLOUR, 1.0), np.stack([np.zeros(3), end]))]
 
 
-def _ball(name: str, middle: Array, radius: float, colour: Colour) -> Part:
+def _ball(name: str, middle: Array, radius: float, colour: Colour) -> _Part:
     lowered = objects.mesh(objects.sphere(radius), colour)
     corners = middle + radius * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
-    return Part(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)
+    return _Part(name, lowered, objects.transform(translation=middle), (*colour, 1.0), corners)

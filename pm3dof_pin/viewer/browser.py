@@ -69,26 +69,22 @@ def find_browser() -> Path:
     return Path(found)
 
 
-def picture_of(html: str, width: int, height: int) -> bytes:
-    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError where no browser can draw it."""
+def pictures_of(html: str, width: int, height: int, *, around: int = 0) -> list[bytes]:
+    """Return a picture (PNG) of a page of this package, size in pixels; BrowserError where no browser can draw it.
+
+    Or so many pictures without the panel, the camera turning once `around` the machine.
+    """
     with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
         file = Path(folder) / "page.html"
         file.write_text(html, encoding="utf-8")
         browser.open(file.as_uri())
-        return browser.picture()
-
-
-def turntable_of(html: str, width: int, height: int, count: int) -> list[bytes]:
-    """Return pictures (PNG) of a page as :func:`picture_of`, its camera turning once around the machine."""
-    with tempfile.TemporaryDirectory(prefix="pm3dof-") as folder, Browser(width, height) as browser:
-        file = Path(folder) / "page.html"
-        file.write_text(html, encoding="utf-8")
-        browser.open(file.as_uri())
+        if not around:
+            return [browser.picture()]
         browser.evaluate("pm3dof.bare()")
         pictures = []
-        for _ in range(count):
+        for _ in range(around):
             pictures.append(browser.picture())
-            browser.evaluate(f"pm3dof.turn({360.0 / count})")
+            browser.evaluate(f"pm3dof.turn({360.0 / around})")
         return pictures
 
 

@@ -59,6 +59,43 @@ class ScalarQuantity:
     title: str
     unit: str
 
+    @classmethod
+    def find(cls, mapped: MappedRobot, text: str) -> ScalarQuantity:
+        """Find "name" or "name:entry" among the quantities of the maps; InvalidValueError unless it is one number."""
+        name, _, label = text.partition(":")
+        (quantity,) = select_quantities([name], mapped)
+        if not quantity.dims:
+            if label:
+                raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
+            return cls(name, None, quantity.long_name, quantity.unit_for(mapped))
+        entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
+        if label not in entries:
+            expected = (
+                f"'{name}:' and one of {', '.join(entries)}" if entries else "a quantity that is a number or a list"
+            )
+            raise InvalidValueError("quantity", text, expected)
+        unit = unit_of_entry(quantity.unit_for(mapped), label)
+        return cls(name, entries.index(label), f"{quantity.long_name}: {label}", unit)
+
+    @staticmethod
+    def names(mapped: MappedRobot) -> list[str]:
+        """Return every text that :meth:`find` takes."""
+        names = []
+        for quantity in QUANTITIES.values():
+            if not quantity.exists(mapped):
+                continue
+            if not quantity.dims:
+                names.append(quantity.name)
+            elif len(quantity.dims) == 1:
+                names += [f"{quantity.name}:{label}" for label in quantity.dims[0].labels(mapped)]
+        return names
+
+    @classmethod
+    def others(cls, mapped: MappedRobot, chosen: str) -> list[ScalarQuantity]:
+        """Return the quantities that a picture offers beside the chosen one: those of a robot that cost little."""
+        known = set(cls.names(mapped))
+        return [cls.find(mapped, name) for name in _OTHERS if name in known and name != chosen]
+
     def values(self, mapped: MappedRobot, poses: Poses) -> Array:
         """Return the number at poses, shape=(...)."""
         values = QUANTITIES[self.name].compute(Evaluation(mapped, poses))
@@ -68,38 +105,3 @@ class ScalarQuantity:
         """Return the number at poses, shape=(n,), as a layer."""
         entry = "" if self.index is None else f", {self.title.rpartition(': ')[2]}"
         return Layer(self.values(mapped, poses), self.name.replace("_", " ") + entry, self.title, self.unit)
-
-
-def scalar_quantity(mapped: MappedRobot, text: str) -> ScalarQuantity:
-    """Find "name" or "name:entry" among the quantities of the maps; InvalidValueError unless it is one number."""
-    name, _, label = text.partition(":")
-    (quantity,) = select_quantities([name], mapped)
-    if not quantity.dims:
-        if label:
-            raise InvalidValueError("quantity", text, f"'{name}' alone, which is one number")
-        return ScalarQuantity(name, None, quantity.long_name, quantity.unit_for(mapped))
-    entries = quantity.dims[0].labels(mapped) if len(quantity.dims) == 1 else ()
-    if label not in entries:
-        expected = f"'{name}:' and one of {', '.join(entries)}" if entries else "a quantity that is a number or a list"
-        raise InvalidValueError("quantity", text, expected)
-    unit = unit_of_entry(quantity.unit_for(mapped), label)
-    return ScalarQuantity(name, entries.index(label), f"{quantity.long_name}: {label}", unit)
-
-
-def scalar_quantities(mapped: MappedRobot) -> list[str]:
-    """Return every text that :func:`scalar_quantity` takes."""
-    names = []
-    for quantity in QUANTITIES.values():
-        if not quantity.exists(mapped):
-            continue
-        if not quantity.dims:
-            names.append(quantity.name)
-        elif len(quantity.dims) == 1:
-            names += [f"{quantity.name}:{label}" for label in quantity.dims[0].labels(mapped)]
-    return names
-
-
-def other_quantities(mapped: MappedRobot, chosen: str) -> list[ScalarQuantity]:
-    """Return the quantities that a picture offers beside the chosen one: those of a robot that cost little."""
-    known = set(scalar_quantities(mapped))
-    return [scalar_quantity(mapped, name) for name in _OTHERS if name in known and name != chosen]

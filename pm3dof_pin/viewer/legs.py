@@ -25,41 +25,39 @@ def spring_joint(mechanism: Robot, spring: Spring) -> int:
     return int(model.frames[mechanism.frame_id(spring.at)].parentJoint)
 
 
-def legs(model: ElasticModel) -> dict[int, tuple[str, ...]]:
-    """Return the names of the springs that colour each joint's body, by Pinocchio's index of the joint.
+class Legs:
+    """Which springs colour each joint's body: those of its leg.
 
     A leg is a branch of the tree, from the base to the last body with a spring, and all its bodies have all its
     springs. A serial robot is one branch: there every body has its own.
     """
-    mechanism = model.rigid
-    at = {spring.name: spring_joint(mechanism, spring) for spring in model.springs}
-    chains = {name: _chain(mechanism, joint) for name, joint in at.items()}
-    branches: dict[int, list[str]] = {}
-    for name, chain in chains.items():
-        if chain:
-            branches.setdefault(chain[-1], []).append(name)
-    if len(branches) < 2:
-        own: dict[int, tuple[str, ...]] = {}
-        for name, joint in at.items():
-            own[joint] = (*own.get(joint, ()), name)
-        return own
-    return {joint: tuple(names) for names in branches.values() for name in names for joint in chains[name]}
 
+    def __init__(self, model: ElasticModel) -> None:
+        at = {spring.name: spring_joint(model.rigid, spring) for spring in model.springs}
+        chains = {name: _chain(model.rigid, joint) for name, joint in at.items()}
+        branches: dict[int, list[str]] = {}
+        for name, chain in chains.items():
+            if chain:
+                branches.setdefault(chain[-1], []).append(name)
+        self._of_joint: dict[int, tuple[str, ...]] = {}
+        if len(branches) < 2:
+            for name, joint in at.items():
+                self._of_joint[joint] = (*self._of_joint.get(joint, ()), name)
+        else:
+            self._of_joint = {joint: tuple(names) for names in branches.values() for n in names for joint in chains[n]}
 
-def leg_shares(model: ElasticModel, shares: Mapping[str, float]) -> dict[int, float]:
-    """Return each body's share in a deflection, that of its leg, from the share of each spring, by name."""
-    return {joint: sum(shares[name] for name in names) for joint, names in legs(model).items()}
+    @property
+    def springs(self) -> list[tuple[str, ...]]:
+        """The names of the springs of each leg, in the order of the springs."""
+        return list(dict.fromkeys(self._of_joint.values()))
 
+    def number(self, joint: int) -> int:
+        """Return the place in :attr:`springs` of the leg of a joint's body."""
+        return self.springs.index(self._of_joint[joint])
 
-def leg_springs(model: ElasticModel) -> list[tuple[str, ...]]:
-    """Return the names of the springs of each leg, in the order of the springs."""
-    return list(dict.fromkeys(legs(model).values()))
-
-
-def leg_of_joints(model: ElasticModel) -> dict[int, int]:
-    """Return a number for the leg of each joint's body, its place in :func:`leg_springs`."""
-    order = leg_springs(model)
-    return {joint: order.index(springs) for joint, springs in legs(model).items()}
+    def shares(self, shares: Mapping[str, float]) -> dict[int, float]:
+        """Return each body's share in a deflection, that of its leg, by joint, from the share of each spring."""
+        return {joint: sum(shares[name] for name in names) for joint, names in self._of_joint.items()}
 
 
 def _chain(mechanism: Robot, joint: int) -> list[int]:

@@ -20,7 +20,7 @@ from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
-from pm3dof_pin.viewer.layers import Layer, other_quantities, scalar_quantity
+from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
 from pm3dof_pin.viewer.scene import Scene
 
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
@@ -46,6 +46,18 @@ class Shell:
     layers: tuple[Layer, ...]
     part: str = ""
 
+    def draw(self, scene: Scene, path: str, size: float) -> None:
+        """Put the shell at a path, its points of a size [m]."""
+        tints = colours.blend(colours.INDEX_STOPS, self.layers[0].places)
+        count = len(self.vertices)
+        surface = objects.coloured_mesh(objects.triangles(self.vertices, self.faces, tints[:count]), opacity=0.5)
+        scene.set_object(f"{path}/surface", surface, casts_shadow=False)
+        if len(self.points):
+            cloud = objects.points(self.points, tints[count:], size)
+            scene.set_object(f"{path}/points", cloud, casts_shadow=False)
+        lines = objects.line_segments(self.lines, (0.1, 0.1, 0.15), opacity=0.35)
+        scene.set_object(f"{path}/lines", lines, casts_shadow=False)
+
 
 def tool_tips(poses: Poses, length: float) -> Array:
     """Return the tips of tools of a length along the z axis of the tool frame, shape=(..., 3) [m]."""
@@ -59,7 +71,7 @@ def workspace_shell(
 
     Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The
     quantity is a name of :data:`~pm3dof_pin.maps.quantities.QUANTITIES`, and after a colon which of its entries, as
-    "felt_stiffness:z". It is the first layer; :func:`~pm3dof_pin.viewer.layers.other_quantities` of the robot follow.
+    "felt_stiffness:z". It is the first layer; :meth:`~pm3dof_pin.viewer.layers.ScalarQuantity.others` follow.
 
     Raises:
         InvalidValueError: no such quantity or entry, or it is not finite on the boundary; fewer than three coordinates;
@@ -71,7 +83,7 @@ def workspace_shell(
     from pm3dof_pin.maps.workspace_section import workspace_sections
 
     mapped = MappedRobot(robot)
-    chosen = scalar_quantity(mapped, quantity)
+    chosen = ScalarQuantity.find(mapped, quantity)
     limits = robot_space(robot)
     if not limits.stacked:
         raise InvalidValueError("workspace", robot, "a robot with three coordinates at least")
@@ -87,7 +99,7 @@ def workspace_shell(
     layer = chosen.layer(mapped, poses)
     if not np.isfinite(layer.values).all():
         raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
-    others = [other.layer(mapped, poses) for other in other_quantities(mapped, quantity)]
+    others = [other.layer(mapped, poses) for other in ScalarQuantity.others(mapped, quantity)]
     layers = (layer, *(other for other in others if np.isfinite(other.values).all()))
     tips = tool_tips(boundary, tool_length)
     count, part = len(sections), ""
@@ -133,19 +145,6 @@ def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses
     coordinates = np.tile(robot.home_coordinates, (len(changed), 1))
     coordinates[:, [robot.coordinates.index(robot.coordinate(name)) for name in space.names]] = changed
     return robot.solve(coordinates)
-
-
-def draw_shell(scene: Scene, path: str, shell: Shell, size: float) -> None:
-    """Put a shell at a path, its points of a size [m]."""
-    tints = colours.blend(colours.INDEX_STOPS, shell.layers[0].places)
-    count = len(shell.vertices)
-    surface = objects.coloured_mesh(objects.triangles(shell.vertices, shell.faces, tints[:count]), opacity=0.5)
-    scene.set_object(f"{path}/surface", surface, casts_shadow=False)
-    if len(shell.points):
-        cloud = objects.points(shell.points, tints[count:], size)
-        scene.set_object(f"{path}/points", cloud, casts_shadow=False)
-    lines = objects.line_segments(shell.lines, (0.1, 0.1, 0.15), opacity=0.35)
-    scene.set_object(f"{path}/lines", lines, casts_shadow=False)
 
 
 def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size: float) -> None:

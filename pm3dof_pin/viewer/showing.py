@@ -6,18 +6,30 @@ import os
 import sys
 import threading
 import webbrowser
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
-from pm3dof_pin.viewer.notebook import NotebookCell
 from pm3dof_pin.viewer.page import page_html
 from pm3dof_pin.viewer.scene import Scene
 
 if TYPE_CHECKING:
     from pm3dof_pin.viewer.server import SceneServer
+
+
+@dataclass(frozen=True)
+class _NotebookCell:
+    """A page in a frame: its attribute `src` or `srcdoc` and its height [pixels]."""
+
+    source: str
+    height: int
+
+    def _repr_html_(self) -> str:
+        return f'<iframe {self.source} style="width: 100%; height: {self.height}px; border: none"></iframe>'
 
 
 class ShownScene:
@@ -98,10 +110,10 @@ class ShownScene:
             OutputError: the folder does not exist, or the file cannot be written; nothing is left of it.
             BrowserError: there is no Chromium or Chrome, or it cannot draw.
         """
-        from pm3dof_pin.viewer.browser import picture_of
+        from pm3dof_pin.viewer.browser import pictures_of
 
         target = _in_existing_folder(path)
-        png = picture_of(self.html(), width, height)
+        (png,) = pictures_of(self.html(), width, height)
         with write_atomically(target) as temporary:
             temporary.write_bytes(png)
         return target
@@ -114,12 +126,11 @@ class ShownScene:
 
         from PIL import Image
 
-        from pm3dof_pin.viewer.browser import turntable_of
+        from pm3dof_pin.viewer.browser import pictures_of
 
         target = _in_existing_folder(path)
-        pictures = [
-            Image.open(io.BytesIO(png)).convert("RGB") for png in turntable_of(self.html(), width, height, count)
-        ]
+        taken = pictures_of(self.html(), width, height, around=count)
+        pictures = [Image.open(io.BytesIO(png)).convert("RGB") for png in taken]
         palette = pictures[0].quantize(256, method=Image.Quantize.MAXCOVERAGE)  # small parts keep their colours
         frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
         with write_atomically(target) as temporary:
@@ -127,14 +138,14 @@ class ShownScene:
             frames[0].save(temporary, format="GIF", save_all=True, append_images=frames[1:], duration=pace, loop=0)
         return target
 
-    def jupyter_cell(self, height: int = 600, *, static: bool = False) -> NotebookCell:
+    def jupyter_cell(self, height: int = 600, *, static: bool = False) -> _NotebookCell:
         """Return the scene for the last line of a notebook's cell, a frame of some height [pixels].
 
         The served scene follows what is drawn later; a static copy also works where the browser is on another machine.
         """
         if static:
-            return NotebookCell.of_page(self.html(), height)
-        return NotebookCell.of_address(self.start(), height)
+            return _NotebookCell(f'srcdoc="{escape(self.html())}"', height)
+        return _NotebookCell(f'src="{escape(self.start())}"', height)
 
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))

@@ -18,7 +18,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
-from pm3dof_pin.viewer.bodies import Body, bodies_of, body_placements, bounding_box, outermost_points
+from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.frames import draw_frame
 from pm3dof_pin.viewer.labels import label, measures, point_names
@@ -94,8 +94,8 @@ class Viewer(ShownScene):
         if model is not None and model.rigid is not mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
-        self._bodies = bodies_of(mechanism, visuals)
-        self._box = bounding_box(self._bodies, mechanism.home)
+        self._bodies = Bodies.of(mechanism, visuals)
+        self._box = self._bodies.box(mechanism.home)
         self._radius = max(1e-3, 0.5 * float(np.linalg.norm(self._box[1] - self._box[0])))
         self._unit_length = ellipsoids.round_length(0.42 * self._radius)  # of semi-axes and arrows, for round numbers
         self._programs = programs_of(mechanism, model) if sliders else None
@@ -136,7 +136,7 @@ class Viewer(ShownScene):
             self.look(*self._direction)
         for entry in [entry for entry in self._entries.values() if entry.of_pose]:
             self._take_away(entry)
-        self.scene.set_transforms(body_placements(self._bodies, configuration))
+        self.scene.set_transforms(self._bodies.placements(configuration))
         if self._panel.get("path"):
             self._panel["path"] = None
             self.scene.stop_animation()
@@ -261,7 +261,7 @@ class Viewer(ShownScene):
         Raises:
             InvalidValueError: forces that are not finite or not of that shape, or the scale is not positive.
         """
-        axes = arrows.actuator_axes(self._configuration)
+        axes = arrows.ActuatorAxis.of(self._configuration)
         values = finite_array("forces", forces, (len(axes),))
         if scale is None:
             greatest = float(np.abs(values).max(initial=0.0))
@@ -274,7 +274,7 @@ class Viewer(ShownScene):
             path = f"/forces/{axis.joint}"
             if f"{path}/shaft" not in self.scene.paths():
                 arrows.draw_arrow(self.scene, path, heads=2 if axis.turns else 1)
-            drawn[path] = arrows.arrow_transform(axis, value, scale=scale, width=width)
+            drawn[path] = axis.arrow(value, scale=scale, width=width)
         self.scene.set_transforms(drawn)
         live = None
         unit = ", ".join(sorted({axis.unit for axis in axes}))
@@ -320,7 +320,7 @@ class Viewer(ShownScene):
         """
         from pm3dof_pin.elastic.report import cartesian_compliance
         from pm3dof_pin.elastic.shares import shares
-        from pm3dof_pin.viewer.legs import leg_of_joints, leg_shares, leg_springs
+        from pm3dof_pin.viewer.legs import Legs
 
         if model.rigid is not self.mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
@@ -329,25 +329,24 @@ class Viewer(ShownScene):
         by_spring = dict(zip(model.spring_names, shares(behaviour.contributions, load).tolist(), strict=True))
         if not np.isfinite(list(by_spring.values())).all():
             raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
-        by_joint = leg_shares(model, by_spring)
-        legs = leg_of_joints(model)
+        legs = Legs(model)
+        by_joint = legs.shares(by_spring)
         paint = [
             {
                 "path": f"{body.parts_path}/{part.name}",
                 "own": list(part.colour),
                 "colour": colours.blend(colours.SHARE_STOPS, by_joint[body.joint]).tolist(),
-                "leg": legs[body.joint],
+                "leg": legs.number(body.joint),
             }
             for body in self._bodies
             if body.joint in by_joint
             for part in body.parts
         ]
-        of_legs = {legs[joint]: share for joint, share in by_joint.items()}
-        names = [", ".join(springs) for springs in leg_springs(model)]
+        of_legs = {legs.number(joint): share for joint, share in by_joint.items()}
+        names = [", ".join(springs) for springs in legs.springs]
         live = None
         if self._goes_on and self._sliders is not None:
-            springs, compliance = leg_springs(model), behaviour.compliance
-            live = self._sliders.live_shares(springs, self._configuration, compliance, load)
+            live = self._sliders.live_shares(legs.springs, self._configuration, behaviour.compliance, load)
         self._show(
             Entry(
                 key="legs",
@@ -435,7 +434,7 @@ class Viewer(ShownScene):
         surface = shell.workspace_shell(
             self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
         )
-        shell.draw_shell(self.scene, "/workspace", surface, 0.022 * self._radius)
+        surface.draw(self.scene, "/workspace", 0.022 * self._radius)
         self._shown_beside = surface.vertices
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
@@ -536,9 +535,9 @@ class Viewer(ShownScene):
         """
         self._direction = (azimuth, elevation, closeness)
         serial = self._panel.get("camera", {}).get("serial", 0) + 1
-        points = np.concatenate([outermost_points(self._bodies, self._configuration), self._shown_beside[::7]])
+        points = np.concatenate([self._bodies.outermost_points(self._configuration), self._shown_beside[::7]])
         self._panel["camera"] = {
-            "box": bounding_box(self._bodies, self._configuration).tolist(),
+            "box": self._bodies.box(self._configuration).tolist(),
             "azimuth": azimuth,
             "elevation": elevation,
             "closeness": _NEAR if closeness is None else closeness,
@@ -591,8 +590,8 @@ class Viewer(ShownScene):
         body = next((body for body in self._bodies if body.joint == frame.parentJoint), None)
         if body is None:  # nothing is drawn of it yet
             body = Body(self.mechanism.model.names[frame.parentJoint], frame.parentJoint, np.eye(4))
-            self._bodies = (*self._bodies, body)
-            self.scene.set_transforms(body_placements((body,), self._configuration))
+            self._bodies = Bodies((*self._bodies, body))
+            self.scene.set_transforms(Bodies((body,)).placements(self._configuration))
             if self._sliders is not None:
                 self._panel["machine"] = self._sliders.machine_data(self._bodies)
         in_body: Array = np.linalg.inv(body.placement) @ frame.placement.homogeneous
@@ -609,7 +608,7 @@ class Viewer(ShownScene):
     ) -> tuple[dict[str, Array], Json]:
         """Display one frame of a path; return the transforms of all that moves in it, and what is said of it."""
         self.display(configuration)
-        transforms = body_placements(self._bodies, configuration)
+        transforms = self._bodies.placements(configuration)
         if stiffness is not None or compliance is not None:
             for kind in _KINDS:
                 drawn = self.stiffness_ellipsoid(stiffness, compliance=compliance, kind=kind, of=of, others=others)

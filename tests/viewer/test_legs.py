@@ -8,18 +8,19 @@ import pytest
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.viewer.legs import leg_of_joints, leg_shares, leg_springs
+from pm3dof_pin.viewer.legs import Legs
 
 
 def test_legs_of_the_tripod(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
-    assert leg_springs(model) == [
+    assert Legs(model).springs == [
         ("actuator1", "link1"),
         ("actuator2", "link2"),
         ("actuator3", "link3"),
         ("passive_leg",),
     ]
-    numbers = {mechanism.model.names[joint]: leg for joint, leg in leg_of_joints(model).items()}
+    legs = Legs(model)
+    numbers = {mechanism.model.names[j]: legs.number(j) for j in legs.shares(dict.fromkeys(model.spring_names, 0.0))}
     expected = {"passive_slider_joint": 3}
     for leg in (1, 2, 3):
         joints = (f"slider{leg}_joint", f"universal{leg}_first_joint", f"universal{leg}_second_joint")
@@ -30,7 +31,7 @@ def test_legs_of_the_tripod(mechanism: Robot) -> None:
 def test_shares_add_up_over_a_leg(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     shares = {name: 2.0**-number for number, name in enumerate(model.spring_names)}
-    found = leg_shares(model, shares)
+    found = Legs(model).shares(shares)
     slider = mechanism.model.getJointId("slider2_joint")
     assert found[slider] == shares["actuator2"] + shares["link2"]
     assert found[slider + 2] == found[slider]
@@ -43,11 +44,11 @@ def test_a_serial_robot_is_coloured_body_by_body() -> None:
         parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3.Random(), name)
     springs = [JointSpring(f"spring_{name}", name, 1.0, "N m/rad") for name in "ac"]
     elastic = ElasticModel(Robot(model), springs)
-    assert leg_shares(elastic, {"spring_a": 0.25, "spring_c": 0.75}) == {1: 0.25, 3: 0.75}
+    assert Legs(elastic).shares({"spring_a": 0.25, "spring_c": 0.75}) == {1: 0.25, 3: 0.75}
 
 
 @pytest.mark.parametrize(("robot", "legs"), [("hexapod", 6), ("three_rps", 6)])
 def test_other_robots(robot: str, legs: int) -> None:
     model = ElasticModel(Robot.load(robot))
-    assert len(leg_springs(model)) == legs
-    assert sorted(name for springs in leg_springs(model) for name in springs) == sorted(model.spring_names)
+    assert len(Legs(model).springs) == legs
+    assert sorted(name for springs in Legs(model).springs for name in springs) == sorted(model.spring_names)

@@ -14,7 +14,7 @@ from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.viewer.layers import Layer, scalar_quantities, scalar_quantity
+from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
 from pm3dof_pin.viewer.shell import Shell, tool_tips, workspace_shell
 
 LENGTH = 0.2
@@ -98,11 +98,11 @@ def mapped() -> MappedRobot:
 
 
 def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
-    names = scalar_quantities(mapped)
+    names = ScalarQuantity.names(mapped)
     assert {"condition_number", "felt_stiffness:z", "translational_stiffness:least", "commands:u2"} <= set(names)
     for name in names:
-        assert scalar_quantity(mapped, name).values(mapped, mapped.robot.solve([[0.1, 0.1, 0.49]])).shape == (1,)
-    assert scalar_quantity(mapped, "felt_stiffness:rx").unit == "N m/rad"
+        assert ScalarQuantity.find(mapped, name).values(mapped, mapped.robot.solve([[0.1, 0.1, 0.49]])).shape == (1,)
+    assert ScalarQuantity.find(mapped, "felt_stiffness:rx").unit == "N m/rad"
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
 )
 def test_bad_quantities(mapped: MappedRobot, name: str, words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
-        scalar_quantity(mapped, name)
+        ScalarQuantity.find(mapped, name)
 
 
 def test_positions_need_no_tool() -> None:
