@@ -26,7 +26,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine, Mask
 
 _CONTROL_TOLERANCE = 1e-9
-_NOTHING = 1e-20  # of the squared error: what rounding leaves of errors that commands undo altogether
+_ROUNDING = 1e-10  # of an effect, below which what is left of it is nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,9 @@ class ErrorMap:
     def uncompensable(self) -> Array:
         """The part of W S that no command can undo, shape=(n, 6, number of parameters)."""
         used = control_basis(self.sensitivities.commands * tip_weights(self.eta)[:, None])
-        return frozen(self.weighted - used @ (np.swapaxes(used, 1, 2) @ self.weighted))
+        left = self.weighted - used @ (np.swapaxes(used, 1, 2) @ self.weighted)
+        sizes, whole = (np.linalg.norm(columns, axis=1, keepdims=True) for columns in (left, self.weighted))
+        return frozen(np.where(sizes > _ROUNDING * whole, left, 0.0))
 
     @property
     def tip_rms(self) -> Array:
@@ -151,8 +153,6 @@ class ErrorMap:
         """Return all parameters, the most critical first."""
         squares = _mean_squares(self.weighted * self.sigmas)
         left = _mean_squares(self.uncompensable * self.sigmas)
-        if left.sum() < _NOTHING * squares.sum():
-            left[:] = 0.0
         shares = [
             ParameterShare(
                 parameter.name,

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
@@ -26,8 +24,8 @@ from pm3dof_pin.figures.labels import (
     in_words,
     typeset,
 )
-from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, outlined_mesh
-from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_edges, edge_handles, outlined_mesh
+from pm3dof_pin.figures.style import COLORMAP, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
 from pm3dof_pin.maps.limit_space import limits_over
 from pm3dof_pin.maps.units import unit_of_entry
@@ -44,7 +42,6 @@ LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable
 
 SECTIONS = 4
 _STEPS = [1, 2, 5, 10]
-_TIP = 0.02  # of the axes, below which the end of the grid is not worth a word
 _LONGEST_LABEL = 48  # letters beside the bar of colours
 
 
@@ -113,21 +110,10 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
         )
         bar.set_label(label)
         scale.label(bar)
-        lines = (("joint limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
-        handles = [
-            Line2D([], [], label=text, **style)
-            for text, kind, style in lines
-            if any(_long(getattr(mesh, kind), mesh) for mesh in meshes)
-        ]
+        handles = edge_handles(meshes)
         if handles:
             figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
-
-
-def _long(lines: Array, mesh: OutlinedMesh) -> bool:
-    """Whether lines are more than the tip of a plane."""
-    spans = np.array([np.ptp(axis) for axis in mesh.axes])
-    return bool(len(lines) and np.any(np.abs(np.diff(lines, axis=1)).sum(axis=(0, 1)) > _TIP * spans))
 
 
 def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:
@@ -243,20 +229,13 @@ def _draw_plane(
             cmap=COLORMAP,
             extend=scale.extend,
         )
-    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
-        pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
-        collected = {f"{name}s": value for name, value in (style | {"linewidth": 0.8}).items()}
-        axes.add_collection(LineCollection(pieces, **collected))
-    ends = [drawn(plane[dim].values[[0, -1]], unit) for dim, unit in zip((across, up), units, strict=True)]
-    margins = [0.02 * float(np.ptp(pair)) for pair in ends]
-    axes.set(xlim=(ends[0][0] - margins[0], ends[0][1] + margins[0]))
-    axes.set(ylim=(ends[1][0] - margins[1], ends[1][1] + margins[1]))
+    draw_edges(axes, mesh, units, linewidth=0.8)
     stands = [name for name in map(str, plane.coords) if plane[name].ndim == 0 and "units" in plane[name].attrs]
     words = [in_words(name, float(plane[name]), plane[name].attrs["units"], 3) for name in stands]
     axes.set_title(words[-1] if words else "")
     if equal and units[0] == units[1]:
         axes.set_aspect("equal")
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
+    axes.xaxis.set_major_locator(MaxNLocator(5 if units[0] == "rad" or not equal else 3, steps=_STEPS))
     axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
     axes.set_xlabel(axis_label(across, units[0]))
     axes.set_ylabel(axis_label(up, units[1]))

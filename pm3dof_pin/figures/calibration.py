@@ -6,21 +6,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 from matplotlib.tri import Triangulation
 
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
 from pm3dof_pin.figures.labels import axis_label, drawn, parameter_words
-from pm3dof_pin.figures.outlined_mesh import outlined_mesh
+from pm3dof_pin.figures.outlined_mesh import draw_edges, outlined_mesh
 from pm3dof_pin.figures.style import (
     COLORMAP,
-    END_LINE,
     INK,
-    LIMIT_LINE,
     TWO_COLUMNS,
     house_style,
     new_figure,
@@ -121,13 +118,9 @@ def workspace_picture(errors: WorkspaceErrors) -> Figure:
                 cmap=COLORMAP,
                 extend=scale.extend,
             )
-            for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
-                pieces = [
-                    np.column_stack([drawn(c, u) for c, u in zip(line.T, errors.units, strict=True)]) for line in lines
-                ]
-                axes.add_collection(LineCollection(pieces, **{f"{name}s": value for name, value in style.items()}))
+            draw_edges(axes, mesh, errors.units)
             axes.set_title(title)
-            axes.margins(0.04)
+            axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
             axes.set_xlabel(axis_label(errors.names[0], errors.units[0]))
             if errors.units[0] == errors.units[1]:
                 axes.set_aspect("equal")

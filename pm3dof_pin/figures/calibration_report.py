@@ -24,7 +24,6 @@ from pm3dof_pin.figures.calibration import (
 )
 from pm3dof_pin.figures.style import house_style
 
-_DPI = 110
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em; }
 table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; border-bottom: 1px solid #ddd; }
@@ -229,6 +228,6 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _image(figure: Figure, text: str) -> str:
     buffer = io.BytesIO()
     with house_style():
-        figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<p><img alt="{escape(text)}" src="data:image/png;base64,{data}"></p>'
+    return f'<p><img alt="{escape(text)}" src="data:image/svg+xml;base64,{data}"></p>'

@@ -86,7 +86,12 @@ def color_scale(values: Array, also: Array | None = None, count: int = 16) -> Co
     mean = float(np.abs(finite).mean())
     if greatest - least <= 1e-9 * mean or greatest == least:  # constant: one colour, not the noise of rounding
         half = 0.05 * abs(least) or 1.0
-        return ColorScale(np.array([least - half, least + half]), False, "neither", "the same everywhere")
+        return ColorScale(
+            np.array([least - half, least + half]),
+            False,
+            "neither",
+            "the same everywhere" if least else "zero everywhere",
+        )
     low, high = least, greatest
     bulk = np.percentile(finite, [TAIL, 100.0 - TAIL])
     marks = np.array([low, *bulk, high])

@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from pm3dof_pin.figures.labels import axis_label, drawn, in_words
-from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
-from pm3dof_pin.figures.style import END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure, spring_colors
-from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES
+from pm3dof_pin.figures.labels import axis_label, drawn, entry_words, in_words, part_words
+from pm3dof_pin.figures.outlined_mesh import Within, draw_edges, edge_handles, outlined_mesh
+from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, new_figure, spring_colors
+from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES, TIE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +48,8 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
         panels = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
         for panel, axis in zip(panels.flat, seen, strict=False):
             fine = np.stack([mesh.fine(entry.T) for entry in shares.sel(axis=axis).values.T])
-            leads, numbers = fine.max(axis=0), fine.argmax(axis=0) + 1
+            leads = fine.max(axis=0)
+            numbers = (fine >= leads - TIE).argmax(axis=0) + 1  # of springs that are each other's image the first
             image = panel.imshow(
                 numbers.T,
                 origin="lower",
@@ -61,21 +61,16 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
                 interpolation="nearest",
             )
             image.set_clip_path(outline, panel.transData)
-            for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
-                pieces = [
-                    np.column_stack([drawn(line[:, k], units[name]) for k, name in enumerate((first, second))])
-                    for line in lines
-                ]
-                panel.add_collection(LineCollection(pieces, **{f"{key}s": value for key, value in style.items()}))
-            panel.set_title(f"along {axis}" if axis in "xyz" else f"about {axis[1]}")
+            draw_edges(panel, mesh, [units[first], units[second]])
+            panel.set_title(entry_words(axis))
         for panel in panels.flat[len(seen) :]:
             panel.set_visible(False)
         for panel in panels[-1]:
             panel.set_xlabel(axis_label(first, units[first]))
         for panel in panels[:, 0]:
             panel.set_ylabel(axis_label(second, units[second]))
-        handles = [Patch(color=colors[number], label=names[number - 1].replace("_", " ")) for number in leading]
-        figure.legend(handles=handles, loc="lower center", ncols=min(6, len(handles)))
+        handles = [Patch(color=colors[number], label=part_words(names[number - 1])) for number in leading]
+        figure.legend(handles=[*handles, *edge_handles([mesh])], loc="lower center", ncols=6)
         stands = [
             in_words(str(c), float(section[c]), section[c].attrs["units"])
             for c in section.coords

@@ -11,17 +11,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch
 
-from pm3dof_pin.figures.style import INK, new_figure
+from pm3dof_pin.figures.style import INK, TWO_COLUMNS, new_figure
 from pm3dof_pin.typing import Array
 
 FILLS = {"plain": "#FFFFFF", "data": "#ECECEC", "model": "#CFE3F2", "machine": "#F6C9A8", "result": "#FBE7B2"}
 NAMES = "#555555"  # colour of the names of frames
-_TURN = 0.07  # radius of the corners of boxes [inch]
+_TURN = 0.07  # radius of the corners of boxes
+_LETTERS = 7.0  # size of all letters [typographic points]
 
 
 @dataclass(frozen=True)
 class Box:
-    """A box of a diagram: its centre and sides [inch]."""
+    """A box of a diagram: its centre and sides, in units of the sheet."""
 
     x: float
     y: float
@@ -50,12 +51,12 @@ class Box:
 
 
 class Diagram:
-    """A sheet in inches, origin at its lower left corner; to be filled inside :func:`house_style`."""
+    """A sheet as wide as two columns, all lengths in units of which it has `width`; filled inside :func:`house_style`."""
 
     figure: Figure
 
     def __init__(self, width: float, height: float) -> None:
-        self.figure = new_figure(width, height)
+        self.figure = new_figure(TWO_COLUMNS, TWO_COLUMNS * height / width)
         self._axes: Axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self._axes.set(xlim=(0.0, width), ylim=(0.0, height))
         self._axes.axis("off")
@@ -70,17 +71,18 @@ class Diagram:
         fill: str,
         dashed: bool = False,
     ) -> Box:
-        """Draw a box [inch] with a bold head and lines of text below it, filled by a key of :data:`FILLS`."""
+        """Draw a box with a bold head and lines of text below it, filled by a key of :data:`FILLS`."""
         (x, y), (width, height) = centre, size
         made = Box(x, y, width, height)
         pattern = (0, (4, 3)) if dashed else "solid"
         self._rounded(centre, size, facecolor=FILLS[fill], edgecolor=INK, linewidth=0.8, linestyle=pattern, zorder=3)
         lines = text.count("\n") + 1 if text else 0
-        rise = 0.082 * lines
-        self._axes.text(made.x, made.y + rise, head, ha="center", va="center", fontweight="bold", zorder=4)
+        rise = 0.098 * lines
+        bold: dict[str, Any] = {"fontweight": "bold", "fontsize": _LETTERS}
+        self._axes.text(made.x, made.y + rise, head, ha="center", va="center", zorder=4, **bold)
         if text:
             self._axes.text(
-                made.x, made.y - 0.095, text, ha="center", va="center", fontsize=8.0, linespacing=1.35, zorder=4
+                made.x, made.y - 0.115, text, ha="center", va="center", fontsize=_LETTERS, linespacing=1.3, zorder=4
             )
         return made
 
@@ -97,7 +99,7 @@ class Diagram:
         return Box(centre[0], centre[1], 2 * radius, 2 * radius)
 
     def arrow(self, *points: Sequence[float] | Array, dashed: bool = False) -> None:
-        """Draw an arrow along a polygon of two points or more [inch]."""
+        """Draw an arrow along a polygon of two points or more."""
         path = np.array([np.asarray(point, dtype=float) for point in points])
         pattern = (0, (4, 3)) if dashed else "solid"
         self._axes.plot(*path[:-1].T, color=INK, linewidth=1.0, linestyle=pattern, zorder=2)
@@ -112,4 +114,6 @@ class Diagram:
 
     def text(self, at: Sequence[float], words: str, side: str = "center", color: str = INK) -> None:
         """Write words at a point; `side` is the side of the words that is there: "left", "center" or "right"."""
-        self._axes.text(at[0], at[1], words, ha=side, va="center", fontsize=8.5, linespacing=1.3, color=color, zorder=5)
+        self._axes.text(
+            at[0], at[1], words, ha=side, va="center", fontsize=_LETTERS, linespacing=1.3, color=color, zorder=5
+        )

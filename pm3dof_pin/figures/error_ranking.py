@@ -29,15 +29,17 @@ def error_ranking(ranking: Sequence[ParameterShare], most: int = 20) -> Figure:
     with house_style():
         figure = new_figure(ONE_COLUMN, inches)
         figure.suptitle("Critical parameters, share", y=1.0 - 0.04 / inches, va="top")
-        axes = figure.add_axes((0.39, 0.42 / inches, 0.58, 1.0 - 0.86 / inches))
+        words = [parameter_words(share.name) for share in shown]
+        left = min(0.6, 0.06 + 0.0195 * max(len(text.replace("$", "")) for text in words))
+        axes = figure.add_axes((left, 0.42 / inches, 0.97 - left, 1.0 - 0.86 / inches))
         for offset, color, text, shares in (
             (-0.19, COMPENSABLE_COLOR, "of the tip error", [share.share for share in shown]),
             (0.19, UNCOMPENSABLE_COLOR, "of what commands cannot undo", [share.uncompensable_share for share in shown]),
         ):
             axes.barh(rows + offset, 100.0 * np.array(shares), 0.38, color=color, label=text)
-        axes.set_yticks(rows, [parameter_words(share.name) for share in shown])
+        axes.set_yticks(rows, words)
         axes.set_ylim(len(shown) - 0.4, -0.6)
-        axes.set_xlabel("share of the mean square [%]")
+        axes.set_xlabel("share of the mean square [%]", x=1.0, ha="right")
         figure.legend(loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.0 - 0.18 / inches), columnspacing=1.0)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)

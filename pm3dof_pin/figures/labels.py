@@ -53,8 +53,8 @@ def drawn(values: ArrayLike, unit: str) -> Array:
 def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
     """Return a coordinate and its value: $z_e$ = 0.4873 m, $r_x$ = 5.0 deg."""
     if unit == "rad":
-        return f"{symbol(name)} = {np.degrees(value) + 0.0:.1f} deg"
-    return f"{symbol(name)} = {value + 0.0:.{digits}f} {unit}"
+        return f"{symbol(name)} = {np.degrees(value) + 0.0:.1f} deg".replace("-", "\N{MINUS SIGN}")
+    return f"{symbol(name)} = {value + 0.0:.{digits}f} {unit}".replace("-", "\N{MINUS SIGN}")
 
 
 def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:
@@ -84,6 +84,11 @@ def typeset(text: str) -> str:
     return re.sub(r"along ([xyz])\b", r"along $\1$", re.sub(r"theta_([xyz])", r"$\\theta_\1$", text))
 
 
+def part_words(name: str) -> str:
+    """Return the name of a part as words: actuator1 as actuator 1, passive_leg as passive leg."""
+    return re.sub(r"(?<=[a-z])(?=\d)", " ", name).replace("_", " ")
+
+
 def parameter_words(name: str) -> str:
     """Return the name of an error parameter as words: slider1_joint.tx as slider 1, along $x$.
 
@@ -94,7 +99,7 @@ def parameter_words(name: str) -> str:
     if not dot or not found:
         return name
     axis = f"${found[2]}$" if len(found[2]) == 1 else f"axis {found[2][-1]} across"
-    part = re.sub(r"(?<=[a-z])(?=\d)", " ", place.removesuffix("_joint")).replace("_", " ")
+    part = part_words(place.removesuffix("_joint"))
     part = re.sub(r" ([xyz])$", r" $\1$", part)
     point = re.fullmatch(r"([A-Z])_?([a-z0-9]*)", place)
     if point:

@@ -5,33 +5,33 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.atlas import LimitsOver
 from pm3dof_pin.figures.color_scale import ColorScale, color_scale
 from pm3dof_pin.figures.labels import axis_label, drawn, in_words
-from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_edges, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import (
     COLORMAP,
-    END_LINE,
-    INK,
-    LIMIT_LINE,
     ONE_COLUMN,
     TWO_COLUMNS,
     house_style,
     new_figure,
 )
 from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE
+from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _SLICES = 6
 _COLUMNS = 3
+_HATCH = "////"
 _FEWEST = 4  # poses of a slice that are worth a picture
 
 
@@ -47,24 +47,48 @@ def least_sensitive_region(dataset: xr.Dataset, limits: LimitsOver | None = None
     if len(dims) not in (2, 3):
         raise InvalidValueError("dataset", dims, "a map over two or three coordinates")
     slices = _slices(dataset, dims)
-    columns = min(_COLUMNS, len(slices))
+    columns = min(_COLUMNS, len(slices)) if len(slices) != 4 else 2
     rows = -(-len(slices) // columns)
-    scale = color_scale(1e6 * dataset["tip_rms"].values)
+    fields = [1e6 * part["tip_rms"].transpose(*dims[:2]).values for _, part in slices]
+    meshes = [_mesh(part, dims[:2], field, limits) for (_, part), field in zip(slices, fields, strict=True)]
+    values = [mesh.values(field) for mesh, field in zip(meshes, fields, strict=True)]
+    scale = color_scale(np.stack(fields), np.concatenate(values))
     bound = 1e6 * float(dataset["tip_rms"].where(dataset[LEAST_SENSITIVE] == 1.0).max())
     width = TWO_COLUMNS if columns > 1 else ONE_COLUMN
     with house_style():
         figure = new_figure(width, 0.8 + (width - 0.9) / columns * rows)
         figure.set_layout_engine("constrained")
-        figure.suptitle(f"Least sensitive {dataset.attrs['least_sensitive_part']:.0%}: {dataset.attrs['machine']}")
+        part_of_all = f"{100.0 * dataset.attrs['least_sensitive_part']:.0f} %"
+        figure.suptitle(f"Least sensitive {part_of_all} of the poses: {dataset.attrs['machine']}")
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for place, (title, part) in zip(panels.flat, slices, strict=False):
-            _draw(place, part, dims[:2], scale, bound, limits)
-            place.label_outer()
+        for place, (title, part), mesh, heights in zip(panels.flat, slices, meshes, values, strict=False):
+            units = [part[dim].attrs["units"] for dim in dims[:2]]
+            place.set(xlabel=axis_label(dims[0], units[0]), ylabel=axis_label(dims[1], units[1]))
+            _draw(place, mesh, units, heights, scale, bound)
             place.set_title(title, fontsize=7.5)
-        for place in panels.flat[len(slices) :]:
-            place.set_axis_off()
+        spare = panels.flat[len(slices) :]
+        for place in panels.flat[: len(slices)]:
+            place.label_outer()
+        for place in panels[-2, columns - len(spare) :] if len(spare) else []:
+            place.tick_params(labelbottom=True)
+            place.set_xlabel(axis_label(dims[0], dataset[dims[0]].attrs["units"]))
         filled = ScalarMappable(scale.norm(), COLORMAP)
-        scale.label(figure.colorbar(filled, ax=panels, label="tip error, all sources [µm]", extend=scale.extend))
+        words: dict[str, Any] = {"label": "tip error, all sources [µm]", "extend": scale.extend}
+        region = Patch(
+            facecolor=colormaps[COLORMAP](0.0), edgecolor="white", hatch=_HATCH, label=f"least sensitive {part_of_all}"
+        )
+        handles = [region, *edge_handles(meshes)]
+        for place in spare:
+            place.set_axis_off()
+        if len(spare):
+            below = spare[0].inset_axes((0.1, 0.45, 0.85, 0.07))
+            bar = figure.colorbar(filled, cax=below, orientation="horizontal", **words)
+            scale.label(bar)
+            bar.ax.tick_params(rotation=45)
+            spare[0].legend(handles=handles, loc="upper left", bbox_to_anchor=(0.05, 1.0))
+        else:
+            scale.label(figure.colorbar(filled, ax=panels, **words))
+            figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -82,27 +106,24 @@ def _slices(dataset: xr.Dataset, dims: list[str]) -> list[tuple[str, xr.Dataset]
     ]
 
 
-def _draw(
-    place: Any, part: xr.Dataset, dims: list[str], scale: ColorScale, bound: float, limits: LimitsOver | None
-) -> None:
-    units = [part[dim].attrs["units"] for dim in dims]
-    place.set(xlabel=axis_label(dims[0], units[0]), ylabel=axis_label(dims[1], units[1]))
-    field = 1e6 * part["tip_rms"].transpose(*dims).values
+def _mesh(part: xr.Dataset, dims: list[str], field: Array, limits: LimitsOver | None) -> OutlinedMesh:
     within: Within | None = None
     if limits is not None:
         fixed = {str(c): float(part[c]) for c in part.coords if part[c].ndim == 0 and "units" in part[c].attrs}
         broken = limits(dims, fixed)
         within = lambda points: broken(points) == 0  # noqa: E731
-    mesh = outlined_mesh(part[dims[0]].values, part[dims[1]].values, np.isfinite(field), within)
+    return outlined_mesh(part[dims[0]].values, part[dims[1]].values, np.isfinite(field), within)
+
+
+def _draw(place: Any, mesh: OutlinedMesh, units: list[str], values: Array, scale: ColorScale, bound: float) -> None:
     if not len(mesh.triangles):
         return
     first, second = (drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True))
-    triangulation, values = Triangulation(first, second, mesh.triangles), mesh.values(field)
+    triangulation = Triangulation(first, second, mesh.triangles)
     place.tricontourf(triangulation, values, levels=scale.levels, norm=scale.norm(), cmap=COLORMAP, extend=scale.extend)
     if values.min() <= bound:
         lowest = min(values.min(), bound) - 1.0
-        place.tricontourf(triangulation, values, levels=[lowest, bound], colors="none", hatches=["////"])
-        place.tricontour(triangulation, values, levels=[bound], colors=INK, linewidths=1.2)
-    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (mesh.end_lines, END_LINE)):
-        pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
-        place.add_collection(LineCollection(pieces, **{f"{name}s": value for name, value in style.items()}))
+        inside = place.tricontourf(triangulation, values, levels=[lowest, bound], colors="none", hatches=[_HATCH])
+        inside.set(edgecolor="white", linewidth=0.0)  # the hatches have the colour of edges
+        place.tricontour(triangulation, values, levels=[bound], colors="white", linewidths=1.2)
+    draw_edges(place, mesh, units)

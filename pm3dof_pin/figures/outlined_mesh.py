@@ -7,14 +7,19 @@ followed by a few points more. This works for sections of any shape, with holes 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from pm3dof_pin.figures.labels import drawn
+from pm3dof_pin.figures.style import END_LINE, LIMIT_LINE
 from pm3dof_pin.typing import Array, Mask
 
 Within: TypeAlias = Callable[[Array], Mask]
@@ -24,6 +29,8 @@ _HALVINGS = 22  # of the side of a cell
 _BETWEEN = 3  # points of the outline between two sides of a cell
 _NEAREST = 1e-4  # of the side of a cell, so that no triangle is without area
 _CELLS = 40  # along each axis at least; coarser grids are divided
+_MARGIN = 0.03  # of the axes, about a map
+_TIP = 0.02  # of the axes, below which the end of the grid is not worth a word
 _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, going round
 
 
@@ -51,7 +58,7 @@ class OutlinedMesh:
         """Return a field over the grid at the points: linear between poses, extrapolated from the last ones inside."""
         filled, positive = np.where(np.isfinite(field), field, np.nan), bool(np.nanmin(field) > 0.0)
         filled = _extended(np.log(filled) if positive else filled, self.fillable)
-        found = np.asarray(RegularGridInterpolator(self.axes, filled)(self.points))
+        found = np.asarray(_interpolator(self.axes, filled)(self.points))
         low, high = np.nanmin(field), np.nanmax(field)
         margin = 0.1 * (high - low)
         # extrapolated values may not leave what was computed by far
@@ -70,7 +77,53 @@ class OutlinedMesh:
             for axis in self.axes
         ]
         places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
-        return np.asarray(RegularGridInterpolator(self.axes, filled)(places))
+        return np.asarray(_interpolator(self.axes, filled)(places))
+
+
+def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: Any) -> None:
+    """Draw where limits end a map, and where the grid ends it.
+
+    Args:
+        axes: where to draw.
+        mesh: of the map.
+        units: of both coordinates.
+        changes: of the styles of both lines.
+    """
+    for lines, style in ((mesh.limit_lines, LIMIT_LINE), (joined(mesh.end_lines), END_LINE)):
+        pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
+        collected = {f"{name}s": value for name, value in (style | changes).items()}
+        axes.add_collection(LineCollection(pieces, clip_on=False, **collected), autolim=False)
+    for fix, values, unit in ((axes.set_xlim, mesh.axes[0], units[0]), (axes.set_ylim, mesh.axes[1], units[1])):
+        low, high = drawn(values[[0, -1]], unit)
+        fix(low - _MARGIN * (high - low), high + _MARGIN * (high - low))
+
+
+def joined(lines: Array) -> list[Array]:
+    """Join lines of which each begins where the one before ends, so that dashes run through; shape=(n, k, 2)."""
+    chains: list[list[Array]] = []
+    for line in lines:
+        if chains and np.array_equal(chains[-1][-1][-1], line[0]):
+            chains[-1].append(line[1:])
+        else:
+            chains.append([line])
+    return [np.concatenate(chain) for chain in chains]
+
+
+def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
+    """Return what a legend has to say of the edges of some maps."""
+    every = list(meshes)
+    kinds = (("joint limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
+    return [
+        Line2D([], [], label=text, **style)
+        for text, kind, style in kinds
+        if any(_long(getattr(m, kind), m) for m in every)
+    ]
+
+
+def _long(lines: Array, mesh: OutlinedMesh) -> bool:
+    """Whether lines are more than the tip of a map."""
+    spans = np.array([np.ptp(axis) for axis in mesh.axes])
+    return bool(len(lines) and np.any(np.abs(np.diff(lines, axis=1)).sum(axis=(0, 1)) > _TIP * spans))
 
 
 def outlined_mesh(
@@ -146,10 +199,15 @@ def _divided(axes: tuple[Array, Array], nodes: Mask, fillable: Mask, within: Wit
     ]
     reached = _extended(np.where(nodes, 0.0, np.nan), fillable)
     places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)
-    near = np.isfinite(RegularGridInterpolator(axes, reached)(places.reshape(-1, 2)))
+    near = np.isfinite(_interpolator(axes, reached)(places.reshape(-1, 2)))
     found = np.zeros(len(near), dtype=bool)
     found[near] = within(places.reshape(-1, 2)[near])
     return fine[0], fine[1], found.reshape(places.shape[:2])
+
+
+def _interpolator(axes: tuple[Array, Array], field: Array) -> RegularGridInterpolator:
+    """Return a bilinear interpolator that forgives points outside by rounding."""
+    return RegularGridInterpolator(axes, field, bounds_error=False, fill_value=None)
 
 
 def _extended(field: Array, fillable: Mask) -> Array:

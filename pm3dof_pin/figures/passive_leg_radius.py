@@ -12,7 +12,7 @@ from pm3dof_pin.chapter.axis_stiffness import READINGS
 from pm3dof_pin.chapter.chapter_stiffness import AXES
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.figures.style import INK, house_style, new_figure
+from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.typing import Array
 
 _LINES = {  # axis shown: words, colour, width, dashes; at the centre of the section theta_y is as theta_x, t_y as t_x
@@ -36,7 +36,7 @@ def passive_leg_radius_figure(tripod: Tripod) -> Figure:
     centre = [0.0, 0.0, tripod.middle_height]
     machines = [with_passive_leg_radius(tripod, factor) for factor in factors]
     with house_style():
-        figure = new_figure(9.0, 3.6)
+        figure = new_figure(TWO_COLUMNS, 3.1)
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         for axes, (name, reading) in zip(panels, READINGS.items(), strict=True):
             gains = np.stack([reading(machine, centre) for machine in machines]) / reading(tripod, centre)
@@ -47,7 +47,7 @@ def passive_leg_radius_figure(tripod: Tripod) -> Figure:
             for words, color, width, dashes in _LINES.values()
         ]
         figure.legend(handles=handles, loc="lower center", ncols=len(handles), handlelength=3.0)
-        figure.subplots_adjust(left=0.065, right=0.985, top=0.91, bottom=0.24, wspace=0.13)
+        figure.subplots_adjust(left=0.075, right=0.985, top=0.91, bottom=0.255, wspace=0.13)
     return figure
 
 
@@ -56,7 +56,7 @@ def _draw(axes: Axes, name: str, factors: Array, gains: Array) -> None:
         axes.plot(factors, gains[:, AXES.index(axis)], color=color, linewidth=width, linestyle=dashes)
     axes.axvline(1.2, color="#999999", linewidth=0.6)
     axes.set(xscale="log", yscale="log", xlim=(1.0, 2.0), ylim=(0.93, 17.5), xlabel="radius, times today's", title=name)
-    axes.set_xticks([1.0, 1.2, 1.4, 1.6, 1.8, 2.0])
+    axes.set_xticks([1.0, 1.2, 1.5, 2.0])
     axes.set_yticks([1, 2, 4, 8, 16])
     for along in (axes.xaxis, axes.yaxis):
         along.set_major_formatter(ScalarFormatter())

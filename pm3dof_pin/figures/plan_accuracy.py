@@ -44,8 +44,9 @@ def plan_accuracy(
         if curve.ndim != 2 or len(curve) != len(counts):
             raise InvalidValueError(f"curve of {strategy}", f"shape {curve.shape}", f"shape ({len(counts)}, seeds)")
     with house_style():
-        figure = new_figure(ONE_COLUMN, 2.9)
-        axes = figure.add_axes((0.15, 0.145, 0.83, 0.83))
+        height = 2.9 + 0.14 * len(curves)
+        figure = new_figure(ONE_COLUMN, height)
+        axes = figure.add_axes((0.15, 1.0 - 2.43 / height, 0.83, 2.4 / height))
         for strategy, curve in curves.items():
             microns = 1e6 * curve
             color = STRATEGY_COLORS[strategy]
@@ -61,9 +62,7 @@ def plan_accuracy(
                 textcoords="offset points",
                 va="bottom",
             )
-        axes.set(
-            xscale="log", yscale="log", xlabel="poses measured", ylabel="predicted tip error [µm], root mean square"
-        )
+        axes.set(xscale="log", yscale="log", xlabel="poses measured", ylabel="predicted tip error, rms [µm]")
         axes.set_xticks(list(counts), [str(count) for count in counts])
         axes.minorticks_off()
         axes.yaxis.set_major_formatter(ScalarFormatter())
@@ -71,5 +70,5 @@ def plan_accuracy(
         low, high = axes.get_ylim()
         axes.set_yticks([tick for tick in ticks if low <= tick <= high])
         axes.grid(True, color="#dddddd", linewidth=0.5)
-        axes.legend(loc="upper right", fontsize=6.5)
+        figure.legend(loc="lower left", bbox_to_anchor=(0.1, 0.0), borderaxespad=0.2, labelspacing=0.3)
     return figure

@@ -16,7 +16,7 @@ from pm3dof_pin.chapter.kinematics import Legs, placement
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.figures.space import towards_viewer
-from pm3dof_pin.figures.style import INK, house_style, new_figure
+from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.typing import Array
 
 _ELEVATION, _AZIMUTH = 21.0, -52.0  # direction the machine is seen from [deg]
@@ -37,11 +37,11 @@ def schematic_figure(tripod: Tripod) -> Figure:
     """
     points = _Points(tripod)
     with house_style():
-        figure = new_figure(9.2, 5.95)
-        _draw_machine(_panel(figure, (0.0, 0.06, 0.52, 0.93)), points)
-        _draw_base(_panel(figure, (0.515, 0.56, 0.235, 0.40), "Base platform from above"), points)
-        _draw_platform(_panel(figure, (0.75, 0.56, 0.235, 0.40), "Moving platform from above"), points)
-        _draw_leg(_panel(figure, (0.53, 0.02, 0.46, 0.50), "One leg in the plane of its guideway"), points)
+        figure = new_figure(TWO_COLUMNS, 4.75)
+        _draw_machine(_panel(figure, (0.005, 0.07, 0.515, 0.92)), points)
+        _draw_base(_panel(figure, (0.505, 0.545, 0.225, 0.39), "Base platform from above"), points)
+        _draw_platform(_panel(figure, (0.745, 0.545, 0.225, 0.39), "Moving platform from above"), points)
+        _draw_leg(_panel(figure, (0.53, 0.02, 0.46, 0.49), "One leg in the plane of its guideway"), points)
         _add_legend(figure)
     return figure
 
@@ -72,7 +72,7 @@ def _panel(figure: Figure, place: tuple[float, float, float, float], title: str 
     axes.set_aspect("equal")
     axes.axis("off")
     axes.set_anchor("N")
-    axes.set_title(title, fontsize=8.5, pad=10.0)
+    axes.set_title(title, fontsize=7.5, pad=9.0)
     return axes
 
 
@@ -100,7 +100,7 @@ def _label(axes: Axes, point: Array, text: str, away: Sequence[float] | Array, c
     """Write beside a point, `away` from it [typographic points]."""
     axes.annotate(
         text, xy=tuple(point), xytext=tuple(away), textcoords="offset points", color=color, ha="center", va="center",
-        zorder=40, path_effects=[withStroke(linewidth=2.2, foreground="white")],
+        zorder=40, fontsize=7.5, path_effects=[withStroke(linewidth=2.2, foreground="white")],
     )  # fmt: skip
 
 
@@ -356,4 +356,5 @@ def _add_legend(figure: Figure) -> None:
         "universal joint": (Line2D([], [], linestyle="none", **joint), cross),
         "spherical joint": Line2D([], [], linestyle="none", **joint),
     }
-    figure.legend(list(entries.values()), list(entries), loc="lower left", ncols=3, handletextpad=0.5, fontsize=8.0)
+    letters = {"fontsize": 7.0, "handletextpad": 0.5, "columnspacing": 1.2}
+    figure.legend(list(entries.values()), list(entries), loc="lower left", ncols=3, **letters)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.color_scale import ColorScale, color_scale, number
 from pm3dof_pin.figures.labels import axis_label, display_unit, drawn, entry_words, in_brackets, in_words, typeset
-from pm3dof_pin.figures.outlined_mesh import Within, outlined_mesh
-from pm3dof_pin.figures.space import towards_viewer
+from pm3dof_pin.figures.outlined_mesh import Within, joined, outlined_mesh
+from pm3dof_pin.figures.space import divided_triangles, towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
 from pm3dof_pin.maps.units import unit_of_entry
@@ -38,6 +38,8 @@ _BOX = np.array([1.0, 1.0, 0.72])  # its sides
 _HEIGHT, _LINE = 3.2, 0.17  # of the picture and of a line of its title [inch]
 _LONGEST_LABEL = 36  # letters beside the picture
 _LONGEST_TITLE = 100  # letters in one line
+_FACES = 20_000  # flat triangles of the surface, at least, so that their colours run into each other
+_PIECES = 160  # of a line of the grid
 _LINES = 9  # lines of the grid that are drawn on the surface, along each of its dimensions
 
 
@@ -148,7 +150,7 @@ def _sheet(
         triangles = mesh.triangles.astype(np.int32)
         keys = {place.tobytes(): value for place, value in zip(mesh.points, heights, strict=True)}
         for lines, found in ((limit_lines, mesh.limit_lines), (end_lines, mesh.end_lines)):
-            for line in found:
+            for line in joined(found):
                 columns = [drawn(c, u) for c, u in zip(line.T, units, strict=True)]
                 lines.append(np.column_stack([*columns, [keys[place.tobytes()] for place in line]]))
     else:
@@ -232,15 +234,16 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     scale = sheet.scale
     heights: Callable[[Array], Array] = np.log10 if scale.logarithmic else np.asarray
     points = np.column_stack([sheet.points[:, :2], heights(sheet.points[:, 2])])
-    faces = points[sheet.triangles]
-    means = sheet.points[sheet.triangles, 2].mean(axis=1)
-    face_colors = colormaps[COLORMAP](scale.smooth_norm()(means))
-    ends = heights(np.array([min(scale.levels[0], means.min()), max(scale.levels[-1], means.max())]))
+    faces = divided_triangles(points[sheet.triangles], _FACES)
+    means = faces[:, :, 2].mean(axis=1)
+    face_colors = colormaps[COLORMAP](scale.smooth_norm()(10.0**means if scale.logarithmic else means))
+    ends = np.array([scale.levels[0], scale.levels[-1]])
+    ends = heights(np.array([min(ends[0], sheet.points[:, 2].min()), max(ends[1], sheet.points[:, 2].max())]))
     limits = np.vstack([sheet.extent, ends])
     # Lines and triangles stand in one collection, so that they hide each other by their depth; the lines are drawn
     # a little nearer, out of the triangles they lie in.
     lifted = np.concatenate([sheet.grid[..., :2], heights(sheet.grid[..., 2:])], axis=-1)
-    segments = _grid_segments(lifted) + 0.01 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
+    segments = _grid_segments(lifted) + 0.02 * np.ptp(limits, axis=1) / _BOX * towards_viewer(_ELEVATION, _AZIMUTH)
     line_colors = np.tile([0.0, 0.0, 0.0, 0.6], (len(segments), 1))
     axes.add_collection3d(
         Poly3DCollection(
@@ -266,6 +269,11 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
         axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))
     axes.tick_params(pad=-1)
+    for axis, label in ((axes.xaxis, "x"), (axes.yaxis, "y")):  # the nearest corner belongs to both
+        low, high = getattr(axes, f"get_{label}lim")()
+        near = high if label == "x" else low
+        ticks = [tick for tick in axis.get_majorticklocs() if low <= tick <= high]
+        axis.set_major_locator(FixedLocator([t for t in ticks if abs(t - near) > 0.06 * (high - low)]))
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.84)
 
@@ -283,7 +291,12 @@ def _grid_segments(grid: Array) -> Array:
         pairs = np.stack([drawn[:, :-1], drawn[:, 1:], drawn[:, 1:]], axis=2).reshape(-1, 3, 3)
         segments.append(pairs[np.all(np.isfinite(pairs), axis=(1, 2))])
     # the last ray of a polar grid may lie on the first
-    return np.unique(np.concatenate(segments).round(9), axis=0)
+    lines_drawn = np.unique(np.concatenate(segments).round(9), axis=0)
+    # pieces as short as the faces, so that both are sorted by depth alike
+    parts = np.linspace(0.0, 1.0, max(1, -(-_PIECES // max(grid.shape[:2]))) + 1)[:, None, None, None]
+    first, last = lines_drawn[:, :1], lines_drawn[:, 1:2]
+    starts, ends = (first + part * (last - first) for part in (parts[:-1], parts[1:]))
+    return np.concatenate([starts, ends, ends], axis=2).reshape(-1, 3, 3)
 
 
 def _draw_contours(axes: Any, sheet: _Sheet) -> Any:

@@ -10,11 +10,12 @@ from matplotlib.figure import Figure
 
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.quantities import FELT_STIFFNESS
-from pm3dof_pin.figures.style import INK, house_style, new_figure
+from pm3dof_pin.figures.labels import entry_words
+from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.kinematics.robot import Robot
 
 _COLORS = ("#0072B2", "#D55E00")
-_AXES = {0: "$x$ [N/m]", 2: "$z$ [N/m]", 3: r"about $x$ [N m/rad]", 5: r"about $z$ [N m/rad]"}
+_AXES = {0: ("x", 1e6, "N/µm"), 2: ("z", 1e6, "N/µm"), 3: ("rx", 1e3, "kN m/rad"), 5: ("rz", 1e3, "kN m/rad")}
 _TILTS = np.radians(np.linspace(-38.0, 38.0, 77))
 _DRAWN_TILTS = (-30.0, 0.0, 30.0)
 _HALF = 0.075  # half the width of a platform that is drawn [m]
@@ -23,9 +24,9 @@ _HALF = 0.075  # half the width of a platform that is drawn [m]
 def universal_joint_figure(robots: Mapping[str, Robot], height: float) -> Figure:
     """Draw the passive leg and the felt stiffness of two robots while the platform tilts about y at a height [m]."""
     with house_style():
-        figure = new_figure(9.6, 5.4)
+        figure = new_figure(TWO_COLUMNS, 4.4)
         grid = figure.add_gridspec(
-            2, 3, left=0.07, right=0.985, top=0.94, bottom=0.09, wspace=0.3, hspace=0.42, width_ratios=[1.25, 1, 1]
+            2, 3, left=0.085, right=0.985, top=0.94, bottom=0.1, wspace=0.32, hspace=0.5, width_ratios=[1.25, 1, 1]
         )
         motions = [figure.add_subplot(grid[row, 0]) for row in (0, 1)]
         panels = [figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (1, 2)]
@@ -34,13 +35,13 @@ def universal_joint_figure(robots: Mapping[str, Robot], height: float) -> Figure
             inside = poses.within_limits
             felt = np.full((len(_TILTS), 6), np.nan)
             felt[inside] = evaluate(robot, poses[inside], FELT_STIFFNESS).values
-            for panel, (axis, name) in zip(panels, _AXES.items(), strict=True):
-                panel.plot(np.degrees(_TILTS), felt[:, axis], color=color)
-                panel.set_title(f"felt along {name}" if axis < 3 else f"felt {name}")
+            for panel, (axis, (name, size, unit)) in zip(panels, _AXES.items(), strict=True):
+                panel.plot(np.degrees(_TILTS), felt[:, axis] / size, color=color)
+                panel.set_title(f"felt {entry_words(name)} [{unit}]")
             _draw_motion(motion, robot, height, color)
             motion.set_title(words, color=color)
         for panel in panels:
-            panel.set(xlabel=r"$\theta_y$ [deg]", xlim=(-40.0, 40.0), ylim=(0.0, None))
+            panel.set(xlabel=r"$\theta_y$ [deg]", xlim=(-40.0, 40.0), ylim=(0.0, 1.05 * panel.dataLim.y1))
             panel.grid(color="#DDDDDD", linewidth=0.5)
     return figure
 

@@ -29,7 +29,6 @@ _ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is looked at from [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
-_PARTS = 6  # of the sides of cells in which one limit takes over from another
 _HALVINGS = 14
 
 
@@ -79,7 +78,7 @@ class _Sheet:
             self.printed = np.array([drawn(row, unit) for row, unit in zip(printed.ranges, space.units, strict=True)])
         self.limits = self._axes_limits()
         colors = np.array([to_rgba(self.styles[name][0]) for name in space.limits])
-        self._colors = np.vstack([colors, to_rgba(self.styles["reach"][0])])
+        self.color_of = np.vstack([colors, to_rgba(self.styles["reach"][0])])
 
     def _axes_limits(self) -> Array:
         ranges = [drawn(row, unit) for row, unit in zip(self.workspace.ranges, self.units, strict=False)]
@@ -100,22 +99,36 @@ class _Sheet:
 
     def points(self, section: WorkspaceSection) -> Array:
         """Boundary points as drawn, shape=(m, 2) or (m, 3) with the level."""
-        columns = [drawn(column, unit) for column, unit in zip(section.points.T, self.units, strict=False)]
-        if self.workspace.space.stacked:
-            columns.append(np.full(len(section.rays), float(drawn(section.level, self.units[2]))))
-        return np.column_stack(columns)
+        levels = np.full(len(section.rays), section.level)
+        return self.placed(section.radii, section.azimuths[section.rays], levels)
+
+    def placed(self, radii: Array, azimuths: Array, levels: Array) -> Array:
+        """Points as drawn, shape=(m, 2) or (m, 3) with the level."""
+        space = self.workspace.space
+        columns = [*space.points(radii, azimuths).T, *([levels] if space.stacked else [])]
+        return np.column_stack([drawn(column, unit) for column, unit in zip(columns, self.units, strict=False)])
 
     def ring(self, section: WorkspaceSection) -> Array:
         """Closed outline of a star-shaped section."""
         points = self.points(section)
         return np.concatenate([points, points[:1]])
 
+    def first(self, flags: NDArray[np.uint32]) -> NDArray[np.intp]:
+        """Number of the first limit in each sum of limits; that after the last for none."""
+        bits = (np.asarray(flags)[..., None] >> np.arange(len(self.color_of) - 1, dtype=np.uint32)) & 1
+        return np.where(bits.any(axis=-1), bits.argmax(axis=-1), len(self.color_of) - 1)
+
     def colors(self, flags: NDArray[np.uint32]) -> Array:
         """Colour for each sum of limits; where several bind, that of the first, shape=(..., 4)."""
-        bits = (np.asarray(flags)[..., None] >> np.arange(len(self._colors) - 1, dtype=np.uint32)) & 1
-        first = np.where(bits.any(axis=-1), bits.argmax(axis=-1), len(self._colors) - 1)
-        found: Array = self._colors[first]
+        found: Array = self.color_of[self.first(flags)]
         return found
+
+    @property
+    def closed(self) -> bool:
+        """Whether the faces between sections are a closed body: it ends in points."""
+        sections = self.workspace.sections
+        areas = self.workspace.areas
+        return all(section.star_shaped for section in sections) and bool(areas[[0, -1]].max() < 1e-2 * areas.max())
 
     @property
     def shown(self) -> list[WorkspaceSection]:
@@ -130,18 +143,23 @@ class _Sheet:
 def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     scale = _BOX / np.ptp(sheet.limits, axis=1)
     faces, colors = _faces(sheet)
-    outlines = [flat_quadrilaterals(sheet.ring(section)[None]) for section in sheet.shown if section.star_shaped]
+    towards = towards_viewer(_ELEVATION, _AZIMUTH)
+    if sheet.closed:  # what faces away is behind the rest, and would show as a fringe around it
+        facing = _normals(faces * scale) @ towards > -1e-3
+        faces, colors = faces[facing], colors[facing]
+    outlines = [_outline(sheet, section, towards / scale if sheet.closed else None) for section in sheet.shown]
     lines = np.concatenate(
         [np.empty((0, 4, 3)), *outlines, *([] if sheet.printed is None else [_dashed(sheet.printed)])]
     )
-    lines = lines + 0.006 * towards_viewer(_ELEVATION, _AZIMUTH) / scale
+    lines = lines + 0.02 * towards / scale
     all_colors = np.concatenate([_shaded(colors, faces * scale), np.tile(to_rgba(INK), (len(lines), 1))])
     axes.add_collection3d(
         Poly3DCollection(
             np.concatenate([faces, lines]),
             facecolors=all_colors,
             edgecolors=all_colors,
-            linewidths=0.5,
+            linewidths=0.25,
+            joinstyle="bevel",  # mitres of thin faces would stand out as spikes
             rasterized=True,
         )
     )
@@ -152,13 +170,24 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     axes.set_xlabel(sheet.labels[0], labelpad=-2)
     axes.set_ylabel(sheet.labels[1], labelpad=-2)
     axes.set_zlabel(sheet.labels[2], labelpad=3)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.tick_params(axis="z", pad=1)
     axes.tick_params(axis="x", pad=-1)
     axes.tick_params(axis="y", pad=-1)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.95)
+
+
+def _outline(sheet: _Sheet, section: WorkspaceSection, towards: Array | None) -> Array:
+    """Return the outline of a star-shaped section as flat polygons, or what of it faces the viewer."""
+    if not section.star_shaped:
+        return np.empty((0, 4, 3))
+    pieces = flat_quadrilaterals(sheet.ring(section)[None])
+    if towards is None:
+        return pieces
+    outward = np.cross(pieces[:, 1] - pieces[:, 0], [0.0, 0.0, 1.0])
+    return pieces[outward @ towards > 0.0]
 
 
 def _faces(sheet: _Sheet) -> tuple[Array, Array]:
@@ -167,47 +196,78 @@ def _faces(sheet: _Sheet) -> tuple[Array, Array]:
     for lower, upper in itertools.pairwise(sheet.workspace.sections):
         if lower.star_shaped and upper.star_shaped:
             corners = _cells(sheet.ring(lower), sheet.ring(upper))
-            flags = _cells(*(np.append(s.limits, s.limits[0])[:, None] for s in (lower, upper)))[..., 0]
-            mixed = np.any(flags != flags[:, :1], axis=1)
-            faces.append(corners[~mixed])
-            colors.append(sheet.colors(flags[~mixed, 0]))
-            parts, owners = _divided(sheet, lower, upper, corners[mixed], np.flatnonzero(mixed))
-            faces.append(parts)
-            colors.append(owners)
+            binding = [sheet.first(section.limits) for section in (lower, upper)]
+            owners = _cells(*(np.append(limit, limit[0])[:, None] for limit in binding))[..., 0].astype(np.intp)
+            mixed = np.any(owners != owners[:, :1], axis=1)
+            parts, own = _cut(sheet, lower, upper, corners[mixed], owners[mixed], np.flatnonzero(mixed))
+            faces += [corners[~mixed], parts]
+            colors += [sheet.color_of[owners[~mixed, 0]], sheet.color_of[own]]
     return np.concatenate(faces), np.concatenate(colors)
 
 
-def _divided(
-    sheet: _Sheet, lower: WorkspaceSection, upper: WorkspaceSection, corners: Array, rays: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Divide cells in which one limit takes over from another, and ask the limits themselves about each part."""
-    space = sheet.workspace.space
-    steps = np.linspace(0.0, 1.0, _PARTS + 1)
-    across, up = np.meshgrid(steps, steps, indexing="ij")
-    weights = np.stack([(1 - across) * (1 - up), across * (1 - up), across * up, (1 - across) * up], axis=-1)
-    nodes = np.einsum("ijk,nkd->nijd", weights, corners)
-    cells = np.stack([nodes[:, :-1, :-1], nodes[:, 1:, :-1], nodes[:, 1:, 1:], nodes[:, :-1, 1:]], axis=-2)
+def _cut(
+    sheet: _Sheet,
+    lower: WorkspaceSection,
+    upper: WorkspaceSection,
+    corners: Array,
+    owners: NDArray[np.intp],
+    rays: NDArray[np.intp],
+) -> tuple[Array, NDArray[np.intp]]:
+    """Cut cells in which one limit takes over from another along the edge of the body where it does so.
+
+    Args:
+        sheet: what is drawn.
+        lower: the section below the cells.
+        upper: the section above them.
+        corners: of the cells, going round, shape=(n, 4, 3).
+        owners: numbers of the limits at the corners, shape=(n, 4).
+        rays: number of the first ray of each cell, shape=(n,).
+
+    Returns:
+        Parts of the cells, shape=(m, 4, 3), and the number of the limit of each.
+    """
     following = (rays + 1) % len(lower.azimuths)
+    step = lower.azimuths[1] - lower.azimuths[0]
     radii = np.stack([lower.radii[rays], lower.radii[following], upper.radii[following], upper.radii[rays]], axis=-1)
-    middle = 0.5 * (steps[:-1] + steps[1:])
-    across, up = np.meshgrid(middle, middle, indexing="ij")
-    weights = np.stack([(1 - across) * (1 - up), across * (1 - up), across * up, (1 - across) * up], axis=-1)
-    radius = np.einsum("ijk,nk->nij", weights, radii)
-    azimuth = lower.azimuths[rays][:, None, None] + across * (lower.azimuths[1] - lower.azimuths[0])
-    level = lower.level + up * (upper.level - lower.level)
-    flags = _first_broken(sheet, radius, azimuth, np.broadcast_to(level, radius.shape), space.ray_step)
-    return cells.reshape(-1, 4, 3), sheet.colors(flags).reshape(-1, 4)
+    azimuths = lower.azimuths[rays][:, None] + step * np.array([0.0, 1.0, 1.0, 0.0])
+    levels = np.broadcast_to([lower.level, lower.level, upper.level, upper.level], radii.shape)
+    crossed = owners != np.roll(owners, -1, axis=1)
+    first, last = (np.stack([x[crossed] for x in way]) for way in (
+        (radii, azimuths, levels), (np.roll(x, -1, axis=1) for x in (radii, azimuths, levels))
+    ))  # fmt: skip
+    low, high, own = np.zeros(first.shape[1]), np.ones(first.shape[1]), owners[crossed]
+    for _ in range(_HALVINGS):
+        part = 0.5 * (low + high)
+        _, limit = _boundary(sheet, *(first + part * (last - first)))
+        low, high = np.where(limit == own, part, low), np.where(limit == own, high, part)
+    _, azimuth, level = first + low * (last - first)
+    radius, _ = _boundary(sheet, *(first + low * (last - first)))
+    edge = np.full(corners.shape, np.nan)
+    edge[crossed] = sheet.placed(radius, azimuth, level)
+    parts: list[Array] = []
+    numbers: list[int] = []
+    for cell, own, cut, places in zip(corners, owners, crossed, edge, strict=True):
+        for start in np.flatnonzero(cut):  # from there to the next crossing, going round, one limit holds
+            ring, k = [places[start]], (start + 1) % 4
+            while not cut[k]:
+                ring, k = [*ring, cell[k]], (k + 1) % 4
+            ring += [cell[k], places[k]]
+            if cut.sum() > 2:  # three limits or more meet within the cell
+                ring.append(places[cut].mean(axis=0))
+            parts += [np.stack([ring[0], *ring[i : i + 2], ring[i + 1]]) for i in range(1, len(ring) - 1)]
+            numbers += [own[(start + 1) % 4]] * (len(ring) - 2)
+    return np.array(parts).reshape(-1, 4, 3), np.array(numbers, dtype=np.intp)
 
 
-def _first_broken(sheet: _Sheet, radius: Array, azimuth: Array, level: Array, step: float) -> NDArray[np.uint32]:
-    """Return the limits that are broken just outside the reachable set, near given radii, by bisection."""
+def _boundary(sheet: _Sheet, radius: Array, azimuth: Array, level: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the radius of the reachable set near given ones, by bisection, and the limit that is broken beyond."""
     space = sheet.workspace.space
-    inner, outer = np.maximum(radius - step, 0.0), radius + step
+    inner, outer = np.maximum(radius - space.ray_step, 0.0), radius + space.ray_step
     for _ in range(_HALVINGS):
         middle = 0.5 * (inner + outer)
         keeps = space.within(space.points(middle, azimuth), level)
         inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
-    return space.flags(space.points(outer, azimuth), level)
+    return inner, sheet.first(space.flags(space.points(outer, azimuth), level))
 
 
 def _cells(lower: Array, upper: Array) -> Array:
@@ -217,10 +277,15 @@ def _cells(lower: Array, upper: Array) -> Array:
 
 def _shaded(colors: Array, faces: Array) -> Array:
     """Darken colours (n, 4) by the angle between the faces (n, 4, 3) and the light."""
-    normals = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
-    lengths = np.linalg.norm(normals, axis=1)
-    lit = normals @ (_LIGHT / np.linalg.norm(_LIGHT)) / np.where(lengths > 0.0, lengths, 1.0)
+    lit = _normals(faces) @ (_LIGHT / np.linalg.norm(_LIGHT))
     return np.column_stack([colors[:, :3] * (0.68 + 0.32 * lit)[:, None], colors[:, 3]])
+
+
+def _normals(faces: Array) -> Array:
+    """Return unit vectors out of the body, across faces (n, 4, 3); of faces without area 0."""
+    normals = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(lengths > 0.0, lengths, 1.0))
 
 
 def _dashed(ranges: Array) -> Array:
@@ -253,8 +318,8 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
         axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[1]))
     axes.set(xlabel=sheet.labels[0], ylabel=sheet.labels[1], aspect="equal" if sheet.same_unit else "auto")
     axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1])
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
 
 
 def _draw_profile(axes: Any, sheet: _Sheet) -> None:
@@ -280,7 +345,7 @@ def _draw_profile(axes: Any, sheet: _Sheet) -> None:
     )
     axes.set(xlim=(ends[:, 0].min(), ends[:, 1].max()))
     axes.margins(y=0.05)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.legend(loc="center")
 
 

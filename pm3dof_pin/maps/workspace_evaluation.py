@@ -36,7 +36,8 @@ CRITICAL = "critical_spring"
 STIFFER = 0.1
 """By how much a spring is stiffened to see what it brings."""
 
-_TIE = 1e-6  # shares that differ by less than this are equal: springs that are each other's mirror image
+TIE = 1e-6
+"""Shares that differ by less than this are equal: springs that are each other's mirror image."""
 
 _ELASTIC = ("felt_stiffness", "translational_stiffness", "rotational_stiffness", "condition_number")
 _OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
@@ -246,7 +247,7 @@ def _with_critical_springs(dataset: xr.Dataset) -> xr.Dataset:
 
 def _leading(shares: Array) -> Mask:
     """Tell which springs have the greatest share, several where they are equal, shape=(..., springs)."""
-    leading: Mask = shares >= shares.max(axis=-1, keepdims=True) - _TIE
+    leading: Mask = shares >= shares.max(axis=-1, keepdims=True) - TIE
     return leading
 
 

@@ -127,9 +127,9 @@ def test_the_same_bytes_again(
 
 
 def test_the_page_holds_its_pictures_and_numbers(report: str, held_out: HeldOut) -> None:
-    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', report)
+    pictures = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', report)
     assert len(pictures) == 4
-    assert all(base64.b64decode(picture).startswith(b"\x89PNG") for picture in pictures)
+    assert all(base64.b64decode(picture).startswith(b"<?xml") for picture in pictures)
     assert not re.search(r"(src|href)=\"http", report)
     assert f"<td>{1e6 * held_out.after.mean():.1f}</td>" in report
 

@@ -103,7 +103,7 @@ def test_six_drives_undo_everything() -> None:
     hexapod = Robot.load("hexapod")
     poses = reachable_poses(hexapod, 10, np.random.default_rng(0))
     result = error_map(GeometricErrors.load("hexapod"), poses)
-    assert result.uncompensable_rms.max() < 1e-9 * result.tip_rms.max()
+    assert not result.uncompensable_rms.any()  # no map of rounding
 
 
 def test_the_least_sensitive_region(tripod_map: ErrorMap) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, outlined_mesh
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, joined, outlined_mesh
+from pm3dof_pin.figures.space import divided_triangles
 from pm3dof_pin.typing import Array, Mask
 
 X, Y = np.linspace(-1.2, 1.1, 47), np.linspace(-1.3, 1.2, 45)
@@ -66,3 +67,17 @@ def test_a_hole_without_a_limit_stays_open() -> None:
     mesh = outlined_mesh(X, Y, ~hole, lambda points: np.ones(len(points), dtype=bool), np.zeros(hole.shape, dtype=bool))
     centres = mesh.points[mesh.triangles].mean(axis=1)
     assert np.linalg.norm(centres, axis=1).min() > 0.2
+
+
+def test_faces_and_dashes() -> None:
+    """Divided triangles cover the same area; the end of a grid is one line a side, so that its dashes run through."""
+    triangle = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 3.0], [0.5, 1.0, -1.0]]])
+    parts = divided_triangles(triangle, 50)
+    areas = 0.5 * np.linalg.det(np.diff(parts[..., :2], axis=1))
+    assert len(parts) >= 50
+    np.testing.assert_allclose(areas, 1.0 / len(parts))
+    np.testing.assert_allclose(parts.mean(axis=(0, 1)), triangle[0].mean(axis=0))
+    mesh, _ = _mesh("half plane")
+    sides = joined(mesh.end_lines)
+    assert len(sides) == 3
+    assert sum(np.linalg.norm(np.diff(side, axis=0), axis=1).sum() for side in sides) == pytest.approx(4.7, rel=1e-4)

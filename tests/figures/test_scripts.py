@@ -78,7 +78,9 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     for file in files:
         content = (tmp_path / file).read_bytes()
         if file.endswith(".png"):
-            assert matplotlib.image.imread(tmp_path / file).std() > 0.05
+            image = matplotlib.image.imread(tmp_path / file)
+            assert image.std() > 0.05
+            assert image.shape[1] <= 180.0 / 25.4 * 300.0  # two columns of a journal
         elif file.endswith((".pdf", ".svg")):
             assert content.lstrip().startswith(b"%PDF" if file.endswith(".pdf") else b"<?xml")
         else:

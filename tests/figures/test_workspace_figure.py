@@ -15,7 +15,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import INK, LIMIT_COLORS, save_figure
-from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
+from pm3dof_pin.figures.workspace import PrintedRanges, _faces, _Sheet, workspace_figure
 from pm3dof_pin.maps.workspace import Workspace, workspace
 
 
@@ -79,6 +79,27 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
         assert np.mean(shade > 0.999) > 0.05
     rim = np.concatenate([image[:4].reshape(-1, 3), image[-4:].reshape(-1, 3), image[:, :4].reshape(-1, 3)])
     assert np.all(rim > 0.999)
+
+
+def test_colours_meet_along_the_edge_of_the_body(whole: Workspace) -> None:
+    """No teeth: the corners of every face lie on the boundary, and its own limit is broken just beyond them."""
+    sheet = _Sheet(whole, None)
+    faces, colors = _faces(sheet)
+    space, names = whole.space, whole.space.limits
+    corners = faces.reshape(-1, 3)
+    points, levels = np.radians(corners[:, :2]), corners[:, 2]
+    middle = 0.5 * (space.points(np.zeros(1), np.zeros(1))[0])
+    assert np.all(middle == 0.0)  # rays leave from there, so that scaling a point moves it along its ray
+    inner = (levels > whole.levels[0]) & (levels < whole.levels[-1])
+    assert np.all(space.within(points[inner] * (1.0 - 1e-5), levels[inner]))
+    assert not np.any(space.within(points[inner] * (1.0 + 1e-5), levels[inner]))
+    beyond = space.flags(points * 1.05, levels)
+    for name in ("stroke", "spherical"):
+        of_it = np.repeat(np.all(colors == to_rgba(LIMIT_COLORS[name]), axis=1), 4) & inner
+        assert of_it.any()
+        assert (
+            np.mean((beyond[of_it] >> names.index(name)) & 1) > 0.98
+        )  # where both meet at a grazing angle it is farther
 
 
 def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
