@@ -37,6 +37,19 @@ class Waviness(_Numbers, frozen=True):
     lengths_m: tuple[Positive, ...] = (0.12, 0.05, 0.02)
 
 
+class BentMember(_Numbers, frozen=True):
+    """A member that bends where one of its sides is warmer than the other.
+
+    Attributes:
+        depth_m: distance of the two sides [m].
+        along_m: from its beginning to its end, axes of the body that it ends on [m]; by default from the joint before.
+            For a telescope, at the length that is meant.
+    """
+
+    depth_m: Positive
+    along_m: tuple[float, float, float] | None = None
+
+
 class Thermal(_Numbers, frozen=True):
     """Growth with temperature.
 
@@ -49,6 +62,9 @@ class Thermal(_Numbers, frozen=True):
             a gradient along the screw; the same everywhere by default.
         members: joints or frames whose distance from the joint before grows, with their share of the rise. By default
             the frames at which links end, the first of each loop closure, at one half.
+        across_K: one side of a member that bends is anywhere between so much colder and warmer than the other, in each
+            of two directions across it [K].
+        bending: members that bend, by the joint or frame at which they end; none by default.
     """
 
     rise_K: NotNegative = 8.0
@@ -56,6 +72,8 @@ class Thermal(_Numbers, frozen=True):
     expansion_per_K: NotNegative = 11.5e-6
     profile: tuple[Pair, ...] = ((0.0, 1.0),)
     members: dict[Name, float] | None = None
+    across_K: NotNegative = 0.5
+    bending: dict[Name, BentMember] = {}
 
 
 class Load(_Numbers, frozen=True):
@@ -99,6 +117,22 @@ class Drives(_Numbers, frozen=True):
     servo_stiffness_Nm_per_rad: Positive | None = None
 
 
+class Drift(_Numbers, frozen=True):
+    """What changes in the course of a job and is not known, so that no correction removes it; none by default.
+
+    Attributes:
+        hours: from when the machine was last as described to the end of the job [h].
+        warming_K_per_h: the machine warms or cools, so fast at most [K/h].
+        zeros_m_per_h: the zero of each sliding drive moves to either side, so fast at most [m/h].
+        zeros_rad_per_h: that of each turning drive [rad/h].
+    """
+
+    hours: NotNegative = 8.0
+    warming_K_per_h: NotNegative = 0.0
+    zeros_m_per_h: NotNegative = 0.0
+    zeros_rad_per_h: NotNegative = 0.0
+
+
 class Spectrum(_Numbers, frozen=True):
     """A one-sided power spectral density [unit^2/Hz], constant between growing edges [Hz], zero beyond them."""
 
@@ -137,3 +171,4 @@ class SourceNumbers(_Numbers, frozen=True):
     clearance: Clearance = Clearance()
     drives: Drives = Drives()
     vibration: VibrationNumbers = VibrationNumbers()
+    drift: Drift = Drift()

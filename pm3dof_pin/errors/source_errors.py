@@ -21,7 +21,14 @@ from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors, GeometricParameter
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
-from pm3dof_pin.errors.thermal_growth import ThermalGrowth, translation_errors
+from pm3dof_pin.errors.thermal_growth import (
+    Bending,
+    ThermalGrowth,
+    bend_per_curvature,
+    displacement_errors,
+    displacement_names,
+    translation_errors,
+)
 from pm3dof_pin.errors.vibration import Vibration, covariance_root
 from pm3dof_pin.errors.waviness import beside_guideways
 from pm3dof_pin.kinematics.poses import Poses
@@ -40,6 +47,7 @@ GREATEST_VIBRATION = 3.0
 
 _LINKS_SHARE = 0.5  # of the screws' rise
 _POSES_TO_CLOSE_AT = 20
+_ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +128,11 @@ class ErrorSources:
         closing = {parameter.place for parameter in self._closing(translation_errors(robot, shares, "thermal"))}
         kept = {place: share for place, share in shares.items() if place in closing}
         bearings = np.array(self.errors.fixed_bearings)
-        return ThermalGrowth(bearings, numbers.profile, kept, numbers.expansion_per_K)
+        bending = {
+            place: Bending((1.0 / member.depth_m, 1.0 / member.depth_m), member.along_m)
+            for place, member in numbers.bending.items()
+        }
+        return ThermalGrowth(bearings, numbers.profile, kept, numbers.expansion_per_K, bending)
 
     @cached_property
     def vibration(self) -> Vibration | None:
@@ -153,9 +165,10 @@ class ErrorSources:
 
     @cached_property
     def others(self) -> GeometricErrors:
-        """Displacements that sources beside the geometry bring about: beside guideways, by growth, within a play."""
+        """Displacements that sources beside the geometry bring about: beside guideways, by heat, within a play."""
         robot, numbers = self.robot, self.numbers
         parameters = list(translation_errors(robot, self.thermal_growth.members, "thermal"))
+        parameters += displacement_errors(robot, self.thermal_growth.bending, "bending")
         if numbers.clearance.play_m:
             parameters += translation_errors(robot, numbers.clearance.at, "clearance")
         if numbers.waviness.straightness_m and numbers.waviness.lengths_m and self.slides.any():
@@ -193,7 +206,7 @@ class _SourcesAtPoses:
             "kinematic parameters": lambda: [*self._geometry(), self._waviness()],
             "thermal": lambda: [*self._thermal()],
             "stiffness": lambda: [*self._stiffness()],
-            "drives": self._drives,
+            "drives": lambda: [*self._drives(), self._drift_of_zeros()],
             "vibration": lambda: [*self._vibration()],
         }
         return [source for source in found[error_class]() if source is not None]
@@ -257,7 +270,7 @@ class _SourcesAtPoses:
         )
 
     def _thermal(self) -> list[SourceErrors]:
-        growth, sources = self._sources.thermal_growth, self._sources
+        growth, sources, drift = self._sources.thermal_growth, self._sources, self._numbers.drift
         offsets = np.array([command.offset for command in self._robot.commands])
         travels = (self._poses.commands - offsets) / self._scales
         per_kelvin = np.where(sources.slides, growth.travel_errors(travels, np.ones_like(travels)), 0.0)
@@ -278,6 +291,9 @@ class _SourcesAtPoses:
                     greatest=np.sqrt(3.0),
                 )
             )
+        if together.any() and drift.warming_K_per_h * drift.hours:
+            per_hour = together[:, :, None] * drift.warming_K_per_h
+            found.append(self._drift("thermal_drift", "thermal", "warming in the course of the job", per_hour))
         between = self._numbers.thermal.between_drives_K
         if between and by_screw.any() and by_screw.shape[2] > 1:
             # independent rises less their mean, which is the source above
@@ -292,7 +308,47 @@ class _SourcesAtPoses:
                     greatest=np.sqrt(3.0),
                 )
             )
+        bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
+        if bent.any():
+            found.append(
+                self._source(
+                    "thermal_bending",
+                    "thermal",
+                    "members bent by gradients across them",
+                    effects=bent / np.sqrt(3.0),
+                    greatest=np.sqrt(3.0),
+                )
+            )
         return found
+
+    def _bent(self) -> Array:
+        """What each kelvin across each member does, over its expansion, shape=(n, 6, 2 members that bend)."""
+        moved = dict(zip(self._names("bending"), np.moveaxis(self._others("bending"), 2, 0), strict=True))
+        columns = []
+        for place, member in self._sources.thermal_growth.bending.items():
+            bends = bend_per_curvature(self._robot, place, member.along) * member.gradients
+            for bend in bends.T:
+                parts = zip(displacement_names(place), bend, strict=True)
+                named = {f"bending {name}": amount for name, amount in parts if amount}
+                if named.keys() <= moved.keys():  # else it would strain the loops
+                    terms = np.array([amount * moved[name] for name, amount in named.items()])
+                    column = terms.sum(axis=0)
+                    # links between two joints turn about them, and leave the tool where it was
+                    if np.abs(column).max() > _ROUNDING * np.abs(bend).max():
+                        columns.append(column)
+        return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))
+
+    def _drift_of_zeros(self) -> SourceErrors | None:
+        drift = self._numbers.drift
+        rates = np.where(self._sources.slides, drift.zeros_m_per_h, drift.zeros_rad_per_h)
+        if not (rates.any() and drift.hours):
+            return None
+        return self._drift("drift", "drives", "zeros of the drives drifting during the job", self._by_drives * rates)
+
+    def _drift(self, name: str, error_class: ErrorClass, long_name: str, per_hour: Array) -> SourceErrors:
+        """A source that grows with time at a rate, either of which is anywhere up to its greatest value."""
+        effects = per_hour * (self._numbers.drift.hours / 3.0)
+        return self._source(name, error_class, long_name, effects=effects, greatest=3.0, repeats=False)
 
     def _stiffness(self) -> list[SourceErrors]:
         if not self._robot.springs:

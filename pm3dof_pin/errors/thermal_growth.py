@@ -1,9 +1,9 @@
-"""Growth with temperature: of screws from their fixed bearings, and of members between joints."""
+"""Growth with temperature: of screws from their fixed bearings, and of members between joints, which may bend."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -19,12 +19,28 @@ STEEL_EXPANSION = 11.5e-6
 """Thermal expansion of steel [1/K]."""
 
 
+@dataclass(frozen=True)
+class Bending:
+    """A member that bends with the temperature.
+
+    Attributes:
+        gradients: of the temperature in both directions across it, for each kelvin of the mean rise [1/m].
+        along: from its beginning to its end, axes of the body that it ends on [m]; from the joint before by default.
+    """
+
+    gradients: tuple[float, float]
+    along: tuple[float, float, float] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class ThermalGrowth:
-    """Growth of the screws from their fixed bearings, and of members between joints.
+    """Growth of the screws from their fixed bearings, and of members between joints, which bend where it is uneven.
 
     The travel of a drive is too long by the growth of its screw between the fixed bearing and the nut,
     du = a * integral of the temperature rise from the bearing to u.
+
+    A member of length L with a gradient g of the temperature across it, warmer on the side of the unit vector n, bends
+    with the curvature a g: to first order its end moves by -a g L^2 / 2 n and turns by a g L n x t, t along the member.
 
     Attributes:
         bearings: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated
@@ -34,12 +50,14 @@ class ThermalGrowth:
         members: joints or frames whose distance from the joint before grows, by their temperature's share of the rise
             measured: 1 for links as warm as the screws, 0.2 for cooler ones.
         expansion: a [1/K].
+        bending: members that bend, by the joint or frame at which they end.
     """
 
     bearings: Vector
     profile: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     members: Mapping[str, float] = field(default_factory=dict)
     expansion: float = STEEL_EXPANSION
+    bending: Mapping[str, Bending] = field(default_factory=dict)
 
     def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
         """Return how much too far drives go, shape=(n, drives) [m], at coordinates [m] and screws' rises [K]."""
@@ -47,12 +65,16 @@ class ThermalGrowth:
         return self.expansion * temperature_rises * self._integral(distance)
 
     def grown(self, robot: Robot, temperature_rise: float) -> Robot:
-        """Return a robot with members grown by a mean rise [K]."""
-        if not self.members or temperature_rise == 0.0:
+        """Return a robot with members grown and bent by a mean rise [K]."""
+        if not (self.members or self.bending) or temperature_rise == 0.0:
             return robot
-        parameters = translation_errors(robot, self.members, "thermal")
-        growth = {name: temperature_rise * amount for name, amount in self.growth_per_kelvin(robot).items()}
-        return GeometricErrors(robot, parameters).apply(growth)
+        moved = self.growth_per_kelvin(robot)
+        for place, member in self.bending.items():
+            bent = self.expansion * bend_per_curvature(robot, place, member.along) @ member.gradients
+            for name, amount in zip(displacement_names(place), bent, strict=True):
+                moved[name] = moved.get(name, 0.0) + float(amount)
+        errors = GeometricErrors(robot, displacement_errors(robot, {**self.members, **self.bending}, "thermal"))
+        return errors.apply({name: temperature_rise * amount for name, amount in moved.items()})
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
         """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K]."""
@@ -94,6 +116,52 @@ def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple
             x, y, z = np.eye(3)[k].tolist()
             parameters.append(GeometricParameter(f"{place}.t{axis}", place, "translation", (x, y, z), group, 1.0))
     return tuple(parameters)
+
+
+def displacement_names(place: str) -> list[str]:
+    """Return the names of the displacements of a place along its own axes, then about them."""
+    return [f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES]
+
+
+def displacement_errors(robot: Robot, places: Iterable[str], group: str) -> tuple[GeometricParameter, ...]:
+    """Return the translations and rotations of joints or frames in their own axes, with unit tolerances.
+
+    Raises:
+        FrameNotFoundError: the robot has no such joint or frame.
+    """
+    shifts = translation_errors(robot, places, group)
+    turns = [replace(p, name=f"{p.place}.r{p.name[-1]}", motion="rotation") for p in shifts]
+    return (*shifts, *turns)
+
+
+def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, float] | None = None) -> Array:
+    """Return how the end of a member moves when it bends, to first order.
+
+    The warmer side lies in one of two directions across the member: that of the axis of its body which is most across
+    it, made square to it, and that at right angles to both.
+
+    Args:
+        robot: the robot.
+        place: joint or frame at which the member ends.
+        along: from its beginning to its end, axes of its body [m]; from the joint before by default.
+
+    Returns:
+        [translation; rotation vector] in the axes of the place for each direction, shape=(6, 2) [m^2, m].
+
+    Raises:
+        InvalidValueError: the member has no length.
+    """
+    placement = _placement_on_body(robot, place)
+    arm = finite_array(f"member at {place}", placement.translation if along is None else along, (3,))
+    length = float(np.linalg.norm(arm))
+    if length == 0.0:
+        raise InvalidValueError(f"member at {place}", "no length", "along_m, as it ends where the joint before is")
+    tangent = arm / length
+    first = np.cross(np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent).round(9)))]), tangent)
+    first /= np.linalg.norm(first)
+    sides = (first, np.cross(tangent, first))
+    bends = [np.concatenate([-0.5 * length**2 * warm, length * np.cross(warm, tangent)]) for warm in sides]
+    return np.asarray(np.kron(np.eye(2), placement.rotation.T) @ np.stack(bends, axis=1))
 
 
 def _placement_on_body(robot: Robot, place: str) -> pin.SE3:

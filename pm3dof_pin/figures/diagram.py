@@ -51,7 +51,7 @@ class Box:
 
 
 class Diagram:
-    """A sheet as wide as two columns, all lengths in units of which it has `width`; filled inside :func:`house_style`."""
+    """A sheet as wide as two columns, in units of which it has `width`; to be filled inside :func:`house_style`."""
 
     figure: Figure
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
     ANGLE_TOLERANCE,
@@ -40,10 +41,26 @@ class Conditions:
         temperature_rises: of each screw over the temperature at which the machine is as described, one number, or
             shape=(n, number of actuated joints) [K].
         wrenches: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default.
+        hours: since the machine was as described, one number, or shape=(n,) [h].
     """
 
     temperature_rises: ArrayLike = 0.0
     wrenches: ArrayLike | None = None
+    hours: ArrayLike = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class MachineDrift:
+    """How fast a machine changes.
+
+    Attributes:
+        zeros: of the drives' joints, which stand too far by so much more each hour, shape=(actuated joints,) [m/h,
+            rad/h].
+        warming: of screws and members, where the machine has thermal errors, beside its measured temperatures [K/h].
+    """
+
+    zeros: ArrayLike
+    warming: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +81,7 @@ class SimulatedMachine:
         thermal: growth of screws and members.
         elastic: deflection under load.
         vibration: scatter.
+        drift: what changes with time.
     """
 
     nominal: Robot
@@ -72,6 +90,7 @@ class SimulatedMachine:
     thermal: ThermalGrowth | None = None
     elastic: ElasticDeflection | None = None
     vibration: Vibration | None = None
+    drift: MachineDrift | None = None
 
     @classmethod
     def random(
@@ -99,7 +118,7 @@ class SimulatedMachine:
         """Return the machine with one of its sources of error alone.
 
         Args:
-            source: "geometric", "waviness", "thermal", "elastic" or "vibration".
+            source: "geometric", "waviness", "thermal", "elastic", "vibration" or "drift".
 
         Raises:
             InvalidValueError: there is no such source.
@@ -164,6 +183,10 @@ class SimulatedMachine:
         rises = _rows("temperature_rises", conditions.temperature_rises, commands.shape)
         travels = (commands - [command.offset for command in self.nominal.commands]) / self._scales
         too_far, offsets = np.zeros_like(commands), np.zeros((*commands.shape, 2))
+        if self.drift is not None:
+            hours = _rows("hours", conditions.hours, commands.shape[:1])[:, None]
+            too_far += hours * finite_array("zeros", self.drift.zeros, commands.shape[1:])
+            rises = rises + hours * self.drift.warming
         if self.waviness is not None:
             too_far += self.waviness.travel_errors(travels)
             offsets = self.waviness.offsets(travels)

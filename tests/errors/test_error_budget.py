@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -25,7 +27,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
+from pm3dof_pin.simulation.simulated_machine import Conditions, MachineDrift, SimulatedMachine
 
 WRENCH = np.array([200.0, -100.0, -300.0, 5.0, -3.0, 2.0])
 NUMBERS = {
@@ -70,6 +72,53 @@ def test_growth_is_that_of_the_simulated_machine(case: Case) -> None:
     apart = moved(machine, poses, Conditions(first - first.mean())) / 10.0
     column = found["thermal_gradient"].effects[:, :, 0] / (2.0 / np.sqrt(3.0))
     np.testing.assert_allclose(apart, column, atol=2e-3 * np.abs(column).max())
+
+
+@pytest.mark.parametrize(("name", "place"), [("pm3dof", "platform_x_joint"), ("hexapod", "O_e"), ("three_rps", "O_e")])
+def test_bent_members_are_those_of_the_simulated_machine(name: str, place: str) -> None:
+    """2 K across a member 30 mm deep and 110 mm long, both ways at once: with the bend against without."""
+    thermal = {"across_K": 0.5, "bending": {place: {"depth_m": 0.03, "along_m": [0.0, 0.0, 0.11]}}}
+    sources = sources_of(name, thermal=thermal)
+    poses = reachable_poses(sources.robot, 5, np.random.default_rng(0))
+    bent = {source.name: source for source in sources.at(poses, ["thermal"])}["thermal_bending"]
+    growth = sources.thermal_growth
+    machines = (SimulatedMachine(sources.robot, thermal=g) for g in (growth, replace(growth, bending={})))
+    with_bend, without = (machine.poses(poses.commands, Conditions(2.0)) for machine in machines)
+    seen = pose_difference(without, with_bend) / 2.0
+    per_kelvin = bent.effects.sum(axis=2) / (0.5 / np.sqrt(3.0))
+    np.testing.assert_allclose(seen, per_kelvin, atol=2e-3 * np.abs(per_kelvin).max())
+
+
+def test_links_between_two_joints_bend_without_a_trace() -> None:
+    """Struts that carry along themselves only: their ends turn about their joints, in whichever way they bend."""
+    sources = sources_of("hexapod", thermal={"bending": {f"strut{k}_tip": {"depth_m": 0.02} for k in range(1, 7)}})
+    poses = reachable_poses(sources.robot, 5, np.random.default_rng(0))
+    assert "thermal_bending" not in {source.name for source in sources.at(poses, ["thermal"])}
+
+
+def test_drift_is_that_of_the_simulated_machine_and_stays(case: Case) -> None:
+    """One zero, then the warmth, after five hours; over a job its rms is that of rates and times at random."""
+    stated = {"hours": 8.0, "warming_K_per_h": 0.5, "zeros_m_per_h": 2e-7, "zeros_rad_per_h": 2e-6}
+    sources, poses, _ = case
+    sources = sources_of(sources.robot.name, drift=stated)
+    budget = error_budget(sources, poses, names=["thermal_drift", "drift"])
+    found = {source.name: source for source in budget.sources}
+    first = np.eye(poses.commands.shape[1])[0]
+    for name, machine, scatter in (
+        ("drift", SimulatedMachine(sources.robot, drift=MachineDrift(1e-6 * first)), 2e-7 / 1e-6),
+        (
+            "thermal_drift",
+            SimulatedMachine(sources.robot, thermal=sources.thermal_growth, drift=MachineDrift(0.0 * first, 0.5)),
+            1.0,
+        ),
+    ):
+        seen = moved(machine, poses, Conditions(hours=5.0))
+        rates, hours = np.linspace(-1.0, 1.0, 2001), np.linspace(0.0, 8.0, 2001)
+        rms = np.sqrt(np.mean(rates**2) * np.mean(hours**2)) / 5.0
+        column = found[name].effects[:, :, 0]
+        np.testing.assert_allclose(scatter * rms * seen, column, atol=3e-3 * np.abs(column).max())
+        assert found[name].greatest[0] * rms == pytest.approx(8.0 / 5.0, rel=2e-3)
+    np.testing.assert_allclose(budget.left_rms, budget.tip_rms)
 
 
 def test_deflections_are_those_of_the_simulated_machine(case: Case) -> None:

@@ -16,7 +16,7 @@ from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
-from pm3dof_pin.errors.thermal_growth import ThermalGrowth
+from pm3dof_pin.errors.thermal_growth import Bending, ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration, correlated_normal
 from pm3dof_pin.errors.waviness import GuideWaviness, Wave
 from pm3dof_pin.exceptions import InvalidValueError
@@ -55,6 +55,29 @@ def test_members_grow_with_their_length(mechanism: Robot) -> None:
     joint = grown.home.frame_placement("platform").actInv(grown.home.frame_placement("E2"))
     assert np.linalg.norm(joint.translation) == pytest.approx(np.hypot(0.075, 0.013) * (1.0 + 20.0 * 11.5e-6))
     assert growth.grown(mechanism, 0.0) is mechanism
+
+
+def test_a_bent_member_ends_on_its_arc(mechanism: Robot) -> None:
+    """Two fibres 30 mm apart, one 5 K warmer: concentric arcs over the length of the link, towards the colder one."""
+    expansion, depth, across = 11.5e-6, 0.03, 5.0
+    growth = ThermalGrowth(np.zeros(3), bending={"link1_tip": Bending((across / depth, 0.0))})
+    before, after = (
+        robot.home.frame_placement("universal1_second_joint").actInv(robot.home.frame_placement("link1_tip"))
+        for robot in (mechanism, growth.grown(mechanism, 1.0))
+    )
+    along = before.translation / 0.353
+    radius = depth / (expansion * across)
+    angle = 0.353 / radius
+    aside = after.translation - before.translation
+    assert np.linalg.norm(aside) == pytest.approx(radius * (1.0 - np.cos(angle)), rel=1e-6)
+    assert aside @ along == pytest.approx(0.0, abs=1e-12)
+    turn = pin.log3(before.rotation.T @ after.rotation)
+    assert np.linalg.norm(turn) == pytest.approx(angle, rel=1e-9)
+    # the end points the way it has moved
+    np.testing.assert_allclose(np.cross(before.rotation @ turn, along), 2.0 * aside / 0.353, atol=1e-12)
+    straight = ThermalGrowth(np.zeros(3), bending={"passive_cross": Bending((1.0, 0.0))})
+    with pytest.raises(InvalidValueError, match="along_m"):
+        straight.grown(mechanism, 1.0)
 
 
 def test_the_deflection_is_that_of_the_closed_form(tripod: Tripod, tripod_nominal: Poses) -> None:
