@@ -8,7 +8,7 @@ from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSprin
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.legs import spring_joint
-from pm3dof_pin.viewer.panel import scientific
+from pm3dof_pin.viewer.panel import numbers_with_unit
 from pm3dof_pin.viewer.scene import Json
 
 
@@ -31,12 +31,12 @@ def about_body(robot: Robot, body: Body, springs: Iterable[Spring]) -> Json:
 
 def _spring_text(spring: Spring) -> str:
     if isinstance(spring, JointSpring):
-        return f"spring {spring.name}: {scientific(spring.stiffness)} {spring.unit}"
+        return f"spring {spring.name}: {numbers_with_unit([spring.stiffness], spring.unit)}"
     if isinstance(spring, AxialSpring):
-        return f"spring {spring.name}: {scientific(spring.stiffness)} N/m"
+        return f"spring {spring.name}: {numbers_with_unit([spring.stiffness], 'N/m')}"
     if isinstance(spring, CantileverSpring):
-        bending, torsion = scientific(spring.bending_stiffness), scientific(spring.torsional_stiffness)
-        return f"cantilever {spring.name}: EI {bending}, GJ {torsion} N m\u00b2"
+        both = numbers_with_unit([spring.bending_stiffness, spring.torsional_stiffness], "N m\u00b2")
+        return f"cantilever {spring.name}: EI · GJ {both}"
     return f"spring {spring.name}: a matrix"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -54,18 +55,26 @@ class Entry:
         return dict(vars(self))
 
 
-def scientific(number: float) -> str:
-    """Write a number with three digits, as the page does: 1.53e6, 0.0412, 88.6."""
-    mantissa, exponent = f"{number:.2e}".split("e")
-    if abs(int(exponent)) < 3:
-        return f"{float(f'{number:.3g}'):g}"
-    return f"{mantissa}e{int(exponent)}"
+_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def numbers_with_unit(values: ArrayLike, unit: str) -> str:
-    """Write numbers with their unit, unless that is 1."""
-    text = " · ".join(scientific(float(value)) for value in np.asarray(values, dtype=float))
-    return text if unit == "1" else f"{text} {unit}"
+def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
+    """Write numbers as a person does, and as the page: 64.7 · 429 kN/m, one prefix for all that share it."""
+    numbers = [float(value) for value in np.asarray(values, dtype=float)]
+    powers = [_power(number) if unit != "1" else 0 for number in numbers]
+    texts = [f"{float(f'{number / 10.0**power:.{digits}g}'):g}" for number, power in zip(numbers, powers, strict=True)]
+    units = ["" if unit == "1" else f" {_PREFIXES[power]}{unit}" for power in powers]
+    if len(set(units)) == 1:
+        return " · ".join(texts) + units[0]
+    return " · ".join(text + own for text, own in zip(texts, units, strict=True))
+
+
+def _power(number: float) -> int:
+    """Return the power of ten of a number's prefix."""
+    size = abs(number)
+    if not 0.0 < size < math.inf:
+        return 0
+    return min(9, max(-9, 3 * math.floor(math.log10(size * 1.0005) / 3)))
 
 
 def outside_limits(broken: Iterable[str]) -> list[str]:
@@ -75,8 +84,5 @@ def outside_limits(broken: Iterable[str]) -> list[str]:
 
 
 def scale_text(scale: float, length: float, unit: str, what: str) -> str:
-    """Say what a drawn length stands for, as in "semi-axis of 100 mm = 2e8 N/m"."""
-    mantissa, exponent = f"{length / scale:.3e}".split("e")
-    value = float(f"{length / scale:.4g}")
-    text = f"{value:g}" if abs(int(exponent)) < 3 else f"{float(mantissa):g}e{int(exponent)}"
-    return f"{what} of {1000.0 * length:g} mm = {text} {unit}"
+    """Say what a drawn length stands for, as in "semi-axis of 100 mm = 200 MN/m"."""
+    return f"{what} of {1000.0 * length:g} mm = {numbers_with_unit([length / scale], unit, digits=4)}"

@@ -11,7 +11,7 @@ from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.ellipsoids import block, ellipsoid, round_length, round_scale
-from pm3dof_pin.viewer.panel import numbers_with_unit, scale_text, scientific
+from pm3dof_pin.viewer.panel import numbers_with_unit, scale_text
 
 
 def random_stiffness(seed: int) -> np.ndarray:
@@ -89,16 +89,21 @@ def test_round_scales() -> None:
 
 
 def test_numbers_in_words() -> None:
-    assert [scientific(number) for number in (1.5292e6, 0.0412345, 88.66, -2.0, 0.0, 6.54e-7)] == [
-        "1.53e6",
-        "0.0412",
-        "88.7",
-        "-2",
-        "0",
-        "6.54e-7",
-    ]
-    assert numbers_with_unit([1e9, 2.0], "N/m") == "1.00e9 · 2 N/m"
-    assert scale_text(0.2 / 5e8, 0.2, "N/m", "semi-axis") == "semi-axis of 200 mm = 5e8 N/m"
+    for value, text in (
+        (1.5292e6, "1.53 MN/m"),
+        (0.0412345, "41.2 mN/m"),
+        (88.66, "88.7 N/m"),
+        (-2.0, "-2 N/m"),
+        (0.0, "0 N/m"),
+        (6.54e-7, "654 nN/m"),
+        (999.6, "1 kN/m"),
+        (3e13, "30000 GN/m"),
+    ):
+        assert numbers_with_unit([value], "N/m") == text
+    assert numbers_with_unit([64660.0, 429300.0], "N/m") == "64.7 · 429 kN/m"
+    assert numbers_with_unit([1e9, 2.0], "N/m") == "1 GN/m · 2 N/m"
+    assert numbers_with_unit([1234.5], "1") == "1230"
+    assert scale_text(0.2 / 5e8, 0.2, "N/m", "semi-axis") == "semi-axis of 200 mm = 500 MN/m"
     assert scale_text(0.2 / 1.5, 0.2, "N", "arrow") == "arrow of 200 mm = 1.5 N"
 
 

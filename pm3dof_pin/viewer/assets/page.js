@@ -133,13 +133,16 @@ const pm3dof = (() => {
 
   const PREFIXES = { "-9": "n", "-6": "\u00b5", "-3": "m", 0: "", 3: "k", 6: "M", 9: "G" };
 
-  // As a person writes it: 27.8 MN/m, 41.2 µm.
-  function engineering(value, unit) {
-    const size = Math.abs(value);
-    if (!(size > 0) || !Number.isFinite(value)) return `${value} ${unit}`;
-    const power = Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3)));
-    const digits = Number((value / 10 ** power).toPrecision(3));
-    return `${digits}\u00a0${PREFIXES[power]}${unit.replaceAll("N m", "N\u00a0m")}`;
+  // As a person writes it: 27.8 MN/m, 41.2 µm; several numbers with one prefix where they share it.
+  function engineering(values, unit, digits = 3) {
+    const parts = [values].flat().map((value) => {
+      const size = Math.abs(value), known = size > 0 && Number.isFinite(value) && unit !== "1";
+      const power = known ? Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3))) : 0;
+      const text = Number.isFinite(value) ? Number((value / 10 ** power).toPrecision(digits)) : value;
+      return [String(text), unit === "1" ? "" : `\u00a0${PREFIXES[power]}${untorn(unit)}`];
+    });
+    const shared = parts.every(([, written]) => written === parts[0][1]);
+    return shared ? parts.map(([text]) => text).join(" \u00b7 ") + parts[0][1] : parts.map((part) => part.join("")).join(" \u00b7 ");
   }
 
   // Zero has no sign.
@@ -407,7 +410,7 @@ const pm3dof = (() => {
     const greatest = Math.max(...values.map(Math.abs)), scale = fittingScale(entry, greatest, "semi-axis");
     const lengths = values.map((value) => scale * Math.max(Math.abs(value), 1e-6 * greatest));
     placeNode(entry.nodes[0], Robot.stretched(axes, lengths, pose.tool));
-    setValues(entry, values.map(scientific).join(" · ") + ` ${entry.live.unit}`);
+    setValues(entry, engineering(values, entry.live.unit));
   }
 
   // The scale of an entry, or a tenth, a hundredth of it where the greatest value would be drawn far too long.
@@ -415,9 +418,7 @@ const pm3dof = (() => {
     const { length, unit } = entry.live;
     let { scale } = entry.live;
     while (greatest * scale > 2 * length) scale /= 10;
-    const [mantissa, exponent] = (length / scale).toExponential(3).split("e");
-    const value = Math.abs(exponent) < 3 ? Number((length / scale).toPrecision(4)) : `${Number(mantissa)}e${Number(exponent)}`;
-    lineOf(entry, "line").textContent = `${what} of ${Number((1000 * length).toPrecision(6))} mm = ${value} ${unit}`.replaceAll("N m", "N\u00a0m");
+    lineOf(entry, "line").textContent = `${what} of ${Number((1000 * length).toPrecision(6))} mm = ${engineering(length / scale, unit, 4)}`;
     return scale;
   }
 
