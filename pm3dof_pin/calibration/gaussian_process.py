@@ -40,19 +40,12 @@ _UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its devi
 
 @dataclass(frozen=True, eq=False)
 class GaussianProcess:
-    """One process for each drive.
+    """One process for each drive."""
 
-    Attributes:
-        inputs: of the measurements, shape=(n, number of inputs).
-        targets: their du, shape=(n, number of commands) [m, rad].
-        noise: variance of each du, shape=(n, number of commands) [m^2, rad^2].
-        logarithms: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of commands,
-            k + 5).
-    """
-
-    inputs: Array
-    targets: Array
-    noise: Array
+    inputs: Array  #: of the measurements, shape=(n, number of inputs)
+    targets: Array  #: their du, shape=(n, number of commands) [m, rad]
+    noise: Array  #: variance of each du, shape=(n, number of commands) [m^2, rad^2]
+    #: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of commands, k + 5)
     logarithms: Array
 
     @cached_property

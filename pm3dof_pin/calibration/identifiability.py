@@ -99,24 +99,18 @@ class NamedUnknowns:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What a set of measurements can say.
+    """What a set of measurements can say."""
 
-    Attributes:
-        names: the parameters.
-        poses: number of poses.
-        decision: rank of the scaled regressor and how it was decided.
-        directions: right singular vectors as columns, in units of the tolerances, the best known first, shape=(number
-            of parameters, number of parameters).
-        base: names of as many parameters as the rank, chosen by QR with pivoting, that explain all measurements.
-        relations: for each of the other parameters, by how much the base parameters stand in for one unit of it
-            [m, rad a m, rad]; what it does cannot be told from what they do.
-    """
-
-    names: tuple[str, ...]
-    poses: int
-    decision: RankDecision
+    names: tuple[str, ...]  #: the parameters
+    poses: int  #: number of poses
+    decision: RankDecision  #: rank of the scaled regressor and how it was decided
+    #: right singular vectors as columns, in units of the tolerances, the best known first, shape=(number of parameters,
+    #: number of parameters)
     directions: Array
+    #: names of as many parameters as the rank, chosen by QR with pivoting, that explain all measurements
     base: tuple[str, ...]
+    #: for each of the other parameters, by how much the base parameters stand in for one unit of it [m, rad a m, rad];
+    #: what it does cannot be told from what they do
     relations: dict[str, dict[str, float]]
 
     @property
@@ -194,21 +188,13 @@ def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> i
 
 @dataclass(frozen=True)
 class ObservabilityIndices:
-    """Observability indices of a regressor with singular values s_1 >= ... >= s_L from N poses.
+    """Observability indices of a regressor with singular values s_1 >= ... >= s_L from N poses."""
 
-    Attributes:
-        O1: (s_1 ... s_L)^(1/L) / sqrt(N) (J.-H. Borm and C.-H. Menq, 1989): D-optimality.
-        O2: s_L / s_1 (M. Driels and U. Pathre, 1990).
-        O3: s_L (A. Nahvi, J. Hollerbach and V. Hayward, 1994): E-optimality.
-        O4: s_L^2 / s_1 (A. Nahvi and J. Hollerbach, 1996).
-        O5: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality.
-    """
-
-    O1: float
-    O2: float
-    O3: float
-    O4: float
-    O5: float
+    O1: float  #: (s_1 ... s_L)^(1/L) / sqrt(N) (J.-H. Borm and C.-H. Menq, 1989): D-optimality
+    O2: float  #: s_L / s_1 (M. Driels and U. Pathre, 1990)
+    O3: float  #: s_L (A. Nahvi, J. Hollerbach and V. Hayward, 1994): E-optimality
+    O4: float  #: s_L^2 / s_1 (A. Nahvi and J. Hollerbach, 1996)
+    O5: float  #: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality
 
 
 def observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:

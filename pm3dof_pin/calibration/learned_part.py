@@ -46,17 +46,11 @@ def learned_model_from_data(data: Mapping[str, Any]) -> LearnedModel:
 
 @dataclass(frozen=True, eq=False)
 class InputScale:
-    """Inputs of a learned model: the commands, then temperatures and loads, each scaled to about -1 .. 1.
+    """Inputs of a learned model: the commands, then temperatures and loads, each scaled to about -1 .. 1."""
 
-    Attributes:
-        conditions: names of the columns used beside the commands.
-        centre: shape=(number of inputs,).
-        half_range: shape=(number of inputs,).
-    """
-
-    conditions: tuple[str, ...]
-    centre: Array
-    half_range: Array
+    conditions: tuple[str, ...]  #: names of the columns used beside the commands
+    centre: Array  #: shape=(number of inputs,)
+    half_range: Array  #: shape=(number of inputs,)
 
     @classmethod
     def of(cls, robot: Robot, measurements: Measurements) -> InputScale:

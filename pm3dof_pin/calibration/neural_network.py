@@ -26,26 +26,16 @@ _MAX_STEPS = 400
 
 @dataclass(frozen=True, eq=False)
 class NeuralNetwork:
-    """The mean of several networks, du = scale part mean(W2 tanh(W1 x + b1) + b2).
+    """The mean of several networks, du = scale part mean(W2 tanh(W1 x + b1) + b2)."""
 
-    Attributes:
-        hidden_weights: W1 of each network, shape=(networks, number of inputs, hidden).
-        hidden_biases: b1, shape=(networks, hidden).
-        output_weights: W2, shape=(networks, hidden, number of commands).
-        output_biases: b2, shape=(networks, number of commands).
-        scale: of each deviation, shape=(number of commands,) [m, rad].
-        part: what of the networks' answer is used, shape=(number of commands,); 0 where they are no better than
-            no correction.
-        sigmas: error in cross-validation, measurement noise included, shape=(number of commands,) [m, rad].
-    """
-
-    hidden_weights: Array
-    hidden_biases: Array
-    output_weights: Array
-    output_biases: Array
-    scale: Array
+    hidden_weights: Array  #: W1 of each network, shape=(networks, number of inputs, hidden)
+    hidden_biases: Array  #: b1, shape=(networks, hidden)
+    output_weights: Array  #: W2, shape=(networks, hidden, number of commands)
+    output_biases: Array  #: b2, shape=(networks, number of commands)
+    scale: Array  #: of each deviation, shape=(number of commands,) [m, rad]
+    #: what of the networks' answer is used, shape=(number of commands,); 0 where they are no better than no correction
     part: Array
-    sigmas: Array
+    sigmas: Array  #: error in cross-validation, measurement noise included, shape=(number of commands,) [m, rad]
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, seed: int) -> NeuralNetwork:

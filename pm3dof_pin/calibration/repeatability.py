@@ -20,23 +20,15 @@ _SURE = 1e-3  # probability that drift or hysteresis is named where there is non
 
 @dataclass(frozen=True, eq=False)
 class Repeatability:
-    """Scatter of repeated visits.
+    """Scatter of repeated visits."""
 
-    Attributes:
-        tip_sigma: tip error by which the machine misses its own mean, without the measurements' noise, root mean square
-            [m].
-        freedom: visits beyond the first of their pose.
-        poses: numbers of the poses visited three times or more, shape=(k,).
-        visits: how often each was, shape=(k,).
-        accuracy: AP of each, distance of the mean position from the commanded one, shape=(k,) [m].
-        repeatability: RP of each, mean distance from that mean and three standard deviations of it, shape=(k,) [m].
-    """
-
+    #: tip error by which the machine misses its own mean, without the measurements' noise, root mean square [m]
     tip_sigma: float
-    freedom: int
-    poses: Indices
-    visits: Indices
-    accuracy: Array
+    freedom: int  #: visits beyond the first of their pose
+    poses: Indices  #: numbers of the poses visited three times or more, shape=(k,)
+    visits: Indices  #: how often each was, shape=(k,)
+    accuracy: Array  #: AP of each, distance of the mean position from the commanded one, shape=(k,) [m]
+    #: RP of each, mean distance from that mean and three standard deviations of it, shape=(k,) [m]
     repeatability: Array
 
 
@@ -73,19 +65,12 @@ def repeatability(calibration: Calibration) -> Repeatability | None:
 
 @dataclass(frozen=True)
 class Systematic:
-    """Drift or hysteresis.
+    """Drift or hysteresis."""
 
-    Attributes:
-        kind: "drift" or "hysteresis".
-        tip: how far it moves the tool, tip-weighted, root mean square over the measured poses [m].
-        tip_sigma: standard deviation of that by the parameters' covariance [m].
-        sure: whether it is more than chance.
-    """
-
-    kind: str
-    tip: float
-    tip_sigma: float
-    sure: bool
+    kind: str  #: "drift" or "hysteresis"
+    tip: float  #: how far it moves the tool, tip-weighted, root mean square over the measured poses [m]
+    tip_sigma: float  #: standard deviation of that by the parameters' covariance [m]
+    sure: bool  #: whether it is more than chance
 
 
 def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:

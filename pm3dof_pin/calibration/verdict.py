@@ -20,26 +20,17 @@ _RICH = 2.0  # noise factor from which the machine is richer than its parameters
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Three lines, and the numbers behind them.
+    """Three lines, and the numbers behind them."""
 
-    Attributes:
-        expect: what to expect of the machine.
-        unseen: what was not seen.
-        next: what to do next.
-        bound: tip error of the corrected machine that is not exceeded with a probability of 95 %, root mean
-            square over the workspace [m].
-        budget: what each source adds to that error, root mean square over the workspace [m].
-        systematic: drift and hysteresis, where rows have times or directions.
-        repeated: what poses that were visited several times tell; None if there are none.
-    """
-
-    expect: str
-    unseen: str
-    next: str
+    expect: str  #: what to expect of the machine
+    unseen: str  #: what was not seen
+    next: str  #: what to do next
+    #: tip error of the corrected machine that is not exceeded with a probability of 95 %, root mean square over the
+    #: workspace [m]
     bound: float
-    budget: Mapping[str, float]
-    systematic: Sequence[Systematic]
-    repeated: Repeatability | None
+    budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
+    systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
+    repeated: Repeatability | None  #: what poses that were visited several times tell; None if there are none
 
 
 def verdict(calibration: Calibration, held_out: HeldOut | None = None, validation: HeldOut | None = None) -> Verdict:

@@ -26,19 +26,12 @@ _DISTINCT = 1e-7  # solutions nearer to each other than this are one [rad, m]
 
 @dataclass(frozen=True)
 class DirectKinematics:
-    """Result of Newton's method.
+    """Result of Newton's method."""
 
-    Attributes:
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        residual: largest link-length error at each pose, shape=(...) [m].
-        steps: Newton steps done for each pose, shape=(...).
-        converged: residual within :data:`TOLERANCE`, shape=(...).
-    """
-
-    poses: Array
-    residual: Array
-    steps: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    poses: Array  #: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m]
+    residual: Array  #: largest link-length error at each pose, shape=(...) [m]
+    steps: NDArray[np.int64]  #: Newton steps done for each pose, shape=(...)
+    converged: NDArray[np.bool_]  #: residual within :data:`TOLERANCE`, shape=(...)
 
 
 def newton(

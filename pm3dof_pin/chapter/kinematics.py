@@ -53,21 +53,13 @@ def motion_twists(poses: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """The actuated legs at a batch of poses, NaN where a link does not meet its guideway.
+    """The actuated legs at a batch of poses, NaN where a link does not meet its guideway."""
 
-    Attributes:
-        tripod: the machine.
-        orientation: R of the platform, shape=(..., 3, 3).
-        arms: R p_i, the platform joints E_i seen from O_e, base axes, shape=(..., n, 3) [m].
-        travels: u_i, shape=(..., n) [m].
-        links: k_i = D_i E_i, base axes, (8.7), shape=(..., n, 3) [m].
-    """
-
-    tripod: Tripod
-    orientation: Array
-    arms: Array
-    travels: Array
-    links: Array
+    tripod: Tripod  #: the machine
+    orientation: Array  #: R of the platform, shape=(..., 3, 3)
+    arms: Array  #: R p_i, the platform joints E_i seen from O_e, base axes, shape=(..., n, 3) [m]
+    travels: Array  #: u_i, shape=(..., n) [m]
+    links: Array  #: k_i = D_i E_i, base axes, (8.7), shape=(..., n, 3) [m]
 
     @classmethod
     def at(cls, tripod: Tripod, poses: Array, modes: Array) -> Legs:

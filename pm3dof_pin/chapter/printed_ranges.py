@@ -17,21 +17,13 @@ _BOX_TILTS, _BOX_HEIGHTS = 80, 84  # cells of the printed box: 1 deg and 2 mm wi
 
 @dataclass(frozen=True)
 class RangeStatement:
-    """One comparison of a printed range with the computed one.
+    """One comparison of a printed range with the computed one."""
 
-    Attributes:
-        subject: what is compared: z_e, slider_travel, theta_x, theta_y, box, or binding_limits.
-        printed: the printed numbers, or none [unit].
-        computed: the computed numbers; of the binding limits, the shares in the order of Limit [unit].
-        unit: "m", "rad" or "1".
-        text: the comparison in words, angles in degrees.
-    """
-
-    subject: str
-    printed: tuple[float, ...]
-    computed: tuple[float, ...]
-    unit: str
-    text: str
+    subject: str  #: what is compared: z_e, slider_travel, theta_x, theta_y, box, or binding_limits
+    printed: tuple[float, ...]  #: the printed numbers, or none [unit]
+    computed: tuple[float, ...]  #: the computed numbers; of the binding limits, the shares in the order of Limit [unit]
+    unit: str  #: "m", "rad" or "1"
+    text: str  #: the comparison in words, angles in degrees
 
 
 def printed_ranges(tripod: Tripod) -> Array:

@@ -30,21 +30,13 @@ _STATISTICS: dict[str, Callable[[NDArray[np.float64]], Any]] = {
 
 @dataclass(frozen=True)
 class TableRow:
-    """One number of Table 8.3.
+    """One number of Table 8.3."""
 
-    Attributes:
-        axis: theta_x, theta_y, t_z, t_x (which is t_y too), theta_z or global.
-        statistic: minimum, maximum or average over the section.
-        published: as printed.
-        computed: by this package.
-        remark: what is known of the printed number, or an empty string.
-    """
-
-    axis: str
-    statistic: str
-    published: float
-    computed: float
-    remark: str
+    axis: str  #: theta_x, theta_y, t_z, t_x (which is t_y too), theta_z or global
+    statistic: str  #: minimum, maximum or average over the section
+    published: float  #: as printed
+    computed: float  #: by this package
+    remark: str  #: what is known of the printed number, or an empty string
 
     @property
     def relative_difference(self) -> float:

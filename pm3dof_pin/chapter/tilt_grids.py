@@ -49,16 +49,11 @@ class RectangularGrid:
     """Tilts at equal steps of theta_x and theta_y, ends included.
 
     The default covers the chapter's printed working range of +-40 deg in steps of 1 deg: 6,561 poses a section.
-
-    Attributes:
-        theta_x_range: first and last theta_x [rad].
-        theta_y_range: first and last theta_y [rad].
-        shape: number of values of theta_x and of theta_y.
     """
 
-    theta_x_range: tuple[float, float] = (math.radians(-40.0), math.radians(40.0))
-    theta_y_range: tuple[float, float] = (math.radians(-40.0), math.radians(40.0))
-    shape: tuple[int, int] = (81, 81)
+    theta_x_range: tuple[float, float] = (math.radians(-40.0), math.radians(40.0))  #: first and last theta_x [rad]
+    theta_y_range: tuple[float, float] = (math.radians(-40.0), math.radians(40.0))  #: first and last theta_y [rad]
+    shape: tuple[int, int] = (81, 81)  #: number of values of theta_x and of theta_y
 
     def __post_init__(self) -> None:
         """Check the ranges and counts."""
@@ -109,16 +104,11 @@ class PolarGrid:
 
     The default is the grid of Table 8.3: r = 0:1.8:45 deg, phi = 0:2:360 deg, so that the last ray lies on the first
     and the centre counts once a ray. Averages over it weigh the centre.
-
-    Attributes:
-        radius_max: largest r [rad].
-        radius_count: number of values of r, from 0.
-        azimuth_count: number of values of phi, from 0 to 2 pi, both included.
     """
 
-    radius_max: float = math.radians(45.0)
-    radius_count: int = 26
-    azimuth_count: int = 181
+    radius_max: float = math.radians(45.0)  #: largest r [rad]
+    radius_count: int = 26  #: number of values of r, from 0
+    azimuth_count: int = 181  #: number of values of phi, from 0 to 2 pi, both included
 
     def __post_init__(self) -> None:
         """Check radius and counts."""

@@ -23,19 +23,12 @@ _LEAST_SCALE = 1e-9
 
 @dataclass(frozen=True)
 class LoopClosure:
-    """One loop closure between two frames of the tree.
+    """One loop closure between two frames of the tree."""
 
-    Attributes:
-        frame_a: frame at the end of one branch.
-        frame_b: frame at the end of the other.
-        type: "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld).
-        swing_limit: greatest angle between the z axes of the two frames [rad], or None.
-    """
-
-    frame_a: str
-    frame_b: str
-    type: ClosureType
-    swing_limit: float | None = None
+    frame_a: str  #: frame at the end of one branch
+    frame_b: str  #: frame at the end of the other
+    type: ClosureType  #: "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld)
+    swing_limit: float | None = None  #: greatest angle between the z axes of the two frames [rad], or None
 
 
 @dataclass(frozen=True)
@@ -44,32 +37,22 @@ class ClosuresFile:
 
     The keys `closed_loop`, `type`, `name_mot`, `joint_name` and `joint_type` are those of the `robot.yaml` files of
     example-parallel-robots; the others are this package's own.
-
-    Attributes:
-        path: the file.
-        closures: the loop closures.
-        actuated_joints: names of the actuated joints (`name_mot`), in their order.
-        tool_frame: frame whose pose, twist and stiffness are meant by "the tool", or None.
-        motion_coordinates: joints whose rates are the platform's independent motions; empty if there are none such.
-        springs: raw spring entries, not yet parsed.
-        joint_types: type that replaces that of the URDF, by joint (`joint_name`, `joint_type`): SPHERICAL, FIXED or
-            UJOINT_XY (any two axes).
-        commands: what the counters of the drives show; empty if nothing is declared.
-        coordinates: the numbers the tool is placed with; empty if nothing is declared.
-        limit_groups: names of kinds of limits; empty if nothing is declared.
-        tool_motions: components of the tool's twist that count as its motion; empty if all do.
     """
 
-    path: Path
-    closures: tuple[LoopClosure, ...] = ()
-    actuated_joints: tuple[str, ...] = ()
-    tool_frame: str | None = None
+    path: Path  #: the file
+    closures: tuple[LoopClosure, ...] = ()  #: the loop closures
+    actuated_joints: tuple[str, ...] = ()  #: names of the actuated joints (`name_mot`), in their order
+    tool_frame: str | None = None  #: frame whose pose, twist and stiffness are meant by "the tool", or None
+    #: joints whose rates are the platform's independent motions; empty if there are none such
     motion_coordinates: tuple[str, ...] = ()
-    springs: tuple[Mapping[str, Any], ...] = ()
+    springs: tuple[Mapping[str, Any], ...] = ()  #: raw spring entries, not yet parsed
+    #: type that replaces that of the URDF, by joint (`joint_name`, `joint_type`): SPHERICAL, FIXED or UJOINT_XY (any
+    #: two axes)
     joint_types: Mapping[str, str] = field(default_factory=dict)
-    commands: tuple[Command, ...] = ()
-    coordinates: tuple[Coordinate, ...] = ()
-    limit_groups: tuple[LimitGroup, ...] = ()
+    commands: tuple[Command, ...] = ()  #: what the counters of the drives show; empty if nothing is declared
+    coordinates: tuple[Coordinate, ...] = ()  #: the numbers the tool is placed with; empty if nothing is declared
+    limit_groups: tuple[LimitGroup, ...] = ()  #: names of kinds of limits; empty if nothing is declared
+    #: components of the tool's twist that count as its motion; empty if all do
     tool_motions: tuple[ToolComponent, ...] = ()
 
 

@@ -19,21 +19,13 @@ def shown_in(unit: str) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class Command:
-    """What the counter of a drive shows: scale times the joint's coordinate plus offset.
+    """What the counter of a drive shows: scale times the joint's coordinate plus offset."""
 
-    Attributes:
-        name: its name.
-        joint: the actuated joint.
-        unit: "m" or "rad".
-        offset: what the counter shows where the joint's coordinate is zero [unit].
-        scale: counter units per unit of the joint's coordinate, not zero.
-    """
-
-    name: str
-    joint: str
-    unit: Unit
-    offset: float = 0.0
-    scale: float = 1.0
+    name: str  #: its name
+    joint: str  #: the actuated joint
+    unit: Unit  #: "m" or "rad"
+    offset: float = 0.0  #: what the counter shows where the joint's coordinate is zero [unit]
+    scale: float = 1.0  #: counter units per unit of the joint's coordinate, not zero
 
 
 @dataclass(frozen=True)
@@ -42,26 +34,16 @@ class Coordinate:
 
     It is scale times the coordinate of a joint plus offset, or a component of the tool's placement in the base: its
     position x, y, z, or an angle of R = Rx(rx) Ry(ry) Rz(rz).
-
-    Attributes:
-        name: its name.
-        unit: "m" or "rad".
-        joint: the joint, or None.
-        tool: the component of the tool's placement, or None.
-        offset: its value where the joint's coordinate is zero [unit].
-        scale: its change per unit of the joint's coordinate.
-        lower: least value of the declared range, or None.
-        upper: greatest value of the declared range, or None.
     """
 
-    name: str
-    unit: Unit
-    joint: str | None = None
-    tool: ToolComponent | None = None
-    offset: float = 0.0
-    scale: float = 1.0
-    lower: float | None = None
-    upper: float | None = None
+    name: str  #: its name
+    unit: Unit  #: "m" or "rad"
+    joint: str | None = None  #: the joint, or None
+    tool: ToolComponent | None = None  #: the component of the tool's placement, or None
+    offset: float = 0.0  #: its value where the joint's coordinate is zero [unit]
+    scale: float = 1.0  #: its change per unit of the joint's coordinate
+    lower: float | None = None  #: least value of the declared range, or None
+    upper: float | None = None  #: greatest value of the declared range, or None
 
 
 @dataclass(frozen=True)

@@ -18,40 +18,26 @@ _Word = Literal["x", "y", "z", "along", "across"]
 
 @dataclass(frozen=True)
 class ErrorEntry:
-    """One line of the error file.
+    """One line of the error file."""
 
-    Attributes:
-        group: class of parts.
-        places: joints or frames.
-        translations: directions in each place's own axes: x, y, z, along the joint's axis, or across it (two).
-        rotations: axes, in the same words.
-        length_tolerance: tolerance of the translations [m].
-        angle_tolerance: tolerance of the rotations [rad].
-    """
-
-    group: str
-    places: tuple[str, ...]
+    group: str  #: class of parts
+    places: tuple[str, ...]  #: joints or frames
+    #: directions in each place's own axes: x, y, z, along the joint's axis, or across it (two)
     translations: tuple[str, ...]
-    rotations: tuple[str, ...]
-    length_tolerance: float
-    angle_tolerance: float
+    rotations: tuple[str, ...]  #: axes, in the same words
+    length_tolerance: float  #: tolerance of the translations [m]
+    angle_tolerance: float  #: tolerance of the rotations [rad]
 
 
 @dataclass(frozen=True)
 class ErrorFile:
-    """An error file as read and checked, names not yet compared with the URDF.
+    """An error file as read and checked, names not yet compared with the URDF."""
 
-    Attributes:
-        path: the file.
-        entries: its lines.
-        command_zeros: for an actuated joint, the frame from which its command counts, along the joint's axis.
-        sources: the numbers of all other sources of error.
-    """
-
-    path: Path
-    entries: tuple[ErrorEntry, ...]
+    path: Path  #: the file
+    entries: tuple[ErrorEntry, ...]  #: its lines
+    #: for an actuated joint, the frame from which its command counts, along the joint's axis
     command_zeros: Mapping[str, str]
-    sources: SourceNumbers
+    sources: SourceNumbers  #: the numbers of all other sources of error
 
 
 class _Line(Schema):

@@ -31,65 +31,42 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class EqualityConstraint:
-    """A `<connect>` or `<weld>`.
+    """A `<connect>` or `<weld>`."""
 
-    Attributes:
-        name: its name, or its kind and position.
-        kind: "connect", two points coincide, or "weld", two frames do.
-        places: its two bodies or sites.
-        by_sites: the places are sites, which coincide.
-        anchor: the point, in the first body of a connect and in the second of a weld [m].
-        relative_pose: position in the first body and quaternion (w, x, y, z) that a weld holds, or None for those of
-            the initial configuration.
-    """
-
-    name: str
-    kind: str
-    places: tuple[str, str]
-    by_sites: bool
-    anchor: tuple[float, ...]
+    name: str  #: its name, or its kind and position
+    kind: str  #: "connect", two points coincide, or "weld", two frames do
+    places: tuple[str, str]  #: its two bodies or sites
+    by_sites: bool  #: the places are sites, which coincide
+    anchor: tuple[float, ...]  #: the point, in the first body of a connect and in the second of a weld [m]
+    #: position in the first body and quaternion (w, x, y, z) that a weld holds, or None for those of the initial
+    #: configuration
     relative_pose: tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
 class _JointSettings:
-    """What Pinocchio does not take from a joint.
+    """What Pinocchio does not take from a joint."""
 
-    Attributes:
-        stiffness: of its spring [N/m or N m/rad].
-        unlimited: its range does not count.
-        range: of a hinge or slide [rad, m], which Pinocchio shifts by `ref`, and of a slide takes for degrees where
-            angles are in degrees; None where none is given.
-    """
-
-    stiffness: float
-    unlimited: bool
+    stiffness: float  #: of its spring [N/m or N m/rad]
+    unlimited: bool  #: its range does not count
+    #: of a hinge or slide [rad, m], which Pinocchio shifts by `ref`, and of a slide takes for degrees where angles are
+    #: in degrees; None where none is given
     range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Mjcf:
-    """An MJCF file as read.
+    """An MJCF file as read."""
 
-    Attributes:
-        path: the file.
-        name: name of the model.
-        text: the same model in the form that Pinocchio reads.
-        joints: settings by joint.
-        equalities: its closures.
-        actuators: name of the first actuator of each actuated joint, by joint.
-        gravity: acceleration of gravity [m/s^2].
-        tool: a site whose name is one of those in use for tools, or None.
-    """
-
-    path: Path
-    name: str
-    text: str
-    joints: dict[str, _JointSettings] = field(default_factory=dict)
-    equalities: tuple[EqualityConstraint, ...] = ()
+    path: Path  #: the file
+    name: str  #: name of the model
+    text: str  #: the same model in the form that Pinocchio reads
+    joints: dict[str, _JointSettings] = field(default_factory=dict)  #: settings by joint
+    equalities: tuple[EqualityConstraint, ...] = ()  #: its closures
+    #: name of the first actuator of each actuated joint, by joint
     actuators: dict[str, str] = field(default_factory=dict)
-    gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
-    tool: str | None = None
+    gravity: tuple[float, ...] = (0.0, 0.0, -9.81)  #: acceleration of gravity [m/s^2]
+    tool: str | None = None  #: a site whose name is one of those in use for tools, or None
 
 
 def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:

@@ -49,19 +49,13 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One entry of the YAML file: a number or numbers in `unit`, with their origin.
-
-    Attributes:
-        symbol: the chapter's sign, or "none".
-        status: "printed", "inferred" or "chosen".
-        source: table, equation or reason.
-    """
+    """One entry of the YAML file: a number or numbers in `unit`, with their origin."""
 
     value: float | tuple[float, ...]
     unit: str
-    symbol: str
-    status: str
-    source: str
+    symbol: str  #: the chapter's sign, or "none"
+    status: str  #: "printed", "inferred" or "chosen"
+    source: str  #: table, equation or reason
 
     @property
     def si(self) -> float | tuple[float, ...]:
@@ -116,67 +110,40 @@ class TripodParameters:
     """A tripod of n actuated prismatic-universal-spherical legs and a passive prismatic-universal leg, in SI units.
 
     Geometry and symbols: D. Zhang, Parallel Robotic Machine Tools (Springer 2010), Fig. 8.1, Tables 8.1 and 8.2.
-
-    Attributes:
-        name: name of the machine.
-        base_joint_angles: alpha_i, direction of B_i about z, shape=(n,) [rad].
-        platform_joint_angles: beta_i, direction of E_i about the platform's z, shape=(n,) [rad].
-        base_radius: l_b, radius of B_i [m].
-        platform_radius: l_e, radius of E_i [m].
-        link_length: l, length of every link [m].
-        guide_slope: gamma, slope of the guideways over the base plane [rad].
-        guide_heading: direction of a guideway in plan, counted from the outward radius [rad].
-        platform_joint_height: z_0, height of E_i over O_e in the platform frame [m].
-        clamp_depth_ratio: (z_min - z_b) / (z_max - z_min), which places the clamp of the passive leg.
-        slider_home: middle of the slider's travel along the guideway from B_i [m].
-        slider_stroke: travel to either side of the middle [m].
-        spherical_limit: greatest angle between a link and its spherical joint's axis [rad].
-        spherical_axis_inclination: inclination of that axis from the platform's normal towards its centre [rad].
-        universal_limit: greatest angle about each axis of a universal joint, to either side [rad].
-        passive_slider_margin: stops of the passive prismatic joint beyond z_min, z_max, as a ratio of z_max - z_min.
-        actuator_stiffness: k_a along the guideway [N/m].
-        link_stiffness: k_t along the link [N/m].
-        bending_stiffness: E I of the passive leg, of its section [N m^2].
-        torsional_stiffness: G J of the passive leg, of its section [N m^2].
-        passive_leg: section of the passive leg.
-        platform_mass, link_mass, slider_mass, passive_leg_mass, cross_mass: masses [kg].
-        platform_moments, link_moments: principal moments of inertia, shape=(3,) [kg m^2].
-        tilt_range: printed working range of theta_x and theta_y, shape=(2,) [rad].
-        height_range: printed working range of z_e, shape=(2,) [m].
-        quantities: every entry of the file with its unit, status and source, by "section.key".
     """
 
-    name: str
-    base_joint_angles: Vector
-    platform_joint_angles: Vector
-    base_radius: float
-    platform_radius: float
-    link_length: float
-    guide_slope: float
-    guide_heading: float
-    platform_joint_height: float
-    clamp_depth_ratio: float
-    slider_home: float
-    slider_stroke: float
-    spherical_limit: float
-    spherical_axis_inclination: float
-    universal_limit: float
+    name: str  #: name of the machine
+    base_joint_angles: Vector  #: alpha_i, direction of B_i about z, shape=(n,) [rad]
+    platform_joint_angles: Vector  #: beta_i, direction of E_i about the platform's z, shape=(n,) [rad]
+    base_radius: float  #: l_b, radius of B_i [m]
+    platform_radius: float  #: l_e, radius of E_i [m]
+    link_length: float  #: l, length of every link [m]
+    guide_slope: float  #: gamma, slope of the guideways over the base plane [rad]
+    guide_heading: float  #: direction of a guideway in plan, counted from the outward radius [rad]
+    platform_joint_height: float  #: z_0, height of E_i over O_e in the platform frame [m]
+    clamp_depth_ratio: float  #: (z_min - z_b) / (z_max - z_min), which places the clamp of the passive leg
+    slider_home: float  #: middle of the slider's travel along the guideway from B_i [m]
+    slider_stroke: float  #: travel to either side of the middle [m]
+    spherical_limit: float  #: greatest angle between a link and its spherical joint's axis [rad]
+    spherical_axis_inclination: float  #: inclination of that axis from the platform's normal towards its centre [rad]
+    universal_limit: float  #: greatest angle about each axis of a universal joint, to either side [rad]
+    #: stops of the passive prismatic joint beyond z_min, z_max, as a ratio of z_max - z_min
     passive_slider_margin: float
-    actuator_stiffness: float
-    link_stiffness: float
-    bending_stiffness: float
-    torsional_stiffness: float
-    platform_mass: float
+    actuator_stiffness: float  #: k_a along the guideway [N/m]
+    link_stiffness: float  #: k_t along the link [N/m]
+    bending_stiffness: float  #: E I of the passive leg, of its section [N m^2]
+    torsional_stiffness: float  #: G J of the passive leg, of its section [N m^2]
+    platform_mass: float  #: [kg], as the next three
     link_mass: float
     slider_mass: float
     passive_leg_mass: float
-    passive_leg: RoundSection
-    cross_mass: float
-    platform_moments: Vector
+    passive_leg: RoundSection  #: section of the passive leg
+    cross_mass: float  #: of a universal joint [kg]
+    platform_moments: Vector  #: principal moments of inertia, shape=(3,) [kg m^2], as the next
     link_moments: Vector
-    tilt_range: Vector
-    height_range: Vector
-    quantities: Mapping[str, Parameter]
+    tilt_range: Vector  #: printed working range of theta_x and theta_y, shape=(2,) [rad]
+    height_range: Vector  #: printed working range of z_e, shape=(2,) [m]
+    quantities: Mapping[str, Parameter]  #: every entry of the file with its unit, status and source, by "section.key"
 
     @property
     def youngs_modulus(self) -> float:

@@ -11,18 +11,13 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
 
 @dataclass(frozen=True)
 class Bounds:
-    """Magnitudes that a kind of number has.
-
-    Attributes:
-        least: least magnitude; zero counts as one only if this is zero.
-        slip: what a number beyond the greatest may be.
-    """
+    """Magnitudes that a kind of number has."""
 
     unit: str
     greatest: float
-    least: float = 0.0
+    least: float = 0.0  #: least magnitude; zero counts as one only if this is zero
     negative: bool = False
-    slip: str = ""
+    slip: str = ""  #: what a number beyond the greatest may be
 
     def problem(self, number: float) -> str:
         """Return what is wrong with a number, or nothing."""

@@ -26,24 +26,15 @@ _NOT_READ = {"sdf": "SDF", "COLLADA": "Collada", "Robot": "OpenRAVE XML", "KinBo
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """The files of one robot.
+    """The files of one robot."""
 
-    Attributes:
-        name: name of the robot, or the stem of its file.
-        path: the tree of bodies and joints.
-        closures: loop closures, actuated joints, tool frame and springs, if there is such a file.
-        srdf: named configurations and collision pairs, if there is such a file.
-        format: what the tree is written in; MJCF says where the loops close, and more, by itself.
-        package_paths: folders to look for the ROS packages of meshes in, the first first.
-        own_folders: folders that files may be taken from: the description's own, and those that were named.
-    """
-
-    name: str
-    path: Path
-    closures: Path | None = None
-    srdf: Path | None = None
-    format: Format = "urdf"
-    package_paths: tuple[Path, ...] = ()
+    name: str  #: name of the robot, or the stem of its file
+    path: Path  #: the tree of bodies and joints
+    closures: Path | None = None  #: loop closures, actuated joints, tool frame and springs, if there is such a file
+    srdf: Path | None = None  #: named configurations and collision pairs, if there is such a file
+    format: Format = "urdf"  #: what the tree is written in; MJCF says where the loops close, and more, by itself
+    package_paths: tuple[Path, ...] = ()  #: folders to look for the ROS packages of meshes in, the first first
+    #: folders that files may be taken from: the description's own, and those that were named
     own_folders: tuple[Path, ...] = ()
 
     @property

@@ -19,28 +19,24 @@ BALANCE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ActuatorForces:
-    """Forces of the actuators and of the loop closures.
+    """Forces of the actuators and of the loop closures."""
 
-    Attributes:
-        actuator_forces: forces f along the actuated joints, in their order, positive as their coordinates,
-            shape=(number of actuated joints,) [N, N m].
-        closure_forces: force (6d: wrench) lambda on frame b of each closure, its opposite being on frame a, in the axes
-            of frame a, one closure after the other, shape=(m,) [N, N m].
-        residual: greatest entry of what is left of the balance [N]; moments are divided by the characteristic length.
-        actuator_forces_unique: whether no other actuator forces balance the load. If others do, as with more actuators
-            than degrees of freedom, these are the shortest in scaled numbers.
-        closure_forces_unique: whether no other closure forces balance the load with these actuator forces. If others
-            do, as with redundant closures, rigid bodies do not tell which act, and these are the shortest in scaled
-            numbers.
-        unbalanced_idle: whether the load works on idle degrees of freedom, such as the spin of a rod whose centre of
-            mass is off its axis. Actuators and tool do not take part in these motions; the balance leaves them out.
-    """
-
+    #: forces f along the actuated joints, in their order, positive as their coordinates, shape=(number of actuated
+    #: joints,) [N, N m]
     actuator_forces: Vector
+    #: force (6d: wrench) lambda on frame b of each closure, its opposite being on frame a, in the axes of frame a, one
+    #: closure after the other, shape=(m,) [N, N m]
     closure_forces: Vector
+    #: greatest entry of what is left of the balance [N]; moments are divided by the characteristic length
     residual: float
+    #: whether no other actuator forces balance the load. If others do, as with more actuators than degrees of freedom,
+    #: these are the shortest in scaled numbers
     actuator_forces_unique: bool
+    #: whether no other closure forces balance the load with these actuator forces. If others do, as with redundant
+    #: closures, rigid bodies do not tell which act, and these are the shortest in scaled numbers
     closure_forces_unique: bool
+    #: whether the load works on idle degrees of freedom, such as the spin of a rod whose centre of mass is off its
+    #: axis. Actuators and tool do not take part in these motions; the balance leaves them out
     unbalanced_idle: bool = False
 
 

@@ -24,18 +24,13 @@ _CONSISTENT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """Velocity and acceleration of all joints.
+    """Velocity and acceleration of all joints."""
 
-    Attributes:
-        velocity: v, shape=(nv,) [m/s, rad/s].
-        acceleration: dv/dt, shape=(nv,) [m/s^2, rad/s^2].
-        idle: motions left when the given joints are at rest, the actuated joints and the tool then being so too, such
-            as the spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In `velocity` and
-            `acceleration` they have the share that makes these shortest in scaled numbers.
-    """
-
-    velocity: Vector
-    acceleration: Vector
+    velocity: Vector  #: v, shape=(nv,) [m/s, rad/s]
+    acceleration: Vector  #: dv/dt, shape=(nv,) [m/s^2, rad/s^2]
+    #: motions left when the given joints are at rest, the actuated joints and the tool then being so too, such as the
+    #: spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In `velocity` and `acceleration`
+    #: they have the share that makes these shortest in scaled numbers
     idle: Matrix
 
 

@@ -32,26 +32,17 @@ NO_MASS = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Natural modes at a configuration.
+    """Natural modes at a configuration."""
 
-    Attributes:
-        configuration: the configuration, of the mechanism with virtual joints.
-        frequencies: of the modes that strain springs, rising, shape=(k,) [Hz].
-        shapes: velocities of all joints in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1.
-        twists: twists [v; omega] of the tool in these modes, world axes, shape=(6, k).
-        free_motions: basis of the motions with all springs at rest, the modes of frequency zero, shape=(nv, u),
-            orthonormal in scaled numbers.
-        free_twists: twists of the tool in the free motions, shape=(6, u).
-        without_mass: number of modes that strain springs and move no mass; they have no frequency.
-    """
-
-    configuration: Configuration
-    frequencies: Vector
-    shapes: Matrix
-    twists: Matrix
+    configuration: Configuration  #: the configuration, of the mechanism with virtual joints
+    frequencies: Vector  #: of the modes that strain springs, rising, shape=(k,) [Hz]
+    shapes: Matrix  #: velocities of all joints in these modes, shape=(nv, k), of unit modal mass: shapes^T M shapes = 1
+    twists: Matrix  #: twists [v; omega] of the tool in these modes, world axes, shape=(6, k)
+    #: basis of the motions with all springs at rest, the modes of frequency zero, shape=(nv, u), orthonormal in scaled
+    #: numbers
     free_motions: Matrix
-    free_twists: Matrix
-    without_mass: int
+    free_twists: Matrix  #: twists of the tool in the free motions, shape=(6, u)
+    without_mass: int  #: number of modes that strain springs and move no mass; they have no frequency
 
 
 def natural_modes(

@@ -16,18 +16,12 @@ class Bow:
     With w' the slope of the cubic that the beam bends to, b is half the integral of w'^2 along it. B times the axial
     force is the consistent geometric stiffness of a beam element (J. Przemieniecki, Theory of Matrix Structural
     Analysis, 1968, chapter 15).
-
-    Attributes:
-        axial: entry of d that goes along the beam, z.
-        bending: entries of d that bend it, in the order x, ry, y, rx, shape=(4,).
-        stiffness: c times the length, E A [N].
-        length: length of the element [m]; None if a joint changes it.
     """
 
-    axial: int
-    bending: Indices
-    stiffness: float
-    length: float | None
+    axial: int  #: entry of d that goes along the beam, z
+    bending: Indices  #: entries of d that bend it, in the order x, ry, y, rx, shape=(4,)
+    stiffness: float  #: c times the length, E A [N]
+    length: float | None  #: length of the element [m]; None if a joint changes it
 
     def energy_derivatives(self, d: Vector, length: float) -> tuple[Vector, Matrix]:
         """Return the derivatives of U - c z^2 / 2 by d and, last, by the length.

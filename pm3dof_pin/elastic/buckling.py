@@ -31,38 +31,27 @@ _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
 
 @dataclass(frozen=True, eq=False)
 class BucklingLoad:
-    """The first load at which an equilibrium stops being stable.
+    """The first load at which an equilibrium stops being stable."""
 
-    Attributes:
-        factor: what the loads are multiplied by there.
-        linear_estimate: the same by linearised buckling: the stiffness that the loads take away is taken as
-            proportional to them, in the geometry before they act; infinite if they add stiffness only.
-        kind: "bifurcation", the path goes on to greater loads and is unstable; "limit point", the load has a maximum.
-        mode: motion that buckling begins with, as velocities of all joints of the mechanism with virtual joints, the
-            greatest of which is 1 in scaled numbers, shape=(nv,).
-        equilibrium: the equilibrium there.
-    """
-
-    factor: float
+    factor: float  #: what the loads are multiplied by there
+    #: the same by linearised buckling: the stiffness that the loads take away is taken as proportional to them, in the
+    #: geometry before they act; infinite if they add stiffness only
     linear_estimate: float
+    #: "bifurcation", the path goes on to greater loads and is unstable; "limit point", the load has a maximum
     kind: Literal["bifurcation", "limit point"]
+    #: motion that buckling begins with, as velocities of all joints of the mechanism with virtual joints, the greatest
+    #: of which is 1 in scaled numbers, shape=(nv,)
     mode: Vector
-    equilibrium: LoadedEquilibrium
+    equilibrium: LoadedEquilibrium  #: the equilibrium there
 
 
 @dataclass(frozen=True, eq=False)
 class BucklingSearch:
-    """What a search for a buckling load found.
+    """What a search for a buckling load found."""
 
-    Attributes:
-        load: the buckling load; None if the mechanism was stable as far as it was looked.
-        largest_factor: the largest factor that the loads were multiplied by.
-        end: why the search ended there.
-    """
-
-    load: BucklingLoad | None
-    largest_factor: float
-    end: str
+    load: BucklingLoad | None  #: the buckling load; None if the mechanism was stable as far as it was looked
+    largest_factor: float  #: the largest factor that the loads were multiplied by
+    end: str  #: why the search ended there
 
 
 def buckling_load(

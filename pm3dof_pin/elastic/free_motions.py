@@ -24,19 +24,13 @@ _UNITS: tuple[Unit, Unit] = ("m", "rad")
 
 @dataclass(frozen=True, eq=False)
 class FreeMotionStiffness:
-    """The stiffness of a mechanism's independent motions, the directions that it cannot move in being held.
+    """The stiffness of a mechanism's independent motions, the directions that it cannot move in being held."""
 
-    Attributes:
-        names: the motions: the robot's coordinates; or x, y, z, rx, ry, rz of the tool's twist, or a twist in words.
-        units: "m" or "rad" of each.
-        twists: the tool's twist [v; omega] at unit rates of the motions, world axes, shape=(6, p).
-        stiffness: symmetric, shape=(p, p) [N/m, N, N m/rad].
-    """
-
+    #: the motions: the robot's coordinates; or x, y, z, rx, ry, rz of the tool's twist, or a twist in words
     names: tuple[str, ...]
-    units: tuple[Unit, ...]
-    twists: Matrix
-    stiffness: Matrix
+    units: tuple[Unit, ...]  #: "m" or "rad" of each
+    twists: Matrix  #: the tool's twist [v; omega] at unit rates of the motions, world axes, shape=(6, p)
+    stiffness: Matrix  #: symmetric, shape=(p, p) [N/m, N, N m/rad]
 
 
 def free_motion_stiffness(

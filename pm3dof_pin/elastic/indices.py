@@ -25,15 +25,10 @@ _BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """Principal values and directions of a symmetric 3 x 3 matrix, the least first.
+    """Principal values and directions of a symmetric 3 x 3 matrix, the least first."""
 
-    Attributes:
-        values: principal stiffnesses or compliances, shape=(..., 3).
-        axes: their directions as columns, a right-handed frame, shape=(..., 3, 3).
-    """
-
-    values: Array
-    axes: Array
+    values: Array  #: principal stiffnesses or compliances, shape=(..., 3)
+    axes: Array  #: their directions as columns, a right-handed frame, shape=(..., 3, 3)
 
 
 def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: Motion = "translation") -> Array:

@@ -59,20 +59,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PathPoint:
-    """One equilibrium on the path.
+    """One equilibrium on the path."""
 
-    Attributes:
-        factor: what the growing loads are multiplied by.
-        state: motions, forces and tangent stiffness.
-        direction: where the path goes: strains (see :meth:`LoadedState.invariant`) and, last, the load, in the path's
-            measures; of length 1.
-        steps: corrections done.
-    """
-
-    factor: float
-    state: LoadedState
+    factor: float  #: what the growing loads are multiplied by
+    state: LoadedState  #: motions, forces and tangent stiffness
+    #: where the path goes: strains (see :meth:`LoadedState.invariant`) and, last, the load, in the path's measures; of
+    #: length 1
     direction: Vector
-    steps: int
+    steps: int  #: corrections done
 
     @property
     def load_grows(self) -> bool:
@@ -91,19 +85,12 @@ class PathPoint:
 
 @dataclass(frozen=True, eq=False)
 class PathStep:
-    """One step along the path.
+    """One step along the path."""
 
-    Attributes:
-        start: where it began.
-        end: where it ended.
-        length: how long it is.
-        bifurcation: whether two paths meet within it.
-    """
-
-    start: PathPoint
-    end: PathPoint
-    length: float
-    bifurcation: bool
+    start: PathPoint  #: where it began
+    end: PathPoint  #: where it ended
+    length: float  #: how long it is
+    bifurcation: bool  #: whether two paths meet within it
 
     @property
     def limit_point(self) -> bool:

@@ -53,17 +53,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class LoadedEquilibrium:
-    """Where an elastic mechanism stands under loads.
+    """Where an elastic mechanism stands under loads."""
 
-    Attributes:
-        factor: what the loads were multiplied by.
-        steps: Newton steps done.
-        state: motions, forces and tangent stiffness there.
-    """
-
-    factor: float
-    steps: int
-    state: LoadedState
+    factor: float  #: what the loads were multiplied by
+    steps: int  #: Newton steps done
+    state: LoadedState  #: motions, forces and tangent stiffness there
 
     @property
     def configuration(self) -> Configuration:

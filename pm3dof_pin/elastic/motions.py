@@ -32,29 +32,20 @@ from pm3dof_pin.typing import Matrix
 
 @dataclass(frozen=True, eq=False)
 class ElasticMotions:
-    """The possible motions of an elastic mechanism at one configuration, as velocities of all its joints.
+    """The possible motions of an elastic mechanism at one configuration, as velocities of all its joints."""
 
-    Attributes:
-        configuration: where, of the mechanism with virtual joints.
-        elastic: basis Z of the motions that strain springs, Z^T K_q Z = 1, shape=(nv, e).
-        whitened: their springs' part in units of the springs, x of v_s = U x; orthonormal, shape=(s, e).
-        kinematic: basis of the same motions that the springs' stiffness has no part in: orthonormal in scaled numbers
-            at the springs, shape=(nv, e).
-        unstrained: basis of the motions with all springs at rest, orthonormal in scaled numbers, shape=(nv, u).
-        closing: velocity that changes the closure error by the least strain of the springs, shape=(nv, m): a step
-            `-closing @ closure_error` closes the loops to first order.
-        passive_rank: the decision on G_p.
-        relation_rank: the decision on E.
-    """
-
-    configuration: Configuration
-    elastic: Matrix
-    whitened: Matrix
+    configuration: Configuration  #: where, of the mechanism with virtual joints
+    elastic: Matrix  #: basis Z of the motions that strain springs, Z^T K_q Z = 1, shape=(nv, e)
+    whitened: Matrix  #: their springs' part in units of the springs, x of v_s = U x; orthonormal, shape=(s, e)
+    #: basis of the same motions that the springs' stiffness has no part in: orthonormal in scaled numbers at the
+    #: springs, shape=(nv, e)
     kinematic: Matrix
-    unstrained: Matrix
+    unstrained: Matrix  #: basis of the motions with all springs at rest, orthonormal in scaled numbers, shape=(nv, u)
+    #: velocity that changes the closure error by the least strain of the springs, shape=(nv, m): a step `-closing @
+    #: closure_error` closes the loops to first order
     closing: Matrix
-    passive_rank: RankDecision
-    relation_rank: RankDecision
+    passive_rank: RankDecision  #: the decision on G_p
+    relation_rank: RankDecision  #: the decision on E
 
     @property
     def redundant_constraints(self) -> int:

@@ -19,16 +19,11 @@ from pm3dof_pin.typing import Array
 
 @dataclass(frozen=True)
 class SpringShare:
-    """One spring's part in the deflection under a load.
+    """One spring's part in the deflection under a load."""
 
-    Attributes:
-        spring: its name.
-        share: its part of W^T C W, between 0 and 1.
-        deflection: W^T C_j W / |W|, the displacement along the load that it alone causes [m or rad for a unit wrench].
-    """
-
-    spring: str
-    share: float
+    spring: str  #: its name
+    share: float  #: its part of W^T C W, between 0 and 1
+    #: W^T C_j W / |W|, the displacement along the load that it alone causes [m or rad for a unit wrench]
     deflection: float
 
 

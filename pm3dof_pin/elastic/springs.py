@@ -42,19 +42,12 @@ _DEFINITENESS = 1e-12
 
 @dataclass(frozen=True)
 class JointSpring:
-    """A spring at a single-DoF joint: an actuator's or a bearing's, at rest in the configuration examined.
+    """A spring at a single-DoF joint: an actuator's or a bearing's, at rest in the configuration examined."""
 
-    Attributes:
-        name: its name.
-        joint: the joint.
-        stiffness: k [N/m or N m/rad].
-        unit: "N/m" for a joint that translates, "N m/rad" for one that turns.
-    """
-
-    name: str
-    joint: str
-    stiffness: float
-    unit: JointSpringUnit
+    name: str  #: its name
+    joint: str  #: the joint
+    stiffness: float  #: k [N/m or N m/rad]
+    unit: JointSpringUnit  #: "N/m" for a joint that translates, "N m/rad" for one that turns
 
     def __post_init__(self) -> None:
         """Check the number."""
@@ -63,19 +56,12 @@ class JointSpring:
 
 @dataclass(frozen=True)
 class AxialSpring:
-    """A body that gives along one axis: a link, a ball screw.
+    """A body that gives along one axis: a link, a ball screw."""
 
-    Attributes:
-        name: its name.
-        at: joint or frame that moves when the spring gives, with all that hangs on it.
-        axis: direction in the axes of `at`, made a unit vector.
-        stiffness: k [N/m].
-    """
-
-    name: str
-    at: str
-    axis: tuple[float, float, float]
-    stiffness: float
+    name: str  #: its name
+    at: str  #: joint or frame that moves when the spring gives, with all that hangs on it
+    axis: tuple[float, float, float]  #: direction in the axes of `at`, made a unit vector
+    stiffness: float  #: k [N/m]
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -98,27 +84,18 @@ class JointLength:
 
 @dataclass(frozen=True)
 class CantileverSpring:
-    """The tip of a straight, uniform, slender cantilever (Euler-Bernoulli, small deflections).
+    """The tip of a straight, uniform, slender cantilever (Euler-Bernoulli, small deflections)."""
 
-    Attributes:
-        name: its name.
-        at: joint or frame at the tip.
-        axis: direction of the beam, from clamp to tip, in the axes of `at`; made a unit vector.
-        bending_stiffness: E I, the same about every axis across [N m^2].
-        torsional_stiffness: G J [N m^2].
-        length: L [m], or the joint that changes it.
-        axial_stiffness: E A [N]; None for a beam that is rigid (or held by something else) along its axis.
-        elements: number of equal pieces in a row that it is cut into, for large deflections and for buckling.
-    """
-
-    name: str
-    at: str
+    name: str  #: its name
+    at: str  #: joint or frame at the tip
+    #: direction of the beam, from clamp to tip, in the axes of `at`; made a unit vector
     axis: tuple[float, float, float]
-    bending_stiffness: float
-    torsional_stiffness: float
-    length: float | JointLength
+    bending_stiffness: float  #: E I, the same about every axis across [N m^2]
+    torsional_stiffness: float  #: G J [N m^2]
+    length: float | JointLength  #: L [m], or the joint that changes it
+    #: E A [N]; None for a beam that is rigid (or held by something else) along its axis
     axial_stiffness: float | None = None
-    elements: int = 1
+    elements: int = 1  #: number of equal pieces in a row that it is cut into, for large deflections and for buckling
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -137,17 +114,11 @@ class CantileverSpring:
 
 @dataclass(frozen=True, eq=False)
 class BeamSpring:
-    """A body between two ends with any 6 x 6 stiffness at its tip.
+    """A body between two ends with any 6 x 6 stiffness at its tip."""
 
-    Attributes:
-        name: its name.
-        at: joint or frame at the tip.
-        matrix: stiffness, shape=(6, 6) [N/m, N, N m/rad]; read-only.
-    """
-
-    name: str
-    at: str
-    matrix: Matrix
+    name: str  #: its name
+    at: str  #: joint or frame at the tip
+    matrix: Matrix  #: stiffness, shape=(6, 6) [N/m, N, N m/rad]; read-only
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -156,17 +127,11 @@ class BeamSpring:
 
 @dataclass(frozen=True, eq=False)
 class ClosureSpring:
-    """A loop closure that gives: a bushing, a bearing.
+    """A loop closure that gives: a bushing, a bearing."""
 
-    Attributes:
-        name: its name.
-        closure: position of the closure in the mechanism's list.
-        matrix: stiffness, shape=(3, 3) for a 3d closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only.
-    """
-
-    name: str
-    closure: int
-    matrix: Matrix
+    name: str  #: its name
+    closure: int  #: position of the closure in the mechanism's list
+    matrix: Matrix  #: stiffness, shape=(3, 3) for a 3d closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
 
     def __post_init__(self) -> None:
         """Check the numbers."""

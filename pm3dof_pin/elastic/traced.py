@@ -45,17 +45,11 @@ _LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the 
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """The root X of a compliance or stiffness X X^T.
+    """The root X of a compliance or stiffness X X^T."""
 
-    Attributes:
-        columns: X, shape=(6, n).
-        pivot: the least pivot, that of the frame's own triangle included; small where a rank is in doubt.
-        dropped: the largest entry dropped as zero.
-    """
-
-    columns: Objects
-    pivot: Scalar
-    dropped: Scalar
+    columns: Objects  #: X, shape=(6, n)
+    pivot: Scalar  #: the least pivot, that of the frame's own triangle included; small where a rank is in doubt
+    dropped: Scalar  #: the largest entry dropped as zero
 
 
 def _component_rows(rotation: Objects) -> Objects:

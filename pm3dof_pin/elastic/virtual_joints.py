@@ -59,19 +59,12 @@ _NO_MASS = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class VirtualJoints:
-    """A mechanism with virtual joints, and where the joints of the rigid one stand in it.
+    """A mechanism with virtual joints, and where the joints of the rigid one stand in it."""
 
-    Attributes:
-        mechanism: the mechanism with virtual joints; it names no springs any more.
-        joints: names of the virtual joints of each spring, in the order of its stiffness.
-        q_indices: index in its q of each entry of the rigid mechanism's q, shape=(nq,).
-        v_indices: index in its v of each entry of the rigid mechanism's v, shape=(nv,).
-    """
-
-    mechanism: Robot
-    joints: Mapping[str, tuple[str, ...]]
-    q_indices: NDArray[np.intp]
-    v_indices: NDArray[np.intp]
+    mechanism: Robot  #: the mechanism with virtual joints; it names no springs any more
+    joints: Mapping[str, tuple[str, ...]]  #: names of the virtual joints of each spring, in the order of its stiffness
+    q_indices: NDArray[np.intp]  #: index in its q of each entry of the rigid mechanism's q, shape=(nq,)
+    v_indices: NDArray[np.intp]  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
 
 
 def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> VirtualJoints:

@@ -18,17 +18,12 @@ from pm3dof_pin.typing import Array, Matrix
 
 @dataclass(frozen=True, eq=False)
 class ElasticDeflection:
-    """What the springs of the description give under, commands held.
+    """What the springs of the description give under, commands held."""
 
-    Attributes:
-        own_weight: whether the bodies have their weight. The deflection counts from the weightless machine.
-        payload: mass at the tool point [kg].
-        large: whether the machine is brought to its equilibrium under the loads, pose by pose
-            (:mod:`pm3dof_pin.elastic.loaded`); else the deflection is linear in them.
-    """
-
-    own_weight: bool = True
-    payload: float = 0.0
+    own_weight: bool = True  #: whether the bodies have their weight. The deflection counts from the weightless machine
+    payload: float = 0.0  #: mass at the tool point [kg]
+    #: whether the machine is brought to its equilibrium under the loads, pose by pose
+    #: (:mod:`pm3dof_pin.elastic.loaded`); else the deflection is linear in them
     large: bool = False
 
     def displacements(self, poses: Poses, wrenches: Array | None = None) -> Matrix:

@@ -35,46 +35,27 @@ TOGETHER = "together"
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """One line of the budget: a source, or all of them, over the poses of a map.
+    """One line of the budget: a source, or all of them, over the poses of a map."""
 
-    Attributes:
-        name: the source, or :data:`TOGETHER`.
-        error_class: its class of Table 8.4.
-        long_name: what it is.
-        tip_rms: tip error, root mean square over machines and poses [m].
-        greatest_tip_rms: that of the worst pose [m].
-        worst_tip: bound of the tip error at the worst pose [m].
-        left: tip error that is left with the best commands, root mean square over machines and poses [m].
-        energy: E of (8.15), mean over machines and poses [m].
-        share: of the squares of all sources.
-    """
-
-    name: str
-    error_class: str
-    long_name: str
-    tip_rms: float
-    greatest_tip_rms: float
-    worst_tip: float
-    left: float
-    energy: float
-    share: float
+    name: str  #: the source, or :data:`TOGETHER`
+    error_class: str  #: its class of Table 8.4
+    long_name: str  #: what it is
+    tip_rms: float  #: tip error, root mean square over machines and poses [m]
+    greatest_tip_rms: float  #: that of the worst pose [m]
+    worst_tip: float  #: bound of the tip error at the worst pose [m]
+    left: float  #: tip error that is left with the best commands, root mean square over machines and poses [m]
+    energy: float  #: E of (8.15), mean over machines and poses [m]
+    share: float  #: of the squares of all sources
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget:
-    """What all sources of error do to the tool at n poses.
+    """What all sources of error do to the tool at n poses."""
 
-    Attributes:
-        poses: the poses, of the robot as described.
-        sources: the sources there.
-        control: the tool's motion by the commands, shape=(n, 6, number of commands).
-        eta: weight of the orientation in the tip error [m/rad].
-    """
-
-    poses: Poses
-    sources: tuple[SourceErrors, ...]
-    control: Array
-    eta: float
+    poses: Poses  #: the poses, of the robot as described
+    sources: tuple[SourceErrors, ...]  #: the sources there
+    control: Array  #: the tool's motion by the commands, shape=(n, 6, number of commands)
+    eta: float  #: weight of the orientation in the tip error [m/rad]
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -31,41 +31,25 @@ _ROUNDING = 1e-10  # of an effect, below which what is left of it is nothing
 
 @dataclass(frozen=True, eq=False)
 class ParameterShare:
-    """The part of one parameter in the errors of the tool.
+    """The part of one parameter in the errors of the tool."""
 
-    Attributes:
-        name: the parameter.
-        group: its class of parts.
-        share: its part of the mean squared tip error over the map; all add up to 1.
-        uncompensable_share: its part of what commands cannot undo; 0 if they can undo everything.
-        tip_rms: tip error that it alone causes within its tolerance, root mean square over the map [m].
-    """
-
-    name: str
-    group: str
-    share: float
-    uncompensable_share: float
-    tip_rms: float
+    name: str  #: the parameter
+    group: str  #: its class of parts
+    share: float  #: its part of the mean squared tip error over the map; all add up to 1
+    uncompensable_share: float  #: its part of what commands cannot undo; 0 if they can undo everything
+    tip_rms: float  #: tip error that it alone causes within its tolerance, root mean square over the map [m]
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """First-order errors of the tool at n poses.
+    """First-order errors of the tool at n poses."""
 
-    Attributes:
-        errors: the parameters, with their tolerances.
-        poses: the poses, of the robot as described.
-        sensitivities: the tool's motion by errors and commands.
-        sigmas: standard deviation of each parameter, shape=(number of parameters,) [m, rad].
-        eta: weight of the orientation in the tip error [m/rad].
-        distribution: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions.
-    """
-
-    errors: GeometricErrors
-    poses: Poses
-    sensitivities: Sensitivities
-    sigmas: Array
-    eta: float
+    errors: GeometricErrors  #: the parameters, with their tolerances
+    poses: Poses  #: the poses, of the robot as described
+    sensitivities: Sensitivities  #: the tool's motion by errors and commands
+    sigmas: Array  #: standard deviation of each parameter, shape=(number of parameters,) [m, rad]
+    eta: float  #: weight of the orientation in the tip error [m/rad]
+    #: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions
     distribution: Distribution = "normal"
 
     @cached_property
@@ -274,15 +258,10 @@ def control_basis(control: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class MonteCarlo:
-    """Errors of simulated machines, found by closing their loops: no linearisation.
+    """Errors of simulated machines, found by closing their loops: no linearisation."""
 
-    Attributes:
-        values: p of each machine, shape=(machines, number of parameters) [m, rad].
-        differences: pose errors at fixed commands [translation; rotation vector], shape=(machines, n, 6) [m, rad].
-    """
-
-    values: Array
-    differences: Array
+    values: Array  #: p of each machine, shape=(machines, number of parameters) [m, rad]
+    differences: Array  #: pose errors at fixed commands [translation; rotation vector], shape=(machines, n, 6) [m, rad]
 
     def tip_rms(self, eta: float = TIP_LENGTH) -> Array:
         """Return the root mean square tip error over the machines, shape=(n,) [m]."""

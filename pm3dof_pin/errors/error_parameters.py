@@ -36,22 +36,14 @@ class GeometricParameter:
 
     Everything that hangs on the place moves with it. A displacement along (about) the axis of a prismatic (revolute)
     joint is an offset of its coordinate: the actuator's zero.
-
-    Attributes:
-        name: its name, `place.tx` or `place.rz` as a rule.
-        place: the joint or frame.
-        motion: "translation" or "rotation".
-        axis: unit vector in the place's own axes, those of its origin before the joint moves.
-        group: class of parts it belongs to: legs, platform, tool ...
-        tolerance: standard deviation of a normal, or half width of a uniform distribution [m, rad].
     """
 
-    name: str
-    place: str
-    motion: Motion
-    axis: tuple[float, float, float]
-    group: str
-    tolerance: float
+    name: str  #: its name, `place.tx` or `place.rz` as a rule
+    place: str  #: the joint or frame
+    motion: Motion  #: "translation" or "rotation"
+    axis: tuple[float, float, float]  #: unit vector in the place's own axes, those of its origin before the joint moves
+    group: str  #: class of parts it belongs to: legs, platform, tool
+    tolerance: float  #: standard deviation of a normal, or half width of a uniform distribution [m, rad]
 
     @property
     def unit(self) -> str:

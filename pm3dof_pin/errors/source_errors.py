@@ -52,25 +52,15 @@ _ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
 @dataclass(frozen=True, eq=False)
 class SourceErrors:
-    """What one source does to the tool at n poses.
+    """What one source does to the tool at n poses."""
 
-    Attributes:
-        name: the source, unique; words joined by underscores.
-        error_class: its class.
-        long_name: what it is, for a person.
-        repeats: whether it is the same whenever a pose is taken again, so that commands may undo it.
-        shift: what it does for certain, [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
-        effects: what each of its independent numbers does at one standard deviation, shape=(n, 6, k) [m, rad].
-        greatest: the greatest value of each number, in standard deviations, shape=(k,).
-    """
-
-    name: str
-    error_class: ErrorClass
-    long_name: str
-    repeats: bool
-    shift: Array
-    effects: Array
-    greatest: Array
+    name: str  #: the source, unique; words joined by underscores
+    error_class: ErrorClass  #: its class
+    long_name: str  #: what it is, for a person
+    repeats: bool  #: whether it is the same whenever a pose is taken again, so that commands may undo it
+    shift: Array  #: what it does for certain, [translation; rotation vector], world axes, shape=(n, 6) [m, rad]
+    effects: Array  #: what each of its independent numbers does at one standard deviation, shape=(n, 6, k) [m, rad]
+    greatest: Array  #: the greatest value of each number, in standard deviations, shape=(k,)
 
 
 class ErrorSources:

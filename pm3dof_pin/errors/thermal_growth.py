@@ -21,14 +21,11 @@ STEEL_EXPANSION = 11.5e-6
 
 @dataclass(frozen=True)
 class Bending:
-    """A member that bends with the temperature.
+    """A member that bends with the temperature."""
 
-    Attributes:
-        gradients: of the temperature in both directions across it, for each kelvin of the mean rise [1/m].
-        along: from its beginning to its end, axes of the body that it ends on [m]; from the joint before by default.
-    """
-
+    #: of the temperature in both directions across it, for each kelvin of the mean rise [1/m]
     gradients: tuple[float, float]
+    #: from its beginning to its end, axes of the body that it ends on [m]; from the joint before by default
     along: tuple[float, float, float] | None = None
 
 
@@ -41,22 +38,18 @@ class ThermalGrowth:
 
     A member of length L with a gradient g of the temperature across it, warmer on the side of the unit vector n, bends
     with the curvature a g: to first order its end moves by -a g L^2 / 2 n and turns by a g L n x t, t along the member.
-
-    Attributes:
-        bearings: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated
-            joints,) [m].
-        profile: temperature along each screw as multiples of the rise that is measured, at growing distances from the
-            bearing [m]: linear between these, constant beyond the ends. The same everywhere by default.
-        members: joints or frames whose distance from the joint before grows, by their temperature's share of the rise
-            measured: 1 for links as warm as the screws, 0.2 for cooler ones.
-        expansion: a [1/K].
-        bending: members that bend, by the joint or frame at which they end.
     """
 
+    #: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated joints,) [m]
     bearings: Vector
+    #: temperature along each screw as multiples of the rise that is measured, at growing distances from the bearing
+    #: [m]: linear between these, constant beyond the ends. The same everywhere by default
     profile: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
+    #: joints or frames whose distance from the joint before grows, by their temperature's share of the rise measured: 1
+    #: for links as warm as the screws, 0.2 for cooler ones
     members: Mapping[str, float] = field(default_factory=dict)
-    expansion: float = STEEL_EXPANSION
+    expansion: float = STEEL_EXPANSION  #: a [1/K]
+    #: members that bend, by the joint or frame at which they end
     bending: Mapping[str, Bending] = field(default_factory=dict)
 
     def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:

@@ -30,21 +30,13 @@ _RELATIVE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """Tolerances that keep the tip error within a target at every pose of a map.
+    """Tolerances that keep the tip error within a target at every pose of a map."""
 
-    Attributes:
-        tolerances: of each class of parts and unit, by "class [unit]" [m, rad].
-        shares: part of each in the mean squared tip error over the map; they add up to 1.
-        cost: sum over the parameters of weight * (tolerance in the map) / tolerance.
-        tip_rms: tip error with these tolerances, root mean square over machines, shape=(n,) [m].
-        worst_pose: index of the pose at which it is greatest.
-    """
-
-    tolerances: dict[str, float]
-    shares: dict[str, float]
-    cost: float
-    tip_rms: Array
-    worst_pose: int
+    tolerances: dict[str, float]  #: of each class of parts and unit, by "class [unit]" [m, rad]
+    shares: dict[str, float]  #: part of each in the mean squared tip error over the map; they add up to 1
+    cost: float  #: sum over the parameters of weight * (tolerance in the map) / tolerance
+    tip_rms: Array  #: tip error with these tolerances, root mean square over machines, shape=(n,) [m]
+    worst_pose: int  #: index of the pose at which it is greatest
 
 
 def equal_contributions(

@@ -40,20 +40,14 @@ _FREE = 1e-9  # [m, rad] of the tool for a unit of a motion that no spring holds
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """What a pose scatters by while it is measured or worked at: of the tool, and of the drives with their motors.
+    """What a pose scatters by while it is measured or worked at: of the tool, and of the drives with their motors."""
 
-    Attributes:
-        tool_covariance: covariance of the tool's displacement, the same at all poses, [translation; rotation vector],
-            world axes, shape=(6, 6) [m^2, m rad, rad^2].
-        drive_sigma: standard deviation of each drive's coordinate [m, rad].
-        spectra: what shakes the natural modes besides, at each pose; None for nothing.
-        payloads: bodies fixed to frames that vibrate with the machine.
-    """
-
+    #: covariance of the tool's displacement, the same at all poses, [translation; rotation vector], world axes,
+    #: shape=(6, 6) [m^2, m rad, rad^2]
     tool_covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
-    drive_sigma: float = 0.0
-    spectra: VibrationNumbers | None = None
-    payloads: Payloads | None = None
+    drive_sigma: float = 0.0  #: standard deviation of each drive's coordinate [m, rad]
+    spectra: VibrationNumbers | None = None  #: what shakes the natural modes besides, at each pose; None for nothing
+    payloads: Payloads | None = None  #: bodies fixed to frames that vibrate with the machine
 
     @classmethod
     def from_spectrum(

@@ -31,14 +31,11 @@ class GuideWaviness:
     """Errors of each drive that change along its travel: of the screw's pitch, and of the guideway's straightness.
 
     No constant parameter of a robot describes them.
-
-    Attributes:
-        pitch: waves along the drive, for each actuated joint.
-        straightness: waves across it, in the two directions across the joint's axis, for each actuated joint; empty for
-            straight guideways.
     """
 
-    pitch: tuple[tuple[Wave, ...], ...]
+    pitch: tuple[tuple[Wave, ...], ...]  #: waves along the drive, for each actuated joint
+    #: waves across it, in the two directions across the joint's axis, for each actuated joint; empty for straight
+    #: guideways
     straightness: tuple[tuple[tuple[Wave, ...], tuple[Wave, ...]], ...] = ()
 
     def travel_errors(self, travels: Array) -> Array:

@@ -29,16 +29,12 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RobotDocument:
-    """A robot, read and checked: its tree, the same in Pinocchio with loop closures, and its mesh files.
-
-    Attributes:
-        allowed_by_srdf: pairs of links that the SRDF keeps from colliding.
-    """
+    """A robot, read and checked: its tree, the same in Pinocchio with loop closures, and its mesh files."""
 
     files: RobotFiles
     urdf: UrdfDocument
     mechanism: Robot
-    allowed_by_srdf: tuple[tuple[str, str], ...]
+    allowed_by_srdf: tuple[tuple[str, str], ...]  #: pairs of links that the SRDF keeps from colliding
     meshes: Meshes
 
     @property

@@ -85,15 +85,11 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Shape:
-    """A visual or collision shape of a link; texts are empty and the colour None where the URDF says none.
-
-    Attributes:
-        kind: box, cylinder, sphere or mesh.
-        sizes: edges of a box; radius and length of a cylinder; radius of a sphere; scales of a mesh [m, 1].
-    """
+    """A visual or collision shape of a link; texts are empty and the colour None where the URDF says none."""
 
     name: str
-    kind: str
+    kind: str  #: box, cylinder, sphere or mesh
+    #: edges of a box; radius and length of a cylinder; radius of a sphere; scales of a mesh [m, 1]
     sizes: tuple[float, ...]
     mesh: str
     origin: Origin
@@ -117,19 +113,14 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint, its child placed in the parent at zero; numbers in SI units are None where the URDF gives none.
-
-    Attributes:
-        kind: fixed, revolute, continuous or prismatic.
-        axis: unit vector in the axes of the child.
-    """
+    """A joint, its child placed in the parent at zero; numbers in SI units are None where the URDF gives none."""
 
     name: str
-    kind: str
+    kind: str  #: fixed, revolute, continuous or prismatic
     parent: str
     child: str
     origin: Origin
-    axis: tuple[float, ...]
+    axis: tuple[float, ...]  #: unit vector in the axes of the child
     lower: float | None
     upper: float | None
     effort: float | None

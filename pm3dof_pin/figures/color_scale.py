@@ -26,17 +26,12 @@ _STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class ColorScale:
-    """Growing values at which the colours step, and on which sides values lie beyond them.
-
-    Attributes:
-        logarithmic: whether equal steps of colour are equal ratios.
-        note: what a reader has to be told, or "".
-    """
+    """Growing values at which the colours step, and on which sides values lie beyond them."""
 
     levels: Array
-    logarithmic: bool
+    logarithmic: bool  #: whether equal steps of colour are equal ratios
     extend: Literal["neither", "min", "max", "both"]
-    note: str
+    note: str  #: what a reader has to be told, or ""
 
     def smooth_norm(self) -> Normalize:
         """Return the scale without steps, for shaded surfaces."""

@@ -36,23 +36,14 @@ _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, going round
 
 @dataclass(frozen=True, eq=False)
 class OutlinedMesh:
-    """Points and triangles of a section.
+    """Points and triangles of a section."""
 
-    Attributes:
-        axes: values of both coordinates of the grid, growing.
-        points: shape=(p, 2).
-        triangles: indices of points, shape=(t, 3).
-        limit_lines: points along the outline that a limit makes, one short line per cell, shape=(n, k, 2).
-        end_lines: sides of cells where the grid ends and no limit is, shape=(m, 2, 2).
-        fillable: poses of the grid that a limit excludes, whose values may be extrapolated, shape=(n, m).
-    """
-
-    axes: tuple[Array, Array]
-    points: Array
-    triangles: NDArray[np.intp]
-    limit_lines: Array
-    end_lines: Array
-    fillable: Mask
+    axes: tuple[Array, Array]  #: values of both coordinates of the grid, growing
+    points: Array  #: shape=(p, 2)
+    triangles: NDArray[np.intp]  #: indices of points, shape=(t, 3)
+    limit_lines: Array  #: points along the outline that a limit makes, one short line per cell, shape=(n, k, 2)
+    end_lines: Array  #: sides of cells where the grid ends and no limit is, shape=(m, 2, 2)
+    fillable: Mask  #: poses of the grid that a limit excludes, whose values may be extrapolated, shape=(n, m)
 
     def values(self, field: Array) -> Array:
         """Return a field over the grid at the points: linear between poses, extrapolated from the last ones inside."""

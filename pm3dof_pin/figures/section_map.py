@@ -79,29 +79,17 @@ def section_map(
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """What is drawn: (first, second coordinate, value in the drawn unit) at every point, and the words.
+    """What is drawn: (first, second coordinate, value in the drawn unit) at every point, and the words."""
 
-    Attributes:
-        grid: points in the order of the grid, NaN where a limit excludes the pose, shape=(n, m, 3).
-        points: all points that are drawn, shape=(p, 3).
-        triangles: triangles between them, indices, shape=(t, 3).
-        limit_lines: lines where a limit ends the map, each shape=(k, 3).
-        end_lines: lines where the grid ends it.
-        axes: words on the axes of the coordinates.
-        same_unit: whether both coordinates have one unit.
-        title: words over the figure.
-        label: words on the axis of the values.
-    """
-
-    grid: Array
-    points: Array
-    triangles: NDArray[np.int32]
-    limit_lines: list[Array]
-    end_lines: list[Array]
-    axes: tuple[str, str]
-    same_unit: bool
-    title: str
-    label: str
+    grid: Array  #: points in the order of the grid, NaN where a limit excludes the pose, shape=(n, m, 3)
+    points: Array  #: all points that are drawn, shape=(p, 3)
+    triangles: NDArray[np.int32]  #: triangles between them, indices, shape=(t, 3)
+    limit_lines: list[Array]  #: lines where a limit ends the map, each shape=(k, 3)
+    end_lines: list[Array]  #: lines where the grid ends it
+    axes: tuple[str, str]  #: words on the axes of the coordinates
+    same_unit: bool  #: whether both coordinates have one unit
+    title: str  #: words over the figure
+    label: str  #: words on the axis of the values
 
     @cached_property
     def extent(self) -> Array:

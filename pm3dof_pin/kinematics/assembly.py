@@ -28,19 +28,12 @@ _STATIONARY = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """What the assembly solver found.
+    """What the assembly solver found."""
 
-    Attributes:
-        converged: the loops are closed, and the tool is where it was wanted, within the tolerance.
-        steps: iterations done.
-        residual: greatest entry of what is left of the closure error and the pose error [m, rad].
-        configuration: where the solver stopped; assembled only if `converged`.
-    """
-
-    converged: bool
-    steps: int
-    residual: float
-    configuration: Configuration
+    converged: bool  #: the loops are closed, and the tool is where it was wanted, within the tolerance
+    steps: int  #: iterations done
+    residual: float  #: greatest entry of what is left of the closure error and the pose error [m, rad]
+    configuration: Configuration  #: where the solver stopped; assembled only if `converged`
 
 
 def assemble(

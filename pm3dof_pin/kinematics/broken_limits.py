@@ -15,21 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BrokenLimit:
-    """A joint or closure outside its range.
+    """A joint or closure outside its range."""
 
-    Attributes:
-        name: the joint; or the closure, by its limit group and its place in it, or by its frames.
-        value: the reading [unit]: of the command or coordinate that shows this joint, else the joint's own.
-        lower: least reading allowed [unit].
-        upper: greatest reading allowed [unit].
-        unit: "m" or "rad".
-    """
-
-    name: str
-    value: float
-    lower: float
-    upper: float
-    unit: Unit
+    name: str  #: the joint; or the closure, by its limit group and its place in it, or by its frames
+    value: float  #: the reading [unit]: of the command or coordinate that shows this joint, else the joint's own
+    lower: float  #: least reading allowed [unit]
+    upper: float  #: greatest reading allowed [unit]
+    unit: Unit  #: "m" or "rad"
 
     def __str__(self) -> str:
         factor, unit, digits = (1.0, "m", 4) if self.unit == "m" else (180.0 / math.pi, "deg", 2)

@@ -28,18 +28,13 @@ ASSEMBLED_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class RankDecision:
-    """How the rank of a scaled matrix was decided.
+    """How the rank of a scaled matrix was decided."""
 
-    Attributes:
-        rank: number of singular values above the threshold.
-        threshold: the tolerance times the reference, which is the greatest singular value of the matrix before it was
-            restricted to the dof.
-        singular_values: singular values of the scaled matrix, falling, shape=(min(rows, columns),).
-    """
-
-    rank: int
+    rank: int  #: number of singular values above the threshold
+    #: the tolerance times the reference, which is the greatest singular value of the matrix before it was restricted to
+    #: the dof
     threshold: float
-    singular_values: Vector
+    singular_values: Vector  #: singular values of the scaled matrix, falling, shape=(min(rows, columns),)
 
     @property
     def gap(self) -> float:

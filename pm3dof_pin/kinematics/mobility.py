@@ -22,27 +22,18 @@ class Mobility:
     """The degrees of freedom that a mechanism has at one instant.
 
     At a singular configuration they are not what they are everywhere else: compare with :func:`generic_configuration`.
-
-    Attributes:
-        count: number of degrees of freedom, nv - rank G.
-        tool_mobility: number of independent twists of the tool.
-        redundant_constraints: number of rows of G that follow from the others.
-        idle_motions: basis of the degrees of freedom that leave actuated joints and tool at rest, such as that of a
-            link which spins about its own axis, shape=(nv, k).
-        constraint_rank: the decision on G.
-        actuator_rank: the decision on the actuated joints' rates over the dof.
-        tool_rank: the decision on the tool's twists over the dof.
-        idle_rank: the decision on both together.
     """
 
-    count: int
-    tool_mobility: int
-    redundant_constraints: int
+    count: int  #: number of degrees of freedom, nv - rank G
+    tool_mobility: int  #: number of independent twists of the tool
+    redundant_constraints: int  #: number of rows of G that follow from the others
+    #: basis of the degrees of freedom that leave actuated joints and tool at rest, such as that of a link which spins
+    #: about its own axis, shape=(nv, k)
     idle_motions: Matrix
-    constraint_rank: RankDecision
-    actuator_rank: RankDecision
-    tool_rank: RankDecision
-    idle_rank: RankDecision
+    constraint_rank: RankDecision  #: the decision on G
+    actuator_rank: RankDecision  #: the decision on the actuated joints' rates over the dof
+    tool_rank: RankDecision  #: the decision on the tool's twists over the dof
+    idle_rank: RankDecision  #: the decision on both together
 
 
 def instantaneous_mobility(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Mobility:

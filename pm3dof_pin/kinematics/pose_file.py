@@ -26,22 +26,14 @@ _UNITS = {"m": {"m": 1.0}, "rad": {"deg": math.pi / 180.0, "rad": 1.0}}
 
 @dataclass(frozen=True, eq=False)
 class PoseFile:
-    """Values of coordinates (or commands) as a file gives them.
+    """Values of coordinates (or commands) as a file gives them."""
 
-    Attributes:
-        path: the file.
-        columns: heading of each coordinate's column, in the order of the coordinates.
-        written: the numbers of these columns, shape=(n, number of coordinates) [units of the columns].
-        values: the same, shape=(n, number of coordinates) [m, rad].
-        unused: columns of the file that were not needed.
-        numbers: further columns of numbers that were asked for and are there, by their headings, shape=(n,) each.
-    """
-
-    path: Path
-    columns: tuple[str, ...]
-    written: Matrix
-    values: Matrix
-    unused: tuple[str, ...]
+    path: Path  #: the file
+    columns: tuple[str, ...]  #: heading of each coordinate's column, in the order of the coordinates
+    written: Matrix  #: the numbers of these columns, shape=(n, number of coordinates) [units of the columns]
+    values: Matrix  #: the same, shape=(n, number of coordinates) [m, rad]
+    unused: tuple[str, ...]  #: columns of the file that were not needed
+    #: further columns of numbers that were asked for and are there, by their headings, shape=(n,) each
     numbers: Mapping[str, Array] = field(default_factory=dict)
 
     @property

@@ -18,39 +18,27 @@ SingularityType = Literal["constraint", "parallel", "serial", "passive"]
 
 @dataclass(frozen=True, eq=False)
 class Singularity:
-    """One way in which a configuration is singular.
+    """One way in which a configuration is singular."""
 
-    Attributes:
-        type: "constraint": the loop closures lose rank and the mechanism gains degrees of freedom. "parallel": the tool
-            can move with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it
-            loses a degree of freedom. "passive": passive joints can move with both at rest.
-        measure: smallest scaled singular value of the matrix that loses rank.
-        motions: these motions as velocities, shape=(nv, k), each of length 1 in scaled numbers.
-        twists: twists [v; omega] of the tool in these motions, world axes, shape=(6, k).
-    """
-
+    #: "constraint": the loop closures lose rank and the mechanism gains degrees of freedom. "parallel": the tool can
+    #: move with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it loses a
+    #: degree of freedom. "passive": passive joints can move with both at rest
     type: SingularityType
-    measure: float
-    motions: Matrix
-    twists: Matrix
+    measure: float  #: smallest scaled singular value of the matrix that loses rank
+    motions: Matrix  #: these motions as velocities, shape=(nv, k), each of length 1 in scaled numbers
+    twists: Matrix  #: twists [v; omega] of the tool in these motions, world axes, shape=(6, k)
 
 
 @dataclass(frozen=True, eq=False)
 class SingularityDistance:
-    """How far a configuration is from one type of singularity.
+    """How far a configuration is from one type of singularity."""
 
-    Attributes:
-        type: see :class:`Singularity`.
-        measure: the singular value that comes down to zero there, in scaled numbers.
-        motion: the motion that is nearest to being lost or gained there, as velocities, shape=(nv,), of length 1 in
-            scaled numbers.
-        twist: twist [v; omega] of the tool in this motion, world axes, shape=(6,).
-    """
-
-    type: SingularityType
-    measure: float
+    type: SingularityType  #: see :class:`Singularity`
+    measure: float  #: the singular value that comes down to zero there, in scaled numbers
+    #: the motion that is nearest to being lost or gained there, as velocities, shape=(nv,), of length 1 in scaled
+    #: numbers
     motion: Vector
-    twist: Vector
+    twist: Vector  #: twist [v; omega] of the tool in this motion, world axes, shape=(6,)
 
 
 def singularities(

@@ -53,18 +53,12 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class AtlasStore:
-    """The arrays of an atlas: first in a Zarr store `<name>.parts` beside the result, then in it, `.nc` or `.zarr`.
-
-    Attributes:
-        coordinates: values and attributes of the grid's dimensions.
-        block_shape: shape of the blocks, which are the chunks.
-        variables: the arrays; the map of broken limits is the last one.
-    """
+    """The arrays of an atlas: first in a Zarr store `<name>.parts` beside the result, then in it, `.nc` or `.zarr`."""
 
     path: Path
-    coordinates: Mapping[str, tuple[Array, Mapping[str, Any]]]
-    block_shape: tuple[int, ...]
-    variables: tuple[Variable, ...]
+    coordinates: Mapping[str, tuple[Array, Mapping[str, Any]]]  #: values and attributes of the grid's dimensions
+    block_shape: tuple[int, ...]  #: shape of the blocks, which are the chunks
+    variables: tuple[Variable, ...]  #: the arrays; the map of broken limits is the last one
     attributes: Mapping[str, Any]
 
     @property

@@ -34,33 +34,22 @@ class LimitSpace:
 
     Sections lie over the first two coordinates and are stacked along the third, if there is one. A ray of a section
     leaves its centre: its radius r and azimuth phi stand for centre + r scale (cos phi, sin phi).
-
-    Attributes:
-        machine: name of the machine.
-        names: of the coordinates, two or three.
-        units: "m" or "rad" of each.
-        limits: names of the limits, from the lowest bit on.
-        broken_limits: from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the
-            limits they break, shape=(...); zero within all.
-        centre: where the rays of the sections start, shape=(2,) [m, rad].
-        scale: what radius 1 is along each coordinate, shape=(2,) [m, rad].
-        reach: radius beyond which no pose is within the limits.
-        ray_step: distance of radii at which the limits are checked.
-        level_range: ends between which the third coordinate is searched; zero if there are two [m, rad].
-        level_step: distance of levels at which the limits are checked [m, rad].
     """
 
-    machine: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    limits: tuple[str, ...]
+    machine: str  #: name of the machine
+    names: tuple[str, ...]  #: of the coordinates, two or three
+    units: tuple[str, ...]  #: "m" or "rad" of each
+    limits: tuple[str, ...]  #: names of the limits, from the lowest bit on
+    #: from values of the coordinates, shape=(..., number of coordinates) [m, rad], to the sums of the limits they
+    #: break, shape=(...); zero within all
     broken_limits: Callable[[Array], Flags]
-    centre: Array
-    scale: Array
-    reach: float
-    ray_step: float
+    centre: Array  #: where the rays of the sections start, shape=(2,) [m, rad]
+    scale: Array  #: what radius 1 is along each coordinate, shape=(2,) [m, rad]
+    reach: float  #: radius beyond which no pose is within the limits
+    ray_step: float  #: distance of radii at which the limits are checked
+    #: ends between which the third coordinate is searched; zero if there are two [m, rad]
     level_range: tuple[float, float]
-    level_step: float
+    level_step: float  #: distance of levels at which the limits are checked [m, rad]
 
     @property
     def stacked(self) -> bool:

@@ -22,18 +22,12 @@ BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found, as a
 
 
 class Crossings(NamedTuple):
-    """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius; each field has shape=(m,).
-
-    Attributes:
-        radii: of the ends within the limits.
-        leaving: whether the ray leaves the reachable set there or enters it.
-        limits: sums of the limits broken just across the boundary.
-    """
+    """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius; each field has shape=(m,)."""
 
     rays: NDArray[np.intp]
-    radii: Array
-    leaving: NDArray[np.bool_]
-    limits: Flags
+    radii: Array  #: of the ends within the limits
+    leaving: NDArray[np.bool_]  #: whether the ray leaves the reachable set there or enters it
+    limits: Flags  #: sums of the limits broken just across the boundary
 
 
 class Brackets(NamedTuple):

@@ -25,21 +25,14 @@ _LEAST_LEVELS = 2
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """The reachable set as a stack of sections.
+    """The reachable set as a stack of sections."""
 
-    Attributes:
-        space: coordinates and limits.
-        level_range: least and greatest third coordinate of the reachable set, shape=(2,) [m, rad].
-        sections: sections in the order of growing level; one, if there are two coordinates.
-        ranges: least and greatest first coordinate, then second, found between the sections too, shape=(2, 2) [m, rad].
-        range_levels: the levels at which they are reached, shape=(2, 2) [m, rad].
-    """
-
-    space: LimitSpace
-    level_range: Array
-    sections: tuple[WorkspaceSection, ...]
+    space: LimitSpace  #: coordinates and limits
+    level_range: Array  #: least and greatest third coordinate of the reachable set, shape=(2,) [m, rad]
+    sections: tuple[WorkspaceSection, ...]  #: sections in the order of growing level; one, if there are two coordinates
+    #: least and greatest first coordinate, then second, found between the sections too, shape=(2, 2) [m, rad]
     ranges: Array
-    range_levels: Array
+    range_levels: Array  #: the levels at which they are reached, shape=(2, 2) [m, rad]
 
     @cached_property
     def levels(self) -> Array:

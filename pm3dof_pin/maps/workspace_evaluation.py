@@ -45,15 +45,10 @@ _OF_FREE_MOTIONS = ("free_stiffness", "felt_stiffness")
 
 @dataclass(frozen=True)
 class Distribution:
-    """One number over the volume of the reachable set: its moments, extremes and the coordinates of these [m, rad].
-
-    Attributes:
-        entry: label of the entry, "" for a scalar.
-        defined: part of the reachable volume in which it has a finite value.
-    """
+    """One number over the volume of the reachable set: its moments, extremes and the coordinates of these [m, rad]."""
 
     name: str
-    entry: str
+    entry: str  #: label of the entry, "" for a scalar
     unit: str
     mean: float
     deviation: float
@@ -61,7 +56,7 @@ class Distribution:
     greatest: float
     least_at: dict[str, float]
     greatest_at: dict[str, float]
-    defined: float
+    defined: float  #: part of the reachable volume in which it has a finite value
 
     @property
     def label(self) -> str:
@@ -71,47 +66,31 @@ class Distribution:
 
 @dataclass(frozen=True)
 class SpringRank:
-    """What one spring means for one axis of the tool, over the reachable set.
+    """What one spring means for one axis of the tool, over the reachable set."""
 
-    Attributes:
-        spring: its name.
-        axis: x, y, z, rx, ry or rz: the tool pushed or turned along it, free in all else.
-        governs: part of the volume in which it gives most; equal ones have equal parts of it.
-        share: its part in the deflection, average over the volume.
-        least_share: the least such part.
-        greatest_share: the greatest such part.
-        gain: by which part the felt stiffness grows at least if the spring is made stiffer by :data:`STIFFER`, average
-            over the volume; exactly so where the load path is unique.
-        gain_bound: and at most.
-    """
-
-    spring: str
-    axis: str
-    governs: float
-    share: float
-    least_share: float
-    greatest_share: float
+    spring: str  #: its name
+    axis: str  #: x, y, z, rx, ry or rz: the tool pushed or turned along it, free in all else
+    governs: float  #: part of the volume in which it gives most; equal ones have equal parts of it
+    share: float  #: its part in the deflection, average over the volume
+    least_share: float  #: the least such part
+    greatest_share: float  #: the greatest such part
+    #: by which part the felt stiffness grows at least if the spring is made stiffer by :data:`STIFFER`, average over
+    #: the volume; exactly so where the load path is unique
     gain: float
-    gain_bound: float
+    gain_bound: float  #: and at most
 
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceEvaluation:
-    """A robot judged over its reachable set.
+    """A robot judged over its reachable set."""
 
-    Attributes:
-        dataset: the quantities over the grid, NaN where a limit excludes the pose; with the shares of the springs,
-            `critical_spring`, which says for each axis which spring gives most.
-        reachable: part of the volume of the grid that is reachable.
-        distributions: of every number.
-        indices: the global indices; empty if the elastic stiffness was not asked for.
-        springs: rank of every spring for every axis, most important first; empty without the shares of the springs.
-    """
-
+    #: the quantities over the grid, NaN where a limit excludes the pose; with the shares of the springs,
+    #: `critical_spring`, which says for each axis which spring gives most
     dataset: xr.Dataset
-    reachable: float
-    distributions: tuple[Distribution, ...]
-    indices: dict[str, float]
+    reachable: float  #: part of the volume of the grid that is reachable
+    distributions: tuple[Distribution, ...]  #: of every number
+    indices: dict[str, float]  #: the global indices; empty if the elastic stiffness was not asked for
+    #: rank of every spring for every axis, most important first; empty without the shares of the springs
     springs: tuple[SpringRank, ...]
 
 

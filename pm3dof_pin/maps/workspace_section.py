@@ -26,26 +26,17 @@ class WorkspaceSection:
 
     Boundary points are ordered by ray and, on a ray, by radius. Each lies within all limits, no farther than 1e-10 as a
     radius from a pose that breaks one.
-
-    Attributes:
-        space: coordinates and limits.
-        level: the third coordinate [m, rad].
-        azimuths: directions of the rays, equally spaced over the circle, shape=(n,) [rad].
-        rays: index of the ray of each boundary point, shape=(m,).
-        radii: distance of each boundary point from the centre, shape=(m,).
-        leaving: whether the ray leaves the reachable set there or enters it, shape=(m,).
-        limits: sums of the limits broken just across the boundary, shape=(m,).
-        ranges: least and greatest first coordinate, then second, found between the rays too; NaN if the section is
-            empty, shape=(2, 2) [m, rad].
     """
 
-    space: LimitSpace
-    level: float
-    azimuths: Array
-    rays: NDArray[np.intp]
-    radii: Array
-    leaving: NDArray[np.bool_]
-    limits: Flags
+    space: LimitSpace  #: coordinates and limits
+    level: float  #: the third coordinate [m, rad]
+    azimuths: Array  #: directions of the rays, equally spaced over the circle, shape=(n,) [rad]
+    rays: NDArray[np.intp]  #: index of the ray of each boundary point, shape=(m,)
+    radii: Array  #: distance of each boundary point from the centre, shape=(m,)
+    leaving: NDArray[np.bool_]  #: whether the ray leaves the reachable set there or enters it, shape=(m,)
+    limits: Flags  #: sums of the limits broken just across the boundary, shape=(m,)
+    #: least and greatest first coordinate, then second, found between the rays too; NaN if the section is empty,
+    #: shape=(2, 2) [m, rad]
     ranges: Array
 
     @property

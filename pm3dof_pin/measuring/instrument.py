@@ -21,23 +21,16 @@ TARGET_RADIUS = 0.15
 
 @dataclass(frozen=True)
 class Instrument:
-    """What is measured of a pose, and its noise. By default that of :meth:`with_targets`.
+    """What is measured of a pose, and its noise. By default that of :meth:`with_targets`."""
 
-    Attributes:
-        measured: "pose", or "position" for the tool point alone.
-        position_sigma: noise of each coordinate [m].
-        angle_sigma: noise about each axis [rad]; of no matter for positions.
-        own_frame: whether it measures in a frame of its own, of which nothing is known beforehand.
-        targets: points that are seen one after the other instead of the tool point, in its axes [m].
-        target_sigma: how well these are known, standard deviation of each coordinate [m]; 0 for exactly.
-    """
-
-    measured: Measured = "pose"
-    position_sigma: float = TARGET_SIGMA / 2.0
+    measured: Measured = "pose"  #: "pose", or "position" for the tool point alone
+    position_sigma: float = TARGET_SIGMA / 2.0  #: noise of each coordinate [m]
+    #: noise about each axis [rad]; of no matter for positions
     angle_sigma: float = TARGET_SIGMA / (TARGET_RADIUS * np.sqrt(2.0))
-    own_frame: bool = False
+    own_frame: bool = False  #: whether it measures in a frame of its own, of which nothing is known beforehand
+    #: points that are seen one after the other instead of the tool point, in its axes [m]
     targets: tuple[tuple[float, float, float], ...] = ()
-    target_sigma: float = 0.0
+    target_sigma: float = 0.0  #: how well these are known, standard deviation of each coordinate [m]; 0 for exactly
 
     def __post_init__(self) -> None:
         """Check the noise."""

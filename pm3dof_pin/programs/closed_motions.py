@@ -18,17 +18,12 @@ from pm3dof_pin.typing import Objects
 
 @dataclass(frozen=True, eq=False)
 class ClosedMotions:
-    """Velocities that keep the loops closed; those of slides are measured in units of length.
+    """Velocities that keep the loops closed; those of slides are measured in units of length."""
 
-    Attributes:
-        rates: velocities of all joints at unit rate of each driven one, where these obey the relations, shape=(nv, k).
-        idle: basis of the motions with all driven joints at rest, shape=(nv, u).
-        relations: independent equations that rates of the driven joints obey, shape=(r, k).
-    """
-
+    #: velocities of all joints at unit rate of each driven one, where these obey the relations, shape=(nv, k)
     rates: Objects
-    idle: Objects
-    relations: Objects
+    idle: Objects  #: basis of the motions with all driven joints at rest, shape=(nv, u)
+    relations: Objects  #: independent equations that rates of the driven joints obey, shape=(r, k)
 
 
 def closed_motions(

@@ -57,29 +57,20 @@ PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j 
 
 @dataclass(frozen=True)
 class Task:
-    """What is given when loops are closed.
+    """What is given when loops are closed."""
 
-    Attributes:
-        joints: joints held at given coordinates, each with one degree of freedom.
-        tool: components of the tool's pose that are brought to targets: some of x, y, z, rx, ry, rz with
-            R = Rx(rx) Ry(ry) Rz(rz), or :data:`PLACEMENT`.
-    """
-
-    joints: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  #: joints held at given coordinates, each with one degree of freedom
+    #: components of the tool's pose that are brought to targets: some of x, y, z, rx, ry, rz with R = Rx(rx) Ry(ry)
+    #: Rz(rz), or :data:`PLACEMENT`
     tool: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class TracedProgram:
-    """A program with the entries of the geometry that are constants in it.
+    """A program with the entries of the geometry that are constants in it."""
 
-    Attributes:
-        program: the straight line.
-        constants: values by name, to be compared with those of the mechanism it is used for.
-    """
-
-    program: Program
-    constants: Mapping[str, float]
+    program: Program  #: the straight line
+    constants: Mapping[str, float]  #: values by name, to be compared with those of the mechanism it is used for
 
 
 def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
@@ -258,17 +249,11 @@ def tool_components(
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Scaled equations that are solved together: rows by the entries of v, and errors.
+    """Scaled equations that are solved together: rows by the entries of v, and errors."""
 
-    Attributes:
-        columns: derivative of the errors by the entries of v, each of shape=(m,).
-        error: shape=(m,).
-        unknowns: the entries of v that solve them; others are known by then, or held.
-    """
-
-    columns: Mapping[int, Objects]
-    error: Objects
-    unknowns: tuple[int, ...]
+    columns: Mapping[int, Objects]  #: derivative of the errors by the entries of v, each of shape=(m,)
+    error: Objects  #: shape=(m,)
+    unknowns: tuple[int, ...]  #: the entries of v that solve them; others are known by then, or held
 
     def reduced(self, known: Mapping[int, Scalar]) -> tuple[Objects, Objects]:
         """Return matrix and right side in the unknowns, without rows that are zero.

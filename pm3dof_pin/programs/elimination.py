@@ -52,21 +52,13 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Reflection:
-    """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane.
+    """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane."""
 
-    Attributes:
-        indices: what it acts on; the first is the pivot.
-        vector: v; of a rotation, cosine and sine.
-        scaled: g, a multiple of v; None for a rotation.
-        pivot: what the pivot's entry becomes.
-        size: its magnitude, the length of the vector.
-    """
-
-    indices: tuple[int, ...]
-    vector: tuple[Scalar, ...]
-    scaled: tuple[Scalar, ...] | None
-    pivot: Scalar
-    size: Scalar
+    indices: tuple[int, ...]  #: what it acts on; the first is the pivot
+    vector: tuple[Scalar, ...]  #: v; of a rotation, cosine and sine
+    scaled: tuple[Scalar, ...] | None  #: g, a multiple of v; None for a rotation
+    pivot: Scalar  #: what the pivot's entry becomes
+    size: Scalar  #: its magnitude, the length of the vector
 
     def apply(self, numbers: list[Scalar] | dict[int, Scalar], *, transposed: bool = False) -> None:
         """Multiply a vector by the matrix or its transpose, in place."""
@@ -86,23 +78,15 @@ class Reflection:
 
 @dataclass(frozen=True)
 class Elimination:
-    """A system after the elimination of columns.
+    """A system after the elimination of columns."""
 
-    Attributes:
-        columns: the eliminated columns, in their order.
-        dropped: columns that are zero when the others are eliminated.
-        pivot_rows: one row for each eliminated column, upper triangular in them, shape=(r, n).
-        rest: the other rows, zero in all these columns, shape=(m - r, n).
-        reflections: the orthogonal matrices that were applied to the rows, in their order.
-        rest_rows: which rows of the system became the rest.
-    """
-
-    columns: tuple[int, ...]
-    dropped: tuple[int, ...]
-    pivot_rows: Objects
-    rest: Objects
+    columns: tuple[int, ...]  #: the eliminated columns, in their order
+    dropped: tuple[int, ...]  #: columns that are zero when the others are eliminated
+    pivot_rows: Objects  #: one row for each eliminated column, upper triangular in them, shape=(r, n)
+    rest: Objects  #: the other rows, zero in all these columns, shape=(m - r, n)
+    #: the orthogonal matrices that were applied to the rows, in their order
     reflections: tuple[Reflection, ...] = field(repr=False)
-    rest_rows: tuple[int, ...]
+    rest_rows: tuple[int, ...]  #: which rows of the system became the rest
 
     def carry(self, columns: Objects) -> tuple[Objects, Objects]:
         """Apply the reflections to more columns of the system; return their part in the pivot rows and in the rest."""

@@ -44,17 +44,11 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Screw:
-    """A column of the joint Jacobian: the motion at unit rate of one entry of v, in world axes.
+    """A column of the joint Jacobian: the motion at unit rate of one entry of v, in world axes."""
 
-    Attributes:
-        angular: angular velocity, shape=(3,).
-        linear: velocity of the point, shape=(3,).
-        point: a point of the moving body, shape=(3,) [m].
-    """
-
-    angular: Objects
-    linear: Objects
-    point: Objects
+    angular: Objects  #: angular velocity, shape=(3,)
+    linear: Objects  #: velocity of the point, shape=(3,)
+    point: Objects  #: a point of the moving body, shape=(3,) [m]
 
     def velocity(self, point: Objects) -> Objects:
         """Return the velocity of a point of the moving body, shape=(3,)."""

@@ -32,17 +32,11 @@ class Target(NamedTuple):
 
 
 class Iteration(NamedTuple):
-    """What an iteration came to.
+    """What an iteration came to."""
 
-    Attributes:
-        states: shape=(n, size of the state).
-        residuals: residual that the last step began with, shape=(n,).
-        steps: number of steps taken, shape=(n,).
-    """
-
-    states: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-    steps: NDArray[np.float64]
+    states: NDArray[np.float64]  #: shape=(n, size of the state)
+    residuals: NDArray[np.float64]  #: residual that the last step began with, shape=(n,)
+    steps: NDArray[np.float64]  #: number of steps taken, shape=(n,)
 
 
 @cache

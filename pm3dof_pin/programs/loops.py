@@ -22,19 +22,13 @@ from pm3dof_pin.typing import Objects
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Equations of one closure, or of the tool.
+    """Equations of one closure, or of the tool."""
 
-    Attributes:
-        error: shape=(m,) [m, rad].
-        is_angular: which entries are angles, shape=(m,).
-        columns: derivative of the error by the entries of v that it depends on, each of shape=(m,).
-        residual: the largest entry of the error, and 1 more where a frame is turned by over 90 degrees.
-    """
-
-    error: Objects
-    is_angular: tuple[bool, ...]
+    error: Objects  #: shape=(m,) [m, rad]
+    is_angular: tuple[bool, ...]  #: which entries are angles, shape=(m,)
+    #: derivative of the error by the entries of v that it depends on, each of shape=(m,)
     columns: Mapping[int, Objects]
-    residual: Scalar
+    residual: Scalar  #: the largest entry of the error, and 1 more where a frame is turned by over 90 degrees
 
 
 def closure_equations(tree: Tree, index: int) -> Equations:

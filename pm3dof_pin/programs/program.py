@@ -57,24 +57,17 @@ class Program:
     """A straight line of operations on the numbers of one pose.
 
     Values are numbered: first the inputs, then the parameters, the constants, and one value for every line.
-
-    Attributes:
-        name: name of the printed function, an identifier.
-        inputs: names of the inputs, which every pose has its own of.
-        parameters: names of the parameters, which all poses of a call share.
-        outputs: name and shape of each group of outputs; results stand one group after the other, each in C order.
-        constants: the constants.
-        lines: name of the operation and numbers of its operands; operands come before the line.
-        results: numbers of the values that are output, flat.
     """
 
-    name: str
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
+    name: str  #: name of the printed function, an identifier
+    inputs: tuple[str, ...]  #: names of the inputs, which every pose has its own of
+    parameters: tuple[str, ...]  #: names of the parameters, which all poses of a call share
+    #: name and shape of each group of outputs; results stand one group after the other, each in C order
     outputs: Mapping[str, tuple[int, ...]]
-    constants: tuple[float, ...]
+    constants: tuple[float, ...]  #: the constants
+    #: name of the operation and numbers of its operands; operands come before the line
     lines: tuple[tuple[str, tuple[int, ...]], ...]
-    results: tuple[int, ...]
+    results: tuple[int, ...]  #: numbers of the values that are output, flat
 
     def __len__(self) -> int:
         """Return the number of operations."""

@@ -56,23 +56,14 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, s its sources.
+    """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, s its sources."""
 
-    Attributes:
-        sources: numbers of its sources.
-        twist: shape=(n, 6).
-        motion: shape=(n, number of its sources).
-        relations: equations among its sources, shape=(k, number of its sources).
-        weighted: motion in other numbers than its sources, see :func:`branches`, shape=(n, w).
-        weighted_relations: relations in these, shape=(k, w).
-    """
-
-    sources: tuple[int, ...]
-    twist: Objects
-    motion: Objects
-    relations: Objects
-    weighted: Objects
-    weighted_relations: Objects
+    sources: tuple[int, ...]  #: numbers of its sources
+    twist: Objects  #: shape=(n, 6)
+    motion: Objects  #: shape=(n, number of its sources)
+    relations: Objects  #: equations among its sources, shape=(k, number of its sources)
+    weighted: Objects  #: motion in other numbers than its sources, see :func:`branches`, shape=(n, w)
+    weighted_relations: Objects  #: relations in these, shape=(k, w)
 
 
 def length_unit(characteristic_length: float) -> float:

@@ -10,15 +10,10 @@ from pm3dof_pin.typing import Vector
 
 @dataclass(frozen=True, eq=False)
 class GeometricSource:
-    """Joints and frames that sit wrong, for good: manufacturing and assembly.
+    """Joints and frames that sit wrong, for good: manufacturing and assembly."""
 
-    Attributes:
-        errors: the parameters.
-        values: p, shape=(number of parameters,) [m, rad].
-    """
-
-    errors: GeometricErrors
-    values: Vector
+    errors: GeometricErrors  #: the parameters
+    values: Vector  #: p, shape=(number of parameters,) [m, rad]
 
     def __post_init__(self) -> None:
         """Check the values."""

@@ -34,20 +34,14 @@ _VIBRATION = (2e-6, 1e-5)  # m, rad
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A machine and its surroundings.
+    """A machine and its surroundings."""
 
-    Attributes:
-        machine: the machine.
-        warmest: screws are between 0 and so much warmer than when the machine was as described; known to those who
-            measure [K].
-        heaviest: a weight between 0 and so much hangs on the tool point, likewise known [N].
-        strongest: each component of a wrench on the tool is between minus and plus so much, likewise known, world axes,
-            shape=(6,) [N, N m].
-    """
-
-    machine: SimulatedMachine
+    machine: SimulatedMachine  #: the machine
+    #: screws are between 0 and so much warmer than when the machine was as described; known to those who measure [K]
     warmest: float = 0.0
-    heaviest: float = 0.0
+    heaviest: float = 0.0  #: a weight between 0 and so much hangs on the tool point, likewise known [N]
+    #: each component of a wrench on the tool is between minus and plus so much, likewise known, world axes, shape=(6,)
+    #: [N, N m]
     strongest: tuple[float, ...] = (0.0,) * 6
 
     @classmethod

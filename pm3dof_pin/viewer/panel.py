@@ -15,39 +15,24 @@ Json = dict[str, Any]
 
 @dataclass
 class Entry:
-    """One entry of the legend, with a box that shows or hides what it stands for.
+    """One entry of the legend, with a box that shows or hides what it stands for."""
 
-    Attributes:
-        key: its name for the page.
-        title: what is drawn.
-        lines: scale and explanations.
-        values: the numbers that are drawn now.
-        colour: colour of what is drawn, as the style sheet writes it, or None.
-        bar: a scale of colours: `colours` and `ends`, the texts at its ends.
-        nodes: paths that the box shows and hides.
-        paint: bodies that are coloured instead: `path`, `own` colour, `colour`, and `leg`, the place in live shares.
-        visible: whether it is shown until the reader decides otherwise.
-        of_pose: whether it was computed for the displayed configuration, and is wrong at any other.
-        live: how the page computes it for a slider's pose, or None.
-        principal: numbers at the ends of an ellipsoid's axes, the least first, or None.
-        unit: their unit.
-        cut: what a plane cuts: the `nodes`, least and greatest `corners` of a box around them [m]; and the `layers` of
-            numbers that may colour the nodes in `colours`, one after the other, along the scale `stops`.
-    """
-
-    key: str
-    title: str
-    lines: list[str] = field(default_factory=list)
-    values: str = ""
-    colour: str | None = None
-    bar: Json | None = None
-    nodes: list[str] = field(default_factory=list)
+    key: str  #: its name for the page
+    title: str  #: what is drawn
+    lines: list[str] = field(default_factory=list)  #: scale and explanations
+    values: str = ""  #: the numbers that are drawn now
+    colour: str | None = None  #: colour of what is drawn, as the style sheet writes it, or None
+    bar: Json | None = None  #: a scale of colours: `colours` and `ends`, the texts at its ends
+    nodes: list[str] = field(default_factory=list)  #: paths that the box shows and hides
+    #: bodies that are coloured instead: `path`, `own` colour, `colour`, and `leg`, the place in live shares
     paint: list[Json] | None = None
-    visible: bool = True
-    of_pose: bool = True
-    live: Json | None = None
-    principal: list[float] | None = None
-    unit: str = ""
+    visible: bool = True  #: whether it is shown until the reader decides otherwise
+    of_pose: bool = True  #: whether it was computed for the displayed configuration, and is wrong at any other
+    live: Json | None = None  #: how the page computes it for a slider's pose, or None
+    principal: list[float] | None = None  #: numbers at the ends of an ellipsoid's axes, the least first, or None
+    unit: str = ""  #: their unit
+    #: what a plane cuts: the `nodes`, least and greatest `corners` of a box around them [m]; and the `layers` of
+    #: numbers that may colour the nodes in `colours`, one after the other, along the scale `stops`
     cut: Json | None = None
 
     def lowered(self) -> Json:

@@ -31,20 +31,14 @@ _END = 1e-4  # how far inside the range of heights the first and the last sectio
 
 @dataclass(frozen=True)
 class Shell:
-    """A closed surface of triangles around the reachable set, and points inside, with quantities at all of them.
-
-    Attributes:
-        lines: pairs of ends of lines along some of the sections, shape=(k, 3) [m].
-        layers: the quantities, at the vertices and then at the points.
-        part: which part of the reachable set it is, in words; nothing for all of it.
-    """
+    """A closed surface of triangles around the reachable set, and points inside, with quantities at all of them."""
 
     vertices: Array
     faces: NDArray[np.int64]
-    lines: Array
+    lines: Array  #: pairs of ends of lines along some of the sections, shape=(k, 3) [m]
     points: Array
-    layers: tuple[Layer, ...]
-    part: str = ""
+    layers: tuple[Layer, ...]  #: the quantities, at the vertices and then at the points
+    part: str = ""  #: which part of the reachable set it is, in words; nothing for all of it
 
     def draw(self, scene: Scene, path: str, size: float) -> None:
         """Put the shell at a path, its points of a size [m]."""
