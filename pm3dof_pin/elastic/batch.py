@@ -94,17 +94,7 @@ def evaluate(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> PoseValues:
-    """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`.
-
-    Args:
-        model: the robot or elastic model.
-        poses: the poses.
-        quantity: the quantity.
-        frame: the frame.
-        on_failure: what happens to a pose that fails.
-        engine: what computes.
-        threads: number of threads.
-    """
+    """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`."""
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
     name = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name if frame is None else frame
     elastic.mechanism.frame_id(name)

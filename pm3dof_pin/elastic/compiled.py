@@ -34,27 +34,15 @@ class ElasticProgram:
     parameters: Array
 
     def __call__(self, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-        """Evaluate the program.
-
-        Args:
-            q: configurations of the rigid mechanism, shape=(n, nq).
-            threads: the number of processors by default.
-
-        Returns:
-            Values, flat, shape=(n, size); and the poses at which nothing is in doubt, shape=(n,).
-        """
+        """Evaluate at q of the rigid mechanism, shape=(n, nq): flat values, and where nothing is in doubt."""
         results = self.compiled(q, self.parameters, threads=threads)
         return results[:, :-1], results[:, -1] == 1.0
 
 
 def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> ElasticProgram:
-    """Return the program of a quantity, compiled if no model of this structure needed it before.
+    """Return the program of a quantity of a frame, compiled if no model of this structure needed it before.
 
-    Args:
-        model: the elastic mechanism.
-        frame: the frame.
-        quantity: the quantity.
-        closed: whether the loops are known to be closed; else the program tells where they are not.
+    Loops not known to be `closed` are checked by the program.
 
     Raises:
         ProgramError: there is no program for this mechanism, or it does not agree with Pinocchio.

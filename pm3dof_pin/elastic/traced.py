@@ -66,32 +66,14 @@ def _component_rows(rotation: Objects) -> Objects:
 
 
 def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: np.ndarray, frame: str) -> Tree:
-    """Record the tree of an elastic mechanism with its virtual joints at zero.
-
-    Args:
-        graph: the graph to record in.
-        model: the elastic mechanism.
-        positions: q of the rigid mechanism, shape=(nq,).
-        poses: its values at the sample poses, shape=(s, nq).
-        frame: the frame that is asked for.
-    """
+    """Record the tree of an elastic mechanism, virtual joints at zero, at traced q with its values at the samples."""
     embedded = zeros(1, model.mechanism.model.nq)[0]
     embedded[model.rigid_indices] = positions
     return Tree(graph, model.mechanism, model.embed(poses), (frame,), positions=embedded)
 
 
 class Roots:
-    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for.
-
-    Args:
-        graph: the graph to record in.
-        model: the elastic mechanism.
-        tree: its tree, of :func:`elastic_tree`.
-        frame: the frame.
-
-    Attributes:
-        used: the roots that were asked for.
-    """
+    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for; those are `used`."""
 
     def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
         self.used: list[Root] = []
@@ -101,11 +83,7 @@ class Roots:
 
     @cached_property
     def compliance(self) -> Objects:
-        """X with C = X X^T, shape=(6, n).
-
-        Raises:
-            ProgramError: the frame can move with all springs at rest, at every sample pose.
-        """
+        """X with C = X X^T, shape=(6, n); ProgramError if the frame moves with all springs at rest, at every sample."""
         return self._compliance(by_spring=False)
 
     @cached_property
@@ -115,11 +93,7 @@ class Roots:
 
     @cached_property
     def stiffness(self) -> Objects:
-        """X with K = X X^T, shape=(6, n).
-
-        Raises:
-            RigidDirectionError: the springs of a branch do not give in some direction, at all poses.
-        """
+        """X with K = X X^T, shape=(6, n); RigidDirectionError if the springs of a branch are rigid somewhere."""
         doubt = Doubt()
         held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt)

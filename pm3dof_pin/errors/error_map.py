@@ -115,15 +115,12 @@ class ErrorMap:
         return np.asarray(np.minimum(together, added))
 
     def tip_bound(self, coverage: float) -> Array:
-        """Return the tip error that so many machines stay below at each pose, shape=(n,) [m].
+        """Return the tip error that so many machines, as 0.95, stay below at each pose, shape=(n,) [m].
 
         To first order; sums of many uniform errors are taken as normal.
 
-        Args:
-            coverage: part of the machines, such as 0.95.
-
         Raises:
-            InvalidValueError: it is no such part.
+            InvalidValueError: the coverage is not between 0 and 1.
         """
         scaled = self.weighted * self.sigmas
         return norm_quantiles(np.zeros(scaled.shape[:2]), scaled @ np.swapaxes(scaled, 1, 2), coverage)
@@ -151,14 +148,7 @@ class ErrorMap:
         return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
 
     def least_sensitive(self, part: float = 0.2) -> Mask:
-        """Tell which poses are in the region least sensitive to errors, shape=(n,).
-
-        Args:
-            part: of all poses, the part with the smallest tip error.
-
-        Raises:
-            InvalidValueError: the part is not in (0, 1].
-        """
+        """Tell which poses are among the part with the smallest tip error, shape=(n,)."""
         return least_sensitive(self.tip_rms, part)
 
 
@@ -219,19 +209,10 @@ def section_grid(
     fixed: Mapping[str, float] | None = None,
     points: int = 41,
 ) -> Grid | None:
-    """Make the grid of a section of the workspace: over two coordinates, the others in the middle of their ranges.
+    """Make the grid of a section over two coordinates, the others in the middle of their ranges, or at home.
 
-    Coordinates without a range stay at home.
-
-    Args:
-        robot: the robot.
-        ranges: coordinates to go through, by name: first value, last value, count [m, rad]; by default the first two
-            that have ranges and no fixed value, over these ranges.
-        fixed: values of other coordinates, by name [m, rad].
-        points: number of values of each coordinate by default.
-
-    Returns:
-        The grid; None if none is named and no coordinate has a range.
+    By default over the first two that have ranges and no fixed value, `points` values each; None if there are none.
+    `ranges` are first value, last value, count by name; `fixed` values by name [m, rad].
 
     Raises:
         InvalidValueError: the robot has no such coordinate, or a range is not of its form.
@@ -247,11 +228,7 @@ def section_grid(
 
 
 def control_basis(control: Array) -> Array:
-    """Return an orthonormal basis of what commands can do to the tool, shape=(n, 6, k), columns of 0 where they cannot.
-
-    Args:
-        control: tip-weighted motion of the tool by the commands, shape=(n, 6, number of commands).
-    """
+    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); columns of 0 beyond it."""
     left, values, _ = np.linalg.svd(control, full_matrices=False)
     return np.asarray(left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
 
@@ -276,14 +253,7 @@ def monte_carlo(
     *,
     distribution: Distribution = "normal",
 ) -> MonteCarlo:
-    """Draw machines within the tolerances and find where their tools really are.
-
-    Args:
-        errors: the parameters, with their tolerances.
-        poses: poses of the robot as described.
-        machines: number of machines.
-        generator: source of the random numbers.
-        distribution: what the tolerances are.
+    """Draw machines within the tolerances and find where their tools really are at poses as described.
 
     Raises:
         UnreachablePoseError: the loops of a machine do not close at a command.

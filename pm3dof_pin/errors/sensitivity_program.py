@@ -21,17 +21,11 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
 
 
 def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Array, Mask]:
-    """Evaluate the tool's motion with errors and drives at many poses.
+    """Evaluate the tool's motion with errors and drives at closed configurations q, shape=(n, nq).
 
-    Args:
-        robot: the robot as described or displaced.
-        q: its configurations with closed loops, shape=(n, nq).
-        errors: the parameters.
-        local_twists: twist of each place against its parameters, in its axes, shape=(6, number of parameters).
-
-    Returns:
-        Twists of the tool for one unit of each error, shape=(n, 6, k), and of the coordinate of each drive,
-        shape=(n, 6, u); and the poses at which nothing is in doubt, shape=(n,).
+    The robot is as described or displaced; `local_twists` are those of each place against its parameters, in its axes.
+    Returns twists for one unit of each error, shape=(n, 6, k), and of the coordinate of each drive, shape=(n, 6, u);
+    and the poses at which nothing is in doubt, shape=(n,).
 
     Raises:
         ProgramError: there is no program for this robot, the tool is free, or loops cannot close with an error.
@@ -46,12 +40,7 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
 def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
     """Return the program of a robot as described, for other printers, and the values of its parameters.
 
-    Args:
-        errors: the parameters; there may be none.
-
-    Returns:
-        The program, with outputs `errors`, shape=(6, k), `drives`, shape=(6, u), and `sound`, 1 where nothing is in
-        doubt; and the values, shape=(number of its parameters,).
+    Its outputs are `errors`, shape=(6, k), `drives`, shape=(6, u), and `sound`, 1 where nothing is in doubt.
 
     Raises:
         ProgramError: see :func:`evaluated`.

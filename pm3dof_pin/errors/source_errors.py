@@ -135,14 +135,10 @@ class ErrorSources:
         )
 
     def at(self, poses: Poses, classes: Collection[ErrorClass] = CLASSES) -> tuple[SourceErrors, ...]:
-        """Return what each source does at some poses.
+        """Return what each source, or those of some classes, does at poses of the robot as described, of shape (n,).
 
         Sources that a robot cannot have are left out: those of springs without springs, of screws without sliding
         drives.
-
-        Args:
-            poses: poses of the robot as described, of shape (n,).
-            classes: classes of sources; what is not asked for is not computed.
 
         Raises:
             InvalidValueError: the loops cannot close with a geometric error.

@@ -45,14 +45,10 @@ class PoseFile:
 def read_pose_file(
     path: Path | str, coordinates: Sequence[Coordinate], *, known: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> PoseFile:
-    """Read a file of poses.
+    """Read a CSV file of poses with a heading; blank lines and lines that start with # are skipped.
 
-    Args:
-        path: CSV with a heading; blank lines and lines that start with # are skipped.
-        coordinates: what the file gives: each in one column, `name_deg` or `name_rad` of an angle, `name_m` of a
-            length.
-        known: headings of columns that may stand there and are not needed.
-        numbers: headings of further columns of numbers, read where they are there.
+    Each coordinate has one column, `name_deg` or `name_rad` of an angle, `name_m` of a length. Columns `known` may be
+    there, those of `numbers` are read if they are.
 
     Raises:
         DescriptionError: the file cannot be read, a column is missing, unknown or there twice, or an entry is not a
@@ -101,15 +97,7 @@ def has_placements(path: Path | str) -> bool:
 def read_placements(
     path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> tuple[PoseFile, Array]:
-    """Read a file of placements of the tool: columns x_m, y_m, z_m, qw, qx, qy, qz.
-
-    Args:
-        path: see :func:`read_pose_file`.
-        known: see there.
-        numbers: see there.
-
-    Returns:
-        The file, the quaternions among its columns; and homogeneous transforms, shape=(n, 4, 4).
+    """Read a file as :func:`read_pose_file` of tool placements: columns x_m, y_m, z_m, qw, qx, qy, qz; and transforms.
 
     Raises:
         DescriptionError: see there; or a quaternion is missing or not of length 1.
@@ -151,15 +139,7 @@ def _example_heading(coordinates: Sequence[Coordinate]) -> str:
 
 
 def write_columns(path: Path | str, columns: Mapping[str, ArrayLike | Sequence[str]]) -> Path:
-    """Write columns of numbers or words as CSV, whole or not at all.
-
-    Args:
-        path: the file.
-        columns: numbers, shape=(n,), or n words, by heading.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write columns, n numbers or words by heading, as CSV, whole or not at all; OutputError where that fails."""
     with write_atomically(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         file.write(columns_text(columns))
     return Path(path)

@@ -137,23 +137,14 @@ Unit: TypeAlias = str | Callable[[MappedRobot], str]
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity of a map.
+    """One quantity of a map."""
 
-    Attributes:
-        name: its name.
-        compute: from an evaluation to an array, shape=(..., *own dimensions).
-        unit: its unit; where the entries differ, the units followed by their entries in brackets.
-        long_name: what it is, for a person.
-        dims: its own dimensions beside those of the poses.
-        exists: whether a robot has it.
-    """
-
-    name: str
-    compute: Callable[[Evaluation], Array]
-    unit: Unit
-    long_name: str
-    dims: tuple[Dimension, ...]
-    exists: Callable[[MappedRobot], bool]
+    name: str  #: its name
+    compute: Callable[[Evaluation], Array]  #: from an evaluation to an array, shape=(..., *own dimensions)
+    unit: Unit  #: its unit; where the entries differ, the units followed by their entries in brackets
+    long_name: str  #: what it is, for a person
+    dims: tuple[Dimension, ...]  #: its own dimensions beside those of the poses
+    exists: Callable[[MappedRobot], bool]  #: whether a robot has it
 
     def unit_for(self, mapped: MappedRobot) -> str:
         """Return the unit for a robot."""

@@ -58,12 +58,7 @@ def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
 
 
 def stored(key: str, make: Callable[[], Program]) -> Program:
-    """Return the program kept under a key, or make it and keep it.
-
-    Args:
-        key: says everything the program depends on, except for this package's own sources.
-        make: traces the program.
-    """
+    """Return the program kept under a key of all it depends on but the package's sources; or make and keep it."""
     name = _name("traced", key)
     content = _read(name)
     if content is not None:
@@ -77,11 +72,7 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
 
 
 def compiled(program: Program) -> llvm.Compiled:
-    """Return the program as machine code: as kept, or compiled now and kept.
-
-    Raises:
-        ProgramError: LLVM does not compile it.
-    """
+    """Return the program as machine code, kept or compiled now; ProgramError if LLVM does not compile it."""
     processor = llvm.target()
     versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
     name = _name("compiled", program.key, *versions, processor.name, processor.features, str(processor.lanes))

@@ -211,11 +211,7 @@ def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np
 
 
 def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how regular configurations are, in (0, 1), and numbers for their assembly modes, 0 that of the samples.
-
-    Args:
-        margin: output of :func:`closing_program`, shape=(...).
-    """
+    """Return from `margin` how regular configurations are, in (0, 1), and their assembly modes, 0 the samples'."""
     mode = -np.floor(0.5 * margin)
     return margin + 2.0 * mode, mode
 
@@ -223,16 +219,7 @@ def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64
 def tool_components(
     rotation: NDArray[np.float64], translation: NDArray[np.float64], components: Iterable[str]
 ) -> NDArray[np.float64]:
-    """Return components of tool placements, see :class:`Task`.
-
-    Args:
-        rotation: shape=(..., 3, 3).
-        translation: shape=(..., 3) [m].
-        components: names.
-
-    Returns:
-        shape=(..., number of components) [m, rad].
-    """
+    """Return components of tool placements, by names of :class:`Task`, shape=(..., number of components) [m, rad]."""
     R = rotation
     values = {
         "x": translation[..., 0],
@@ -256,11 +243,7 @@ class _System:
     unknowns: tuple[int, ...]  #: the entries of v that solve them; others are known by then, or held
 
     def reduced(self, known: Mapping[int, Scalar]) -> tuple[Objects, Objects]:
-        """Return matrix and right side in the unknowns, without rows that are zero.
-
-        Args:
-            known: entries of the scaled step that are found already.
-        """
+        """Return matrix and right side in the unknowns, given the others, without rows that are zero."""
         matrix = np.stack([self.columns[k] for k in self.unknowns], axis=1)
         right = -self.error
         for k, move in known.items():

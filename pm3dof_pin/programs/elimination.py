@@ -28,12 +28,7 @@ _SHARE = 0.1  # of the best pivot's relative length, which is enough for a pivot
 
 
 class Doubt:
-    """What the choices made while recording rest on.
-
-    Attributes:
-        pivot: the least pivot; where it is small, the columns or rows are nearly dependent.
-        dropped: the largest entry dropped as zero.
-    """
+    """The least pivot of choices made while recording, and the largest entry dropped as zero."""
 
     def __init__(self) -> None:
         self.pivot: Scalar = 1.0
@@ -118,13 +113,7 @@ class Elimination:
 
 
 def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Elimination:
-    """Eliminate columns from a system of rows by Householder's reflections; the sparsest first, of equals the last.
-
-    Args:
-        system: shape=(m, n).
-        columns: the columns to eliminate.
-        doubt: where to record pivots and what is dropped.
-    """
+    """Eliminate columns from a system of rows by Householder's reflections; the sparsest first, of equals the last."""
     rows = [list(row) for row in system]
     active = list(range(len(rows)))
     waiting = list(columns)
@@ -226,11 +215,7 @@ def samples(number: Scalar) -> Array | float:
 
 
 def typical(values: Array | float) -> float:
-    """Return the median over the sample poses at which a number exists; a singular sample pose may have none.
-
-    Raises:
-        ProgramError: it exists at no sample pose.
-    """
+    """Return the median over the samples at which a number exists; ProgramError where it exists at none."""
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
         raise ProgramError("a number of the program exists at none of its sample poses")

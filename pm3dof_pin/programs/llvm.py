@@ -41,11 +41,7 @@ class Iteration(NamedTuple):
 
 @cache
 def target() -> Target:
-    """Return this machine's processor, with the number of poses it computes at once.
-
-    Raises:
-        ProgramError: LLVM cannot compile for it.
-    """
+    """Return this processor, with the number of poses it computes at once; ProgramError if LLVM knows none."""
     try:
         binding.initialize_native_target()
         binding.initialize_native_asmprinter()
@@ -57,24 +53,12 @@ def target() -> Target:
 
 
 def compile(program: Program, lanes: int | None = None) -> Compiled:
-    """Compile a program for this machine.
-
-    Args:
-        program: the program.
-        lanes: poses computed at once, a power of two; None takes what the processor has.
-
-    Raises:
-        ProgramError: LLVM does not compile it.
-    """
+    """Compile a program for so many poses at once, a power of two (the processor's); ProgramError if LLVM fails."""
     return Compiled(program, object_code(program, lanes or target().lanes))
 
 
 def object_code(program: Program, lanes: int) -> bytes:
-    """Return the compiled program as an object file.
-
-    Raises:
-        ProgramError: LLVM does not compile it.
-    """
+    """Return the compiled program as an object file; ProgramError if LLVM does not compile it."""
     machine = _machine(0 if len(program) > _LONG else 2)
     try:
         text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
@@ -107,17 +91,10 @@ class Compiled:
     """A program as machine code.
 
     Results do not depend on how poses are grouped into calls, on their order, or on the number of threads.
-
-    Attributes:
-        program: the program.
     """
 
     def __init__(self, program: Program, code: bytes) -> None:
-        """Load object code of the program; LLVM crashes over code that is not whole.
-
-        Raises:
-            ProgramError: the code cannot be loaded.
-        """
+        """Load object code of the program, ProgramError where that fails; LLVM crashes over code that is not whole."""
         self.program = program
         try:
             # in LLVM's own context: another one may be collected before the engine that needs it

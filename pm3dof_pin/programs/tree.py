@@ -85,11 +85,7 @@ class Tree:
         return self._bodies[joint]
 
     def frame(self, name: str) -> Placement:
-        """Return the placement of a frame in the world.
-
-        Raises:
-            FrameNotFoundError: the model has no such frame.
-        """
+        """Return the placement of a frame in the world; FrameNotFoundError if the model has no such frame."""
         frame = self.mechanism.model.frames[self.mechanism.frame_id(name)]
         owner = f"frame/{name}"
         fixed = Placement(self.geometry.rotation(owner), self.geometry.vector(owner, "p"))
@@ -110,11 +106,7 @@ class Tree:
         return columns
 
     def step(self, velocities: dict[int, Scalar]) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order.
-
-        Args:
-            velocities: entries of the tangent vector by their index in v; the others are 0.
-        """
+        """Move q along a tangent vector, of entries by index in v: equal to Pinocchio's `integrate` to first order."""
         moved = self.q.copy()
         for link in self.links:
             joint = link.joint
