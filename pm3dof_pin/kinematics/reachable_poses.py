@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Vector
+from pm3dof_pin.typing import Array, Mask
 
 _ROUNDS = 40
 _TRIAL = 200
 _LEAST_RATE = 0.02
 _MOST_DRAWS = 4  # a round, times the poses wanted
 _NEAR = 0.2  # edge of the cells that draws are walked to from the middle of [rad, characteristic lengths]
-_DRAWS_A_NODE = 4
+_DRAWS_A_CELL = 1
 
 
 def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *, margin: float = 0.0) -> Poses:
@@ -51,7 +54,8 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     for by_commands in (False, True):
         if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
             continue
-        found = _draw(robot, by_commands, _TRIAL, generator, margin)
+        draws = _Draws(robot, by_commands, margin)
+        found = draws.within_limits(_TRIAL, generator)
         drawn = _TRIAL
         if len(found) < _LEAST_RATE * drawn:
             continue
@@ -59,7 +63,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
             if len(found) >= count:
                 return robot.at(found[:count])
             batch = min(_MOST_DRAWS * count, int((count - len(found)) * drawn / len(found)) + _TRIAL)
-            found = np.concatenate([found, _draw(robot, by_commands, batch, generator, margin)])
+            found = np.concatenate([found, draws.within_limits(batch, generator)])
             drawn += batch
     raise UnreachablePoseError(f"{robot.name}: hardly any random pose is within all joint limits")
 
@@ -75,39 +79,46 @@ def _has_ranges(robot: Robot) -> bool:
     return all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates)
 
 
-def _draw(robot: Robot, by_commands: bool, count: int, generator: np.random.Generator, margin: float) -> Array:
-    coordinates = robot.command_coordinates if by_commands else robot.coordinates
-    # a declared range is what maps go over; what a joint can do beyond it is reachable too
-    whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in coordinates)
-    lower, upper = coordinate_ranges(robot, whole)
-    shares = generator.uniform(margin, 1.0 - margin, (count, len(coordinates)))
-    values = lower + shares * (upper - lower)
-    solve = robot.forward if by_commands else robot.solve
-    lattice = _lattice(robot, coordinates, lower, upper, count)
-    if lattice is None:
-        poses = solve(values, on_failure="nan")
-    else:  # a walk from home to each point of a lattice, and from there a short one to each of the values
-        nodes = solve(lattice.values, on_failure="nan")
-        starts = np.where(nodes.solved[..., None], nodes.q, robot.home.q)
-        nearest = (
-            np.abs(axis - column[:, None]).argmin(axis=1)
-            for axis, column in zip(lattice.axes.values(), values.T, strict=True)
-        )
-        poses = solve(values, guess=starts[tuple(nearest)], on_failure="nan")
-    return np.asarray(poses.q[poses.within_limits])
+class _Draws:
+    """Values of coordinates or commands at random, evenly over their ranges, and the poses there.
 
+    Many draws are walked to from the middles of cells. Cells of which neither the middle nor that of any neighbour is
+    within limits are passed over: what is within limits there is smaller than a cell.
+    """
 
-def _lattice(
-    robot: Robot, coordinates: tuple[Coordinate, ...], lower: Vector, upper: Vector, count: int
-) -> Grid | None:
-    """Return points to which it is near from anywhere between the ends; None where they are many for so many draws."""
-    units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates]
-    sizes = np.maximum(np.ceil((upper - lower) / (_NEAR * np.array(units))), 1.0)
-    if _DRAWS_A_NODE * np.prod(sizes) > count:
-        return None
-    steps = (upper - lower) / sizes
-    axes = {
-        c.name: first + step * (np.arange(size) + 0.5)
-        for c, first, step, size in zip(coordinates, lower, steps, sizes, strict=True)
-    }
-    return Grid(coordinates, axes, {})
+    def __init__(self, robot: Robot, by_commands: bool, margin: float) -> None:
+        self._robot = robot
+        self._coordinates = robot.command_coordinates if by_commands else robot.coordinates
+        self._solve = robot.forward if by_commands else robot.solve
+        self._margin = margin
+        # a declared range is what maps go over; what a joint can do beyond it is reachable too
+        whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in self._coordinates)
+        self._lower, self._upper = coordinate_ranges(robot, whole)
+        units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in self._coordinates]
+        self._sizes = np.maximum(np.ceil((self._upper - self._lower) / (_NEAR * np.array(units))), 1.0).astype(int)
+
+    def within_limits(self, count: int, generator: np.random.Generator) -> Array:
+        """Return those of so many draws that are within all limits, shape=(n, nq)."""
+        shares = generator.uniform(self._margin, 1.0 - self._margin, (count, len(self._coordinates)))
+        values = self._lower + shares * (self._upper - self._lower)
+        if _DRAWS_A_CELL * math.prod(self._sizes.tolist()) > count:
+            poses = self._solve(values, on_failure="nan")
+        else:
+            starts, is_near = self._cells
+            cells = tuple(np.minimum(shares * self._sizes, self._sizes - 1).astype(int).T)
+            near = is_near[cells]
+            starts = starts[tuple(indices[near] for indices in cells)]
+            poses = self._solve(values[near], guess=starts, on_failure="nan")
+        return np.asarray(poses.q[poses.within_limits])
+
+    @cached_property
+    def _cells(self) -> tuple[Array, Mask]:
+        """Where walks in each cell start, and whether it or a neighbour is within limits in its middle."""
+        steps = (self._upper - self._lower) / self._sizes
+        axes = {
+            c.name: first + step * (np.arange(size) + 0.5)
+            for c, first, step, size in zip(self._coordinates, self._lower, steps, self._sizes, strict=True)
+        }
+        middles = self._solve(Grid(self._coordinates, axes, {}).values, on_failure="nan")
+        starts = np.where(middles.solved[..., None], middles.q, self._robot.home.q)
+        return starts, maximum_filter(middles.within_limits, size=3)
