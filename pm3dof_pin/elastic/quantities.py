@@ -15,6 +15,7 @@ import numpy as np
 
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.condensation import CartesianCompliance
+from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.traced import Roots
@@ -22,10 +23,11 @@ from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
 from pm3dof_pin.programs.projection import compressed
-from pm3dof_pin.typing import Array, Objects
+from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
 _SWEEPS = 6
 _TINY = 1e-300
+_RIGID = 1e-12  # part of the greatest principal compliance below which a direction is rigid
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ def _principal(roots: Roots) -> Objects:
     result = zeros(2, 3)
     for block in range(2):
         squares = _squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
-        result[block] = [1.0 / square for square in reversed(squares)]
+        rigid = squares[-1] * _RIGID
+        result[block] = [1.0 / select(less(rigid, s), s, 0.0) for s in reversed(squares)]
     return result
 
 
@@ -94,12 +97,7 @@ def _squared_singular_values(rows: Objects) -> list[Scalar]:
     """Return the squares of the singular values of rows, the least first, each accurate relative to its own size.
 
     One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.
-
-    Raises:
-        RigidDirectionError: there are less columns than rows.
     """
-    if rows.shape[1] < len(rows):
-        raise RigidDirectionError("a direction is rigid at all poses")
     work = compressed(rows)
     for _ in range(_SWEEPS if len(rows) > 3 else _SWEEPS - 1):
         for i in range(len(work)):
@@ -132,8 +130,18 @@ def _computed_stiffness(report: CartesianCompliance) -> Array:
 
 
 def _computed_principal(report: CartesianCompliance) -> Array:
-    blocks = [indices.condensed_stiffness(report.compliance, motion) for motion in ("translation", "rotation")]
-    return np.stack([indices.principal_axes(block).values for block in blocks])
+    blocks = (report.compliance[:3, :3], report.compliance[3:, 3:])
+    return np.stack([_principal_stiffnesses(block) for block in blocks])
+
+
+def _principal_stiffnesses(block: Matrix) -> Vector:
+    """Return the principal stiffnesses of a block of the compliance, ascending; infinite where it is rigid."""
+    stiffness = inverse_definite(block)
+    if np.isfinite(stiffness).all():
+        return indices.principal_axes(stiffness).values
+    values = np.linalg.eigvalsh(block)[::-1]
+    with np.errstate(divide="ignore"):
+        return np.where(values > _RIGID * values[0], 1.0 / values, np.inf)
 
 
 def _computed_conditioning(report: CartesianCompliance) -> Array:

@@ -158,8 +158,10 @@ class Continuation:
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
         """Walk from q to the targets, in place; where that fails damped steps start there and at the guesses."""
         arrived, q[:] = self._walked(q, targets)
-        arrived &= self._residuals(q, targets) <= CLOSURE_TOLERANCE
-        failed = np.flatnonzero(~arrived)
+        outputs = self._step(self._inputs(q, self._given_numbers(targets)))
+        closed = arrived & (outputs[:, -1] <= CLOSURE_TOLERANCE)
+        q[closed] = outputs[closed, : self._nq]  # one step more, which counts near singular poses
+        failed = np.flatnonzero(~closed)
         if failed.size:
             q[failed] = self._damped(q[failed], targets[failed], guesses)
 

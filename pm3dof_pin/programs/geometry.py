@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -157,11 +158,13 @@ def frame_names(mechanism: Mechanism) -> list[str]:
 
 
 def _add_placement(found: dict[str, float], owner: str, placement: pin.SE3) -> None:
-    for i in range(3):
-        for j in range(3):
-            found[f"{owner}/R{i}{j}"] = _rounded(placement.rotation[i, j])
-    for k in range(3):
-        found[f"{owner}/p{k}"] = _rounded(placement.translation[k])
+    entries = [*placement.rotation.ravel().tolist(), *placement.translation.tolist()]
+    found.update(zip(_placement_names(owner), map(_rounded, entries), strict=True))
+
+
+@lru_cache(maxsize=1000)
+def _placement_names(owner: str) -> tuple[str, ...]:
+    return (*(f"{owner}/R{i}{j}" for i in range(3) for j in range(3)), *(f"{owner}/p{k}" for k in range(3)))
 
 
 def _add_joint(found: dict[str, float], owner: str, model_joint: Any) -> None:
@@ -195,7 +198,5 @@ def _kind(model_joint: Any) -> str:
 
 def _rounded(number: float) -> float:
     value = float(number)
-    for constant in _CONSTANTS:
-        if abs(value - constant) <= _ROUNDING:
-            return constant
-    return value
+    nearest = float(round(value)) if abs(value) < 1.5 else value
+    return nearest if abs(value - nearest) <= _ROUNDING else value

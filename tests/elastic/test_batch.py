@@ -37,6 +37,7 @@ from pm3dof_pin.elastic.quantities import (
 from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Engine
 
 MACHINES = Path(__file__).parents[1] / "machines"
 IDENTITY = pin.SE3.Identity()
@@ -68,6 +69,16 @@ def test_four_bar_through_its_whole_turn() -> None:
     found = evaluate(model, q, COMPLIANCE)
     careful = compliance(model, q, engine="pinocchio")
     assert difference(found.values, careful, model.mechanism.characteristic_length) < 1e-10
+
+
+@pytest.mark.parametrize("engine", ["program", "pinocchio"])
+def test_principal_stiffnesses_of_a_planar_machine_are_infinite_across_its_plane(engine: Engine) -> None:
+    model = load("five_bar")
+    poses = reachable_poses(model.rigid, 5, np.random.default_rng(0))
+    C = compliance(model, poses, engine="pinocchio")
+    found = evaluate(model, poses, PRINCIPAL_STIFFNESS, engine=engine).values[:, 0]
+    in_plane = np.linalg.eigvalsh(np.linalg.inv(C[:, :2, :2]))
+    np.testing.assert_allclose(found, np.column_stack([in_plane, np.full(5, np.inf)]), rtol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "three_rps", "delta"])
