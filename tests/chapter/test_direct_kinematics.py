@@ -42,9 +42,9 @@ def test_all_modes_close_the_loops_and_contain_the_pose(tripod: Tripod, reachabl
 
 
 def multistart(tripod: Tripod, u: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Every solution that Newton's method finds from 20,000 random starts, sorted by height."""
+    """Every solution that Newton's method finds from 6,000 random starts, sorted by height."""
     spread = np.array([np.pi, np.pi, 0.8])
-    result = newton(tripod, u, generator.uniform(-1.0, 1.0, (20_000, 3)) * spread)
+    result = newton(tripod, u, generator.uniform(-1.0, 1.0, (6_000, 3)) * spread)
     poses = result.poses[result.converged]
     turned = np.concatenate([np.cos(poses[:, :2]), np.sin(poses[:, :2]), poses[:, 2:]], axis=1)
     found: list[np.ndarray] = []

@@ -31,7 +31,7 @@ def test_heights_end_at_the_stops_of_the_sliders(tripod_workspace: Workspace) ->
 
 def test_nothing_is_reachable_beyond_the_heights(tripod: Tripod, tripod_workspace: Workspace) -> None:
     generator = np.random.default_rng(8)
-    tilts = generator.uniform(-0.88, 0.88, (100_000, 2))
+    tilts = generator.uniform(-0.88, 0.88, (20_000, 2))
     low, high = tripod_workspace.level_range
     for z_e in (low - 1e-6, low - 1e-3, low - 0.01, high + 1e-6, high + 1e-3, high + 0.01):
         poses = np.column_stack([tilts * generator.uniform(0.0, 1.0, (len(tilts), 1)), np.full(len(tilts), z_e)])
@@ -39,7 +39,7 @@ def test_nothing_is_reachable_beyond_the_heights(tripod: Tripod, tripod_workspac
 
 
 def test_volume_against_counting(tripod: Tripod, tripod_workspace: Workspace) -> None:
-    count, reach = 80, np.radians(46.0)
+    count, reach = 60, np.radians(46.0)
     line = reach * ((np.arange(count) + 0.5) / count * 2.0 - 1.0)
     low, high = tripod_workspace.level_range
     heights = low + (high - low) * (np.arange(count) + 0.5) / count
@@ -86,9 +86,8 @@ def test_greatest_theta_y_lies_on_the_line_where_stroke_and_cone_meet(
     np.testing.assert_allclose(tripod_workspace.ranges[1], [-greatest, greatest], atol=2e-5)
 
 
-@pytest.mark.parametrize("heights", [31, 50])
-def test_extremes_do_not_depend_on_the_stack(tripod: Tripod, tripod_workspace: Workspace, heights: int) -> None:
-    np.testing.assert_allclose(workspace(tripod_space(tripod), heights).ranges, tripod_workspace.ranges, atol=2e-4)
+def test_extremes_do_not_depend_on_the_stack(tripod: Tripod, tripod_workspace: Workspace) -> None:
+    np.testing.assert_allclose(workspace(tripod_space(tripod), 50).ranges, tripod_workspace.ranges, atol=2e-4)
 
 
 def test_extremes_are_reached_in_their_sections(tripod: Tripod, tripod_workspace: Workspace) -> None:

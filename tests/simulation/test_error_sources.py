@@ -160,7 +160,7 @@ def test_straightness_moves_the_carriage_beside_its_line(mechanism: Robot) -> No
 
 def test_measurements_scatter_by_their_covariance_and_repeat_with_their_seed(tripod_errors: GeometricErrors) -> None:
     machine = _machine(tripod_errors)
-    commands = np.tile([[0.25, 0.24, 0.23]], (300, 1))
+    commands = np.tile([[0.25, 0.24, 0.23]], (100, 1))
     measured, again = (machine.measure(commands, np.random.default_rng(3)) for _ in range(2))
     assert measured.tobytes() == again.tobytes()
     scatter = pose_difference(machine.poses(commands[:1])[0], measured)
