@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -36,15 +37,17 @@ from pm3dof_pin.calibration.identifiability import (
     identifiability,
     stacked_regressor,
 )
+from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.nuisances import datum_motions
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.typing import Array, Indices, Mask
 
 Strategy = Literal["d-optimal", "tip-optimal", "space-filling", "process-variance", "least-sensitive", "random"]
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
@@ -119,6 +122,7 @@ class PlanningProblem:
         prior: see :data:`PRIOR`.
         wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them
             the stiffness of the springs is unknown too, and the tip error predicted is that under such wrenches.
+        sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.
 
     Attributes:
         unknowns: the parameters, and the logarithms of the springs' stiffness where wrenches are given.
@@ -126,6 +130,11 @@ class PlanningProblem:
         instrument: what is measured.
         regressor: what each candidate measures, scaled, shape=(candidates, rows of a pose, unknowns).
         test_map: the error map over the test poses.
+        loads: components of the wrenches that vary, over their greatest, shape=(candidates, k).
+        test_loads: the same at the test poses.
+        unknown_sigmas: standard deviation of the unknowns before any measurement, in units of their tolerances.
+        effects: tip-weighted motion of the tool by each unknown at one tolerance, shape=(candidates, 6, unknowns) [m].
+        test_effects: the same at the test poses.
         inputs: commands of the candidates, their ranges being -1 .. 1, shape=(candidates, number of commands).
         test_inputs: the same of the test poses.
 
@@ -145,12 +154,13 @@ class PlanningProblem:
         min_distance: float = MIN_DISTANCE,
         prior: float = PRIOR,
         wrenches: Array | None = None,
+        sources: ErrorSources | None = None,
     ) -> None:
         if not (np.isfinite(prior) and prior > 0.0):
             raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
         if not min_distance >= 0.0:
             raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
-        self.errors, self.candidates = errors, candidates
+        self.errors, self.candidates, self._sources = errors, candidates, sources
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
         self.unknowns = NamedUnknowns(
@@ -166,25 +176,40 @@ class PlanningProblem:
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
         alike = None if wrenches is None else np.resize(wrenches, (len(tests.poses), 6))
         loaded = ElasticTerm.under(errors.robot, alike)
-        deflections = loaded.derivatives(tests.poses, np.zeros(len(loaded.names))) * loaded.sigmas
-        by_machine = tests.weighted * errors.tolerances
-        others = np.concatenate([deflections, datum], axis=2) * tip_weights(eta)[:, None]
-        effects = np.concatenate([by_machine, others], axis=2).reshape(-1, self._rows.shape[2])
+        self.effects, self.test_effects = (
+            _machine_effects(seen, term) for seen, term in ((self._map, elastic), (tests, loaded))
+        )
+        by_datum = datum * tip_weights(eta)[:, None]
+        effects = np.concatenate([self.test_effects, by_datum], axis=2).reshape(-1, self._rows.shape[2])
         self._tip = effects.T @ effects / len(tests.poses)
         lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
         self.inputs, self.test_inputs = (
             (poses.commands - 0.5 * (upper + lower)) / (0.5 * (upper - lower)) for poses in (candidates, tests.poses)
         )
+        self.loads, self.test_loads = np.zeros((len(candidates), 0)), np.zeros((len(tests.poses), 0))
+        if wrenches is not None and alike is not None:
+            strongest = np.abs(wrenches).max(axis=0)
+            self.loads, self.test_loads = (
+                (w / np.maximum(strongest, 1e-300))[:, strongest > 0.0] for w in (wrenches, alike)
+            )
         self._min_distance = min_distance
         self.prior = prior
-        springs = np.ones(len(elastic.names))
-        self._prior = np.diag(np.concatenate([np.full(len(errors), prior), springs, self.nuisances.sigmas]) ** -2.0)
+        self.unknown_sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
+        self._prior = np.diag(np.concatenate([self.unknown_sigmas, self.nuisances.sigmas]) ** -2.0)
 
     @property
     def sensitivity_map(self) -> ErrorMap:
         """The error map over the candidates."""
         return self._map
+
+    @cached_property
+    def least_sensitive(self) -> Mask:
+        """Which candidates are in the region least sensitive to errors, shape=(candidates,)."""
+        if self._sources is None:
+            return self._map.least_sensitive(LEAST_SENSITIVE_PART)
+        budget = error_budget(self._sources, self.candidates, eta=self._map.eta)
+        return budget.least_sensitive(LEAST_SENSITIVE_PART)
 
     def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 10) -> Plan:
         """Choose poses.
@@ -203,9 +228,7 @@ class PlanningProblem:
             "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
             "space-filling": lambda: self._space_filling(count, generator),
             "process-variance": lambda: self._least_process_variance(count),
-            "least-sensitive": lambda: self._spread(
-                np.flatnonzero(self._map.least_sensitive(LEAST_SENSITIVE_PART)), count, generator
-            ),
+            "least-sensitive": lambda: self._spread(np.flatnonzero(self.least_sensitive), count, generator),
             "random": lambda: self._spread(np.arange(len(self.candidates)), count, generator),
         }
         if strategy not in chooser:
@@ -369,6 +392,13 @@ class PlanningProblem:
             if not swapped:
                 break
         return chosen
+
+
+def _machine_effects(seen: ErrorMap, elastic: ElasticTerm) -> Array:
+    """Return the tip-weighted motion of the tool by each unknown of the machine at one tolerance."""
+    deflections = elastic.derivatives(seen.poses, np.zeros(len(elastic.names))) * elastic.sigmas
+    by_springs = deflections * tip_weights(seen.eta)[:, None]
+    return np.concatenate([seen.weighted * seen.errors.tolerances, by_springs], axis=2)
 
 
 def order_with_references(poses: Poses, every: int, seed: int) -> Indices:

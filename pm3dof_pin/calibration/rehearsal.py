@@ -1,14 +1,15 @@
 """What a calibration by a method with planned poses is worth: rehearsed on machines within the tolerances.
 
-A machine is drawn: errors p within the tolerances, and drives that wave along their travel, which no parameter
-describes. To first order its pose errors are e = S p + C w, tip-weighted, and the deviations of the commands that undo
-most of them du = -(W C)^+ W e. The method is shown those of the planned poses, with the instrument's noise, and judged
-by what its answer leaves over test poses (base and tool are taken to be where the instrument has them),
+A machine is drawn: errors p within the tolerances, among them those of the springs' stiffness where the plan loads the
+tool, and drives that wave along their travel, which no parameter describes. To first order its pose errors, beside the
+deflections that are known, are e = S p + C w, tip-weighted, and the deviations of the commands that undo most of them
+du = -(W C)^+ W e. The method is shown those of the planned poses, with the instrument's noise, and judged by what its
+answer leaves over test poses (base and tool are taken to be where the instrument has them),
 
     excess = rms |W C (du found - du)|,
 
-the tip error beyond that of the best possible commands. Bends of the machine that the first order lacks, temperatures
-and loads are not rehearsed: a machine is hardly better than this, and may be worse.
+the tip error beyond that of the best possible commands. Test poses are under wrenches such as the plan has. What the
+first order lacks and temperatures are not rehearsed: a machine is hardly better than this, and may be worse.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class _Side:
     """The candidates, or the test poses."""
 
     map: ErrorMap
-    inputs: Array
+    inputs: Array  # commands, then wrenches
+    effects: Array  # tip-weighted, of all unknowns of the machine at one tolerance, shape=(n, 6, unknowns)
 
     @property
     def control(self) -> Array:
@@ -62,8 +64,9 @@ class Rehearsal:
         if machines < 1:
             raise InvalidValueError("machines", machines, "at least 1")
         self.problem = problem
-        self._seen = _Side(problem.sensitivity_map, problem.inputs)
-        self._judged = _Side(problem.test_map, problem.test_inputs)
+        seen, judged = np.hstack([problem.inputs, problem.loads]), np.hstack([problem.test_inputs, problem.test_loads])
+        self._seen = _Side(problem.sensitivity_map, seen, problem.effects)
+        self._judged = _Side(problem.test_map, judged, problem.test_effects)
         self._sigmas = problem.instrument.sigmas * tip_weights(problem.sensitivity_map.eta)
         self._machines = [self._draw(generator) for _ in range(machines)]
 
@@ -86,9 +89,9 @@ class Rehearsal:
 
     def _draw(self, generator: np.random.Generator) -> tuple[Array, Array]:
         """Draw a machine: what is measured at all candidates, and the best deviations at the tests."""
-        errors = self.problem.errors.sample(generator)
+        errors = generator.standard_normal(len(self.problem.unknowns.names))
         sides = (self._seen, self._judged)
-        poses = [np.einsum("nij,j->ni", side.map.weighted, errors) for side in sides]
+        poses = [np.einsum("nij,j->ni", side.effects, errors) for side in sides]
         deviations = [_undone(side.control, pose) for side, pose in zip(sides, poses, strict=True)]
         size = WAVES * np.sqrt(np.mean(deviations[0] ** 2, axis=0))
         drives = len(size)
@@ -105,12 +108,11 @@ class Rehearsal:
         control, inputs = self._seen.control[indices], self._seen.inputs[indices]
         found = np.zeros((len(self._judged.inputs), control.shape[2]))
         if "lm" in method:
-            tolerances = self.problem.errors.tolerances
-            rows = self.problem.regressor[indices, :, : len(tolerances)].reshape(-1, len(tolerances))
-            information = np.eye(len(tolerances)) / self.problem.prior**2 + rows.T @ rows
-            values = tolerances * np.linalg.solve(information, rows.T @ (measured / self._sigmas).ravel())
-            measured = measured - np.einsum("nij,j->ni", self._seen.map.weighted[indices], values)
-            found = _undone(self._judged.control, np.einsum("nij,j->ni", self._judged.map.weighted, values))
+            rows = self.problem.regressor[indices].reshape(-1, len(self.problem.unknowns.names))
+            information = np.diag(self.problem.unknown_sigmas**-2.0) + rows.T @ rows
+            values = np.linalg.solve(information, rows.T @ (measured / self._sigmas).ravel())
+            measured = measured - np.einsum("nij,j->ni", self._seen.effects[indices], values)
+            found = _undone(self._judged.control, np.einsum("nij,j->ni", self._judged.effects, values))
         if method == "lm":
             return found
         deviations = _undone(control, measured)

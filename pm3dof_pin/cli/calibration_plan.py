@@ -128,6 +128,7 @@ def calibration_plan(
         PlanningProblem,
         order_with_references,
     )
+    from pm3dof_pin.errors.source_errors import ErrorSources
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
     from pm3dof_pin.measuring.measurement_file import read_commands, write_plan
@@ -160,7 +161,14 @@ def calibration_plan(
         if wrench is not None:
             wrenches = np.random.default_rng([seed, 1]).uniform(-1.0, 1.0, (len(choices), 6)) * wrench
         problem = PlanningProblem(
-            fitting, choices, tests, instrument=instrument, min_distance=distance, prior=prior, wrenches=wrenches
+            fitting,
+            choices,
+            tests,
+            instrument=instrument,
+            min_distance=distance,
+            prior=prior,
+            wrenches=wrenches,
+            sources=ErrorSources(fitting),
         )
         progress(1, 3)
         tried: dict[int, float] = {}

@@ -12,6 +12,7 @@ import pytest
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.planning import PlanningProblem
+from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import Loads
@@ -180,3 +181,36 @@ def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., 
     assert pressed["conditions"]["load_fz_N"] == -500.0
     # pushed down by 500 N at 2.6e8 N/m felt, the commands go up by about 2 um over 0.95, the drives' share of a rise
     assert 1e-6 < min(np.subtract(pressed["u_m"], plain["u_m"])) < 3e-6
+
+
+def test_one_number_a_spring_is_what_measurements_tell() -> None:
+    """Diagonal entries of the 3-RPS machine's beams one by one, by finite differences: half are like others."""
+    robot, generator = Robot.load("three_rps"), np.random.default_rng(1)
+    poses = reachable_poses(robot, 8, np.random.default_rng(0))
+    wrenches = generator.uniform(-1.0, 1.0, (8, 6)) * [100.0, 100.0, 100.0, 20.0, 20.0, 20.0]
+
+    def deflections(springs: list[dict[str, Any]]) -> np.ndarray:
+        changed = robot.replace(springs=springs)
+        matrices = compliance(changed, Poses(changed, poses.q), engine="pinocchio")
+        return np.einsum("nij,nj->ni", matrices, wrenches) / [2e-6, 2e-6, 2e-6, 1e-5, 1e-5, 1e-5]
+
+    def changed(place: int, entry: int, by: float) -> list[dict[str, Any]]:
+        springs = [dict(spring) for spring in robot.springs]
+        factors = np.ones(6)
+        factors[entry] = np.exp(0.5 * by)
+        springs[place]["matrix"] = (np.array(springs[place]["matrix"]) * factors * factors[:, None]).tolist()
+        return springs
+
+    step = 1e-4
+    beams = [place for place, spring in enumerate(robot.springs) if "matrix" in spring]
+    entries = [
+        (deflections(changed(place, entry, step)) - deflections(changed(place, entry, -step))).ravel() / (2.0 * step)
+        for place in beams
+        for entry in range(6)
+    ]
+    by_spring = ElasticTerm(tuple(str(spring["name"]) for spring in robot.springs), wrenches)
+    whole = by_spring.derivatives(poses, np.zeros(len(robot.springs))) / np.array([2e-6] * 3 + [1e-5] * 3)[:, None]
+    singular = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.transpose(entries), whole.reshape(48, -1))]
+    ranks = [int(np.sum(values > 1e-8 * values[0])) for values in singular]
+    assert ranks[1] == len(robot.springs)
+    assert ranks[0] <= len(entries) / 2

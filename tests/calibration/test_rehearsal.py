@@ -12,9 +12,12 @@ import pytest
 from pm3dof_pin.calibration import rehearsal
 from pm3dof_pin.calibration.planning import STRATEGY_OF_METHOD, PlanningProblem
 from pm3dof_pin.calibration.rehearsal import Rehearsal
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.tool_deflection import stiffened
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -94,6 +97,56 @@ def test_parameters_alone_leave_what_the_formula_says(
         squares.append(np.trace(effect @ covariance @ effect.T))
     rehearsed = Rehearsal(problem, np.random.default_rng(0), machines=200).excess(chosen, "lm")
     assert rehearsed == pytest.approx(np.sqrt(np.mean(squares)), rel=0.08)
+
+
+def test_unknown_springs_are_rehearsed(
+    tripod_errors: GeometricErrors, mechanism: Robot, tests: Poses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under wrenches: the formula above, the deflection by each spring by finite differences of its stiffness."""
+    monkeypatch.setattr(rehearsal, "WAVES", 0.0)
+    candidates = reachable_poses(mechanism, 60, np.random.default_rng(0))
+    wrenches = np.random.default_rng(1).uniform(-500.0, 500.0, (60, 6)) * [1.0, 1.0, 1.0, 0.1, 0.1, 0.1]
+    problem = PlanningProblem(tripod_errors, candidates, tests, prior=1.0, wrenches=wrenches)
+    springs = [entry["name"] for entry in mechanism.springs]
+    weights = np.array([1.0, 1.0, 1.0, TIP_LENGTH, TIP_LENGTH, TIP_LENGTH])
+
+    def by_springs(poses: Poses) -> np.ndarray:
+        loads, columns = np.resize(wrenches, (len(poses), 6)), []
+        for name in springs:
+            robots = (stiffened(mechanism, {name: float(np.exp(change))}) for change in (-1e-4, 1e-4))
+            matrices = (compliance(robot, Poses(robot, poses.q), engine="pinocchio") for robot in robots)
+            soft, stiff = (np.einsum("nij,nj->ni", matrix, loads) for matrix in matrices)
+            columns.append((stiff - soft) / 2e-4)
+        return np.stack(columns, axis=2) * 0.3  # a stiffness is known to a third beforehand
+
+    chosen, motion = np.arange(0, 60, 4), sensitivities(tripod_errors, tests)
+    of_candidates = sensitivities(tripod_errors, candidates[chosen]).errors * tripod_errors.tolerances
+    loaded = np.concatenate([of_candidates, by_springs(candidates)[chosen]], axis=2)
+    rows = (loaded / problem.instrument.sigmas[:, None]).reshape(-1, loaded.shape[2])
+    covariance = np.linalg.inv(np.eye(loaded.shape[2]) + rows.T @ rows)
+    effects = np.concatenate([motion.errors * tripod_errors.tolerances, by_springs(tests)], axis=2) * weights[:, None]
+    squares = []
+    for effect, by_commands in zip(effects, motion.commands, strict=True):
+        control = weights[:, None] * by_commands
+        undone = control @ np.linalg.pinv(control) @ effect
+        squares.append(np.trace(undone @ covariance @ undone.T))
+    rehearsed = Rehearsal(problem, np.random.default_rng(0), machines=200).excess(chosen, "lm")
+    assert rehearsed == pytest.approx(np.sqrt(np.mean(squares)), rel=0.08)
+
+
+def test_the_least_sensitive_region_is_that_of_all_sources(tripod_errors: GeometricErrors, mechanism: Robot) -> None:
+    """By the squares of the sources, added up here: 500 N sideways deflect the low poses least."""
+    candidates = reachable_poses(mechanism, 60, np.random.default_rng(0))
+    sources = ErrorSources(tripod_errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    problem = PlanningProblem(tripod_errors, candidates, sources=sources)
+    weights = np.array([1.0, 1.0, 1.0, TIP_LENGTH, TIP_LENGTH, TIP_LENGTH])
+    found = sources.at(candidates)
+    squares = np.sum((sum(source.shift for source in found) * weights) ** 2, axis=1)
+    squares = squares + sum(np.sum((source.effects * weights[:, None]) ** 2, axis=(1, 2)) for source in found)
+    np.testing.assert_array_equal(problem.least_sensitive, squares <= np.sort(squares)[11])
+    alone = PlanningProblem(tripod_errors, candidates)
+    heights = candidates.coordinates[:, 2]
+    assert heights[problem.least_sensitive].mean() < heights[alone.least_sensitive].mean() - 0.03
 
 
 def test_more_poses_are_better_for_every_method(problem: PlanningProblem) -> None:
