@@ -11,7 +11,7 @@ import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
-from pm3dof_pin.chapter.tilt_grids import FilledTiltGrid, PointGrid, RectangularGrid, TiltGrid
+from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
@@ -88,7 +88,7 @@ def stiffness_section(
 
 def section_outline(
     tripod: Tripod,
-    grid: FilledTiltGrid | None = None,
+    grid: RectangularGrid | PolarGrid | None = None,
     z_e: float | None = None,
     directions: int = 720,
     *,

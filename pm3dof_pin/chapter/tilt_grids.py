@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,29 +22,39 @@ class _TiltAxis:
     long_name: str
 
 
-class TiltGrid(Protocol):
+class TiltGrid:
     """What a map needs of a grid: named dimensions, coordinates and the tilts at its points."""
 
     @property
     def dims(self) -> tuple[str, ...]:
         """Names of the grid's dimensions."""
+        raise NotImplementedError
+
+    def _tilts(self) -> Array:
+        """Return theta_x and theta_y at its points, shape=(*shape of the grid, 2) [rad]."""
+        raise NotImplementedError
 
     def coordinates(self) -> dict[str, _TiltAxis]:
         """Return the coordinates by name; theta_x and theta_y are among them."""
+        tilts = self._tilts()
+        return {
+            f"theta_{axis}": _TiltAxis(self.dims, tilts[..., k], "rad", f"rotation of the platform about {axis}")
+            for k, axis in enumerate("xy")
+        }
 
     def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses of the grid at one height or several, shape=(*shape of z_e, *shape of the grid, 3)."""
-
-
-class FilledTiltGrid(TiltGrid, Protocol):
-    """A grid that fills a piece of the plane of tilts."""
-
-    def edge_radius(self, azimuths: Array) -> Array:
-        """Return how far the grid reaches from the level platform in given directions, negative if it is outside."""
+        """Return the poses at one finite height or several, shape=(*shape of z_e, *shape of the grid, 3)."""
+        heights, tilts = np.asarray(z_e, dtype=float), self._tilts()
+        if not np.all(np.isfinite(heights)):
+            raise InvalidValueError("z_e", z_e, "a finite height in metres")
+        poses = np.empty((*heights.shape, *tilts.shape[:-1], 3))
+        poses[..., :2] = tilts
+        poses[..., 2] = heights.reshape(heights.shape + (1,) * (tilts.ndim - 1))
+        return poses
 
 
 @dataclass(frozen=True)
-class RectangularGrid:
+class RectangularGrid(TiltGrid):
     """Tilts at equal steps of theta_x and theta_y, ends included.
 
     The default covers the chapter's printed working range of +-40 deg in steps of 1 deg: 6,561 poses a section.
@@ -66,30 +75,20 @@ class RectangularGrid:
         """("theta_x", "theta_y")."""
         return ("theta_x", "theta_y")
 
+    def _tilts(self) -> Array:
+        """Return theta_x and theta_y at its points, shape=(*shape, 2) [rad]."""
+        return np.stack(np.meshgrid(*(axis.values for axis in self.coordinates().values()), indexing="ij"), axis=-1)
+
     def coordinates(self) -> dict[str, _TiltAxis]:
         """Return theta_x and theta_y, each along its own dimension [rad]."""
-        theta_x = np.linspace(*self.theta_x_range, self.shape[0])
-        theta_y = np.linspace(*self.theta_y_range, self.shape[1])
-        return {
-            "theta_x": _TiltAxis(("theta_x",), theta_x, "rad", "rotation of the platform about x"),
-            "theta_y": _TiltAxis(("theta_y",), theta_y, "rad", "rotation of the platform about y"),
+        ends = {"x": (*self.theta_x_range, self.shape[0]), "y": (*self.theta_y_range, self.shape[1])}
+        axes = {
+            f"theta_{axis}": (np.linspace(*of), f"rotation of the platform about {axis}") for axis, of in ends.items()
         }
-
-    def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses at heights z_e [m], shape=(*shape of z_e, *shape, 3) [rad, rad, m]; these must be finite."""
-        coordinates = self.coordinates()
-        tilts = np.meshgrid(coordinates["theta_x"].values, coordinates["theta_y"].values, indexing="ij")
-        return _poses(np.stack(tilts, axis=-1), z_e)
+        return {name: _TiltAxis((name,), values, "rad", words) for name, (values, words) in axes.items()}
 
     def edge_radius(self, azimuths: Array) -> Array:
-        """Return how far the grid reaches from the level platform, negative if it does not contain it.
-
-        Args:
-            azimuths: directions from the theta_x axis, shape=(n,) [rad].
-
-        Returns:
-            shape=(n,) [rad].
-        """
+        """Return how far the grid reaches from the level platform in directions from theta_x [rad]; or less than 0."""
         radius = np.full(azimuths.shape, np.inf)
         for (low, high), component in ((self.theta_x_range, np.cos(azimuths)), (self.theta_y_range, np.sin(azimuths))):
             with np.errstate(divide="ignore"):
@@ -99,7 +98,7 @@ class RectangularGrid:
 
 
 @dataclass(frozen=True)
-class PolarGrid:
+class PolarGrid(TiltGrid):
     """Tilts on rays from the level platform: theta_x = r cos(phi), theta_y = r sin(phi).
 
     The default is the grid of Table 8.3: r = 0:1.8:45 deg, phi = 0:2:360 deg, so that the last ray lies on the first
@@ -121,22 +120,22 @@ class PolarGrid:
         """("radius", "azimuth")."""
         return ("radius", "azimuth")
 
+    def _tilts(self) -> Array:
+        """Return theta_x and theta_y at its points, shape=(radius_count, azimuth_count, 2) [rad]."""
+        radius, azimuth = (axis.values for axis in self._polar().values())
+        return np.asarray(radius[:, None, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1))
+
     def coordinates(self) -> dict[str, _TiltAxis]:
         """Return radius, azimuth and, along both, theta_x and theta_y [rad]."""
+        return self._polar() | super().coordinates()
+
+    def _polar(self) -> dict[str, _TiltAxis]:
         radius = np.linspace(0.0, self.radius_max, self.radius_count)
         azimuth = np.linspace(0.0, 2.0 * np.pi, self.azimuth_count)
-        theta_x, theta_y = np.outer(radius, np.cos(azimuth)), np.outer(radius, np.sin(azimuth))
         return {
             "radius": _TiltAxis(("radius",), radius, "rad", "distance from the level platform in the plane of tilts"),
             "azimuth": _TiltAxis(("azimuth",), azimuth, "rad", "direction of the tilt from the theta_x axis"),
-            "theta_x": _TiltAxis(self.dims, theta_x, "rad", "rotation of the platform about x"),
-            "theta_y": _TiltAxis(self.dims, theta_y, "rad", "rotation of the platform about y"),
         }
-
-    def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses as :meth:`RectangularGrid.poses`, shape=(*shape of z_e, radius_count, azimuth_count, 3)."""
-        coordinates = self.coordinates()
-        return _poses(np.stack([coordinates["theta_x"].values, coordinates["theta_y"].values], axis=-1), z_e)
 
     def edge_radius(self, azimuths: Array) -> Array:
         """Return how far the grid reaches from the level platform: the largest radius, in every direction [rad]."""
@@ -144,7 +143,7 @@ class PolarGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class PointGrid:
+class PointGrid(TiltGrid):
     """Any tilts (theta_x, theta_y), shape=(n, 2) [rad]: the boundary of a section, measured poses, and the like."""
 
     tilts: Array
@@ -160,26 +159,8 @@ class PointGrid:
         """("point",)."""
         return ("point",)
 
-    def coordinates(self) -> dict[str, _TiltAxis]:
-        """Return theta_x and theta_y along the points [rad]."""
-        return {
-            "theta_x": _TiltAxis(self.dims, self.tilts[:, 0], "rad", "rotation of the platform about x"),
-            "theta_y": _TiltAxis(self.dims, self.tilts[:, 1], "rad", "rotation of the platform about y"),
-        }
-
-    def poses(self, z_e: ArrayLike) -> Array:
-        """Return the poses as :meth:`RectangularGrid.poses`, shape=(*shape of z_e, n, 3)."""
-        return _poses(self.tilts, z_e)
-
-
-def _poses(tilts: Array, z_e: ArrayLike) -> Array:
-    heights = np.asarray(z_e, dtype=float)
-    if not np.all(np.isfinite(heights)):
-        raise InvalidValueError("z_e", z_e, "a finite height in metres")
-    poses = np.empty((*heights.shape, *tilts.shape[:-1], 3))
-    poses[..., :2] = tilts
-    poses[..., 2] = heights.reshape(heights.shape + (1,) * (tilts.ndim - 1))
-    return poses
+    def _tilts(self) -> Array:
+        return self.tilts
 
 
 def _check_range(name: str, ends: tuple[float, float]) -> None:

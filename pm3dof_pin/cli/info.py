@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.file_schemas import FileKind, file_schema
 from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 CLOSED_TOLERANCE = 1e-6
 """Residual up to which a closure is called closed [m or rad]."""
 
+_FileKind = StrEnum("_FileKind", {"CLOSURES": "closures", "ERRORS": "errors", "PARAMETERS": "parameters"})
+"""The YAML files of a robot."""
+
 _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite"), ("Planar", "planar"))
 
 
@@ -32,7 +35,7 @@ def info(
         str | None, typer.Argument(metavar="ROBOT", help="As --robot.", autocompletion=completion.robots)
     ] = None,
     schema: Annotated[
-        FileKind | None,
+        _FileKind | None,
         typer.Option("--schema", help="Print the JSON Schema of a YAML file instead, for editors."),
     ] = None,
     as_json: Json = False,
@@ -44,7 +47,7 @@ def info(
     from pm3dof_pin.description.robots import find_robot, robot_names
 
     if schema is not None:
-        print_result(file_schema(schema), [], as_json=True)
+        print_result(_file_schema(schema), [], as_json=True)
         return
     which = replace(which, robot=path or which.robot)
     files = find_robot(which.robot, which.package_path or ())
@@ -65,6 +68,26 @@ def info(
     result["missing"] = _missing(result, machine)
     result["robots"] = robot_names()
     print_result(result, _lines(result, machine), as_json=as_json)
+
+
+def _file_schema(kind: _FileKind) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a kind of file, for editors: made from what checks it when it is read."""
+    import msgspec
+
+    from pm3dof_pin.description.closures import ClosuresSchema
+    from pm3dof_pin.description.error_file import ErrorFileSchema
+    from pm3dof_pin.description.parameters import ParameterSchema
+    from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
+
+    schema: type | None = {_FileKind.CLOSURES: ClosuresSchema, _FileKind.ERRORS: ErrorFileSchema}.get(kind)
+    wanted = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind is _FileKind.CLOSURES else ())]
+    (root, *springs), parts = msgspec.json.schema_components(wanted, ref_template="#/$defs/{name}")
+    if kind is _FileKind.PARAMETERS:  # a file of the tripod: a name and other texts, and sections of parameters
+        section = {"if": {"type": "object"}, "then": {"additionalProperties": root}}
+        root = {"type": "object", "properties": {"name": {"type": "string"}}, "additionalProperties": section}
+    if springs:
+        parts["ClosuresSchema"]["properties"]["springs"] = {"type": "array", "items": {"oneOf": springs}}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": kind.value, **root, "$defs": parts}
 
 
 def _files(files: RobotFiles) -> dict[str, Any]:

@@ -1,10 +1,11 @@
-"""Arrows at the actuators: forces of sliding joints, moments (two heads) of turning ones."""
+"""Arrows: forces of sliding joints, moments (two heads) of turning ones, and frames."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
@@ -14,6 +15,7 @@ from pm3dof_pin.viewer.objects import Colour, Json
 from pm3dof_pin.viewer.scene import Scene
 
 COLOUR: Colour = (0.78, 0.07, 0.13)
+_AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.12, 0.47, 0.71))
 
 _LEAST = 1e-6  # a length of zero would leave no direction
 
@@ -61,3 +63,14 @@ def draw_arrow(scene: Scene, path: str, *, heads: int) -> None:
     for name, (geometry, height) in parts.items():
         scene.set_object(f"{path}/{name}", objects.overlaid_mesh(geometry, COLOUR), casts_shadow=False)
         scene.set_transform(f"{path}/{name}", objects.transform(translation=[0.0, 0.0, height]) @ objects.Y_TO_Z)
+
+
+def draw_frame(scene: Scene, path: str, placement: ArrayLike, size: float) -> None:
+    """Put a frame with arrows of a length [m] at a path, at a placement in its parent, shape=(4, 4)."""
+    scene.set_transform(path, placement)
+    shaft, head = objects.cylinder(0.028 * size, 0.82 * size), objects.cylinder(0.07 * size, 0.2 * size, 0.0)
+    for direction, axis, colour in zip(np.eye(3), "xyz", _AXIS_COLOURS, strict=True):
+        for part, geometry, middle in (("shaft", shaft, 0.41 * size), ("head", head, 0.9 * size)):
+            scene.set_object(f"{path}/{axis}_{part}", objects.mesh(geometry, colour), casts_shadow=False)
+            turn = objects.transform(objects.turn_z_to(direction), middle * direction)
+            scene.set_transform(f"{path}/{axis}_{part}", turn @ objects.Y_TO_Z)

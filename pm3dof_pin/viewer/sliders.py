@@ -21,9 +21,9 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.tool_motion import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
-from pm3dof_pin.viewer.about_body import about_body
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.viewer.legs import about_body
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.scene import Json, column_major
 

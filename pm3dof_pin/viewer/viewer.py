@@ -20,7 +20,6 @@ from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
 from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
-from pm3dof_pin.viewer.frames import draw_frame
 from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
@@ -381,7 +380,7 @@ class Viewer(ShownScene):
         for name in wanted:
             body_path, in_body = self._body_at(name)
             paths.append(f"{body_path}/frames/{name.replace('/', '_')}")
-            draw_frame(self.scene, paths[-1], in_body, size)
+            arrows.draw_frame(self.scene, paths[-1], in_body, size)
         lines = [", ".join(wanted), "x red, y green, z blue"]
         self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
 
