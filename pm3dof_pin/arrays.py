@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Vector
 
+_GREATEST = 1e100  # the product of any three is a number
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return values as an array of real numbers: texts and complex numbers are none, even where NumPy would read them.
+    """Return values as an array of real numbers.
+
+    Texts, truth values and complex numbers are none, even where NumPy would read them, and neither are masked ones.
 
     Args:
         name: what the values are, for the message.
@@ -26,7 +29,9 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """
     try:
         array = np.asarray(values)
-        if array.dtype.kind not in "biufO" or any(isinstance(entry, (str, bytes)) for entry in _objects(array)):
+        if np.ma.is_masked(values):
+            raise InvalidValueError(name, values, "no masked numbers")
+        if array.dtype.kind not in "iufO" or any(isinstance(entry, (str, bytes, bool)) for entry in _objects(array)):
             raise InvalidValueError(name, values, "real numbers")
         return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -51,9 +56,21 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     array = np.array(real_array(name, values))
     if array.shape not in shapes:
         raise InvalidValueError(name, f"an array of shape {array.shape}", f"shape {' or '.join(map(str, shapes))}")
-    if not np.isfinite(array).all():
-        raise InvalidValueError(name, array, "finite numbers")
+    if not (np.abs(array) <= _GREATEST).all():  # so for NaN
+        raise InvalidValueError(name, array, f"finite numbers of at most {_GREATEST:g}")
     return array
+
+
+def require_choice(name: str, value: object, choices: Any) -> None:
+    """Raise InvalidValueError unless a value is one of the words of a `Literal`."""
+    if not isinstance(value, str) or value not in get_args(choices):
+        raise InvalidValueError(name, value, " or ".join(map(repr, get_args(choices))))
+
+
+def require_count(name: str, value: object, least: int = 1) -> None:
+    """Raise InvalidValueError unless a value is a whole number, and large enough."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InvalidValueError(name, value, f"a whole number from {least} on")
 
 
 def listed(numbers: Vector) -> str:

@@ -155,16 +155,16 @@ def robot_grid(
         first, last = (_si(known[wanted.name], end) for end in (wanted.first, wanted.last))
         axes[wanted.name] = (first, last, wanted.count)
     for entry in values or ():
-        axes[entry.name] = value = _si(known[entry.name], entry.first)
-        low, high = robot.range_of(known[entry.name])
-        if not low <= value <= high:
-            factor, unit = shown_in(known[entry.name].unit)
-            span = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
-            message(f"pm3dof: --at {entry.name} {entry.first:g}: {entry.name} runs {span}")
+        axes[entry.name] = _si(known[entry.name], entry.first)
     numbers = {entry.name: (entry.first, entry.last) for entry in given}
     home = zip(robot.coordinates, robot.home_coordinates, strict=True)
     ends = [numbers.get(c.name, (shown_in(c.unit)[0] * value,) * 2) for c, value in home]
     check_units(robot, robot.coordinates, np.array(ends).T)
+    for entry in values or ():
+        factor, unit = shown_in(known[entry.name].unit)
+        low, high = (factor * end for end in robot.range_of(known[entry.name]))
+        if not low <= entry.first <= high:
+            message(f"pm3dof: --at {entry.name} {entry.first:g}: {entry.name} runs {low:.4g} to {high:.4g} {unit}")
     return robot.grid(**axes)
 
 

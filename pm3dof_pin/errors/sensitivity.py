@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_choice
 from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
@@ -73,6 +73,7 @@ def sensitivities(
             overconstrained or planar robot); see :func:`closable`.
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
+    require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
     if engine == "program" and len(poses) >= _PROGRAM_FROM:
         from pm3dof_pin.errors.sensitivity_program import evaluated

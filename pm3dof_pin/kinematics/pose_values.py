@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import real_array, require_choice
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -62,7 +63,9 @@ def evaluate_at(
         InvalidValueError: `poses` has another shape.
         PM3DofError: see `careful`.
     """
-    q = np.asarray(poses.q if isinstance(poses, Poses) else poses, dtype=float)
+    require_choice("on_failure", on_failure, OnFailure)
+    require_choice("engine", engine, Engine)
+    q = poses.q if isinstance(poses, Poses) else real_array("poses", poses)
     if q.shape[-1:] != (robot.model.nq,):
         raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {robot.model.nq})")
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen, real_array
+from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+_GREATEST = 1e12  # of a coordinate or command, beyond which arithmetic overflows before anything is found
 _HOME = "home"
 _MANY = 32  # poses that are worth a program
 
@@ -183,11 +184,12 @@ class Robot(Mechanism):
             self.coordinate(name)
             fixed.pop(name)
             if isinstance(value, tuple):
-                if len(value) != 3 or int(value[2]) != value[2] or value[2] < 1:
+                numbers = finite_array(f"range of {name}", value, (len(value),))
+                if len(numbers) != 3 or numbers[2] % 1.0 or numbers[2] < 1.0:
                     raise InvalidValueError(f"range of {name}", value, "first, last and a count of at least 1")
-                axes[name] = np.linspace(value[0], value[1], int(value[2]))
+                axes[name] = np.linspace(numbers[0], numbers[1], int(numbers[2]))
             else:
-                fixed[name] = float(value)
+                fixed[name] = float(finite_array(name, value, ()))
             self._require_unit(self.coordinate(name), axes.get(name, fixed.get(name, ())))
         return Grid(self.coordinates, axes, fixed)
 
@@ -197,8 +199,14 @@ class Robot(Mechanism):
         Args:
             q: joint configurations, NaN where there is none, shape=(..., nq) [m, rad].
             engine: what places the tool and checks limits and closures of many poses; of a few Pinocchio does.
+
+        Raises:
+            InvalidValueError: they are no numbers, or of a wrong shape.
         """
-        positions = np.asarray(q, dtype=float)
+        require_choice("engine", engine, Engine)
+        positions = real_array("q", q)
+        if positions.ndim == 0 or positions.shape[-1] != self.model.nq:
+            raise InvalidValueError("q", f"an array of shape {positions.shape}", f"shape (..., {self.model.nq})")
         rows = positions.reshape(math.prod(positions.shape[:-1]), self.model.nq)  # nq may be 0
         if engine == "pinocchio" or len(rows) < _MANY:
             return Poses(self, positions)
@@ -359,6 +367,10 @@ class Robot(Mechanism):
         engine: Engine,
         threads: int | None = None,
     ) -> Poses:
+        require_choice("on_failure", on_failure, OnFailure)
+        require_choice("engine", engine, Engine)
+        if threads is not None:
+            require_count("threads", threads)
         names = ", ".join(coordinate.name for coordinate in coordinates)
         targets = real_array(what, values.values if isinstance(values, Grid) else values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
@@ -366,6 +378,8 @@ class Robot(Mechanism):
             raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
         if on_failure == "raise":
             finite_array(f"{what} ({names})", targets, targets.shape)
+        if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
+            raise InvalidValueError(f"{what} ({names})", targets, f"numbers of at most {_GREATEST:g}")
         if guess is None:  # steps of iterations, which start from a guess, may lead anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
                 self._require_unit(coordinate, column)

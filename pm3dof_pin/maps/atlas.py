@@ -30,8 +30,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 import pm3dof_pin
+from pm3dof_pin.arrays import require_choice, require_count
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError, OutputError, PM3DofError, UnreachablePoseError
+from pm3dof_pin.exceptions import (
+    DescriptionError,
+    InvalidValueError,
+    OutputError,
+    PM3DofError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_journal import Block, Checksums
@@ -88,6 +95,9 @@ class Atlas:
 
     def __post_init__(self) -> None:
         """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
+        require_choice("precision", self.precision, Precision)
+        require_choice("engine", self.engine, Engine)
+        object.__setattr__(self, "path", Path(self.path))
         if not self.grid.axes:
             raise InvalidValueError("grid", "one pose", "at least one coordinate with a range")
         if self.path.suffix not in (".nc", ".zarr"):
@@ -224,6 +234,8 @@ def compute_atlas(
         UnreachablePoseError: no pose of the grid is within the limits; nothing is written.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
+    if threads is not None:
+        require_count("threads", threads)
     with exclusive_run(atlas.path), _cluster(scheduler) if scheduler else nullcontext() as cluster:
         return _compute(atlas, threads, cluster, progress)
 
@@ -300,10 +312,16 @@ def open_atlas(path: Path | str) -> xr.Dataset:
 
     Args:
         path: an atlas, `.nc` or `.zarr`.
+
+    Raises:
+        DescriptionError: there is none, or it cannot be read.
     """
     import xarray as xr
 
-    dataset = xr.open_zarr(path, consolidated=False) if Path(path).suffix == ".zarr" else xr.open_dataset(path)
+    try:
+        dataset = xr.open_zarr(path, consolidated=False) if Path(path).suffix == ".zarr" else xr.open_dataset(path)
+    except (OSError, KeyError, ValueError) as error:
+        raise DescriptionError(path, "file", f"expected an atlas ({error})") from error
     for variable in dataset.data_vars.values():
         for dim in variable.dims:
             if f"{dim}_labels" in variable.attrs:

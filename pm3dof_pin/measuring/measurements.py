@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pm3dof_pin.arrays import finite_array, real_array
 from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, rotation_vector_rates
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
@@ -169,13 +170,19 @@ class Measurements:
             commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
             transforms: poses seen, shape=(n, 4, 4).
             instrument: whose noise they have.
+
+        Raises:
+            InvalidValueError: numbers that are none, or shapes that do not fit.
         """
         seen_by = instrument or Instrument()
-        poses = np.asarray(transforms, dtype=float)
+        commands = np.array(real_array("commands", commands))
+        if commands.ndim != 2:
+            raise InvalidValueError("commands", f"an array of shape {commands.shape}", "shape (n, number of commands)")
+        poses = finite_array("transforms", transforms, (len(commands), 4, 4))
         if seen_by.targets:
-            return cls._of_targets(np.asarray(commands, dtype=float), poses, seen_by)
+            return cls._of_targets(commands, poses, seen_by)
         return cls(
-            np.array(commands, dtype=float),
+            commands,
             poses[:, :3, 3],
             poses[:, :3, :3] if seen_by.measured == "pose" else None,
             np.tile(seen_by.sigmas, (len(poses), 1)),

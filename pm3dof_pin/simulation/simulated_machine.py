@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.arrays import finite_array, real_array
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import (
     ANGLE_TOLERANCE,
@@ -167,7 +167,9 @@ class SimulatedMachine:
         Raises:
             PM3DofError: see :meth:`poses`.
         """
-        wanted = np.array(commands, dtype=float)
+        wanted = real_array("commands", commands)
+        if wanted.ndim != 2:
+            raise InvalidValueError("commands", f"an array of shape {wanted.shape}", "shape (n, number of commands)")
         noise = correlated_normal((instrument or Instrument()).covariance, len(wanted), generator)
         if self.vibration is not None:
             noise = noise + self.vibration.tool_displacements(self.nominal.forward(wanted), generator)

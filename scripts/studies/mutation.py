@@ -105,8 +105,8 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
         yield before, changed
 
 
-def is_noticed(module: str, text: str, tests: list[str]) -> bool:
-    """Run a module's tests over a copy of the package with another text of it."""
+def passes(module: str, text: str, tests: list[str]) -> bool:
+    """Run a module's tests over a copy of the package with another text of it, and say whether all pass."""
     with tempfile.TemporaryDirectory(prefix="planted_") as folder:
         shutil.copytree(ROOT / PACKAGE, Path(folder) / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("robots", "tests", "pyproject.toml"):
@@ -120,8 +120,8 @@ def is_noticed(module: str, text: str, tests: list[str]) -> bool:
                 command, cwd=folder, env=environment, capture_output=True, timeout=SECONDS, check=False
             )
         except subprocess.TimeoutExpired:
-            return True
-        return done.returncode == 1
+            return False
+        return done.returncode == 0
 
 
 def main() -> None:
@@ -133,11 +133,13 @@ def main() -> None:
     options = parser.parse_args()
     for module in options.modules:
         source = (ROOT / PACKAGE / module).read_text(encoding="utf-8")
+        if not passes(module, source, MODULES[module]):
+            sys.exit(f"{module}: its tests fail without any mistake planted")
         every = list(mutants(source))
         chosen = random.Random(options.seed).sample(every, min(options.count, len(every)))
         survivors = []
         for line, what, text in chosen:
-            if not is_noticed(module, text, MODULES[module]):
+            if passes(module, text, MODULES[module]):
                 survivors.append(what)
                 print(f"  survives: {module}:{line}: {what}", flush=True)
         print(f"{module}: {len(chosen) - len(survivors)} of {len(chosen)} noticed ({len(every)} in all)", flush=True)
