@@ -14,19 +14,18 @@ from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, i
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedModel, LearnedPart
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
+from pm3dof_pin.calibration.scatter import Scatter, scatter_of
+from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.typing import Array
 
 logger = logging.getLogger(__name__)
 
 Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
-
-_HARDLY_SHOWN = 0.1  # of the poses
 
 LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
@@ -83,8 +82,8 @@ class Calibration:
     identification: Identification
     compensation: Compensation
 
-    def with_scatter(self, scatter: Array) -> Calibration:
-        """Return it with what a cross-validation says is left of errors, shape=(6, 6) [m^2]."""
+    def with_scatter(self, scatter: Scatter) -> Calibration:
+        """Return it with what a cross-validation says is left of errors."""
         return replace(self, compensation=replace(self.compensation, scatter=scatter))
 
 
@@ -120,7 +119,9 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     prior = PRIOR if options.prior is None else options.prior
     identification = identify(measurements, errors, prior=prior, loss=options.loss)
     if options.prior is None and (found := prior_from_data(identification)) < prior:
-        identification = identify(identification.measurements, errors, prior=found, loss=options.loss)
+        identification = identify(
+            identification.measurements, errors, prior=found, loss=options.loss, start=identification
+        )
     options = replace(options, prior=identification.prior)
     _warn_of_gaps(identification)
     trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
@@ -133,39 +134,23 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     return Calibration(options, identification.measurements, identification, compensation)
 
 
-def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Array:
+def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:
     """Return what is left in the measurements that were calibrated from, without noise.
 
     Of the directions that drives correct, what is learned says itself how well it does.
     """
     visits = shown.visits
     nominal = compensation.errors.robot.forward(visits.commands)
-    found = pseudo_errors(shown, compensation.model_poses(nominal), compensation.eta)
+    model = compensation.model_poses(nominal)
+    found, control = pseudo_errors(shown, model, compensation.eta), weighted_control(model, compensation.eta)
     if compensation.learned is not None:
         across = found.seen.shown - found.control @ control_inverse(found.control)
         covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return scatter_of(found.left, covariances, across)
+        return scatter_of(found.left, covariances, across, np.zeros_like(control))
     used = float(len(identification.errors)) if compensation.values is not None else 0.0
     freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
-    return scatter_of(found.before / np.sqrt(freedom), found.at_commands.covariances, found.at_commands.shown)
-
-
-def scatter_of(errors: Array, covariances: Array, shown: Array) -> Array:
-    """Return the covariance of tip-weighted errors, shape=(n, 6) [m], beyond the known covariances; 0 if there is none.
-
-    Eigenvalues that chance made negative are left out, and the others keep the sum of all. Directions that hardly any
-    pose shows (`shown`: projections, shape=(n, 6, 6)) are taken to scatter as the others do in the mean.
-    """
-    count, known = len(errors), covariances.mean(axis=0)
-    values, axes = np.linalg.eigh(errors.T @ errors / count - known)
-    total, kept = float(values.sum()), np.maximum(values, 0.0)
-    if total <= 0.0:
-        return np.zeros((6, 6))
-    scatter = (axes * (kept * total / kept.sum())) @ axes.T
-    parts, directions = np.linalg.eigh(shown.mean(axis=0))
-    hidden = directions[:, parts < _HARDLY_SHOWN]
-    mean = float(np.trace(scatter)) / max(1.0, float(parts.sum()))
-    return np.asarray(scatter + mean * hidden @ hidden.T)
+    seen = found.at_commands
+    return scatter_of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control)
 
 
 def compensation_from(

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.learned_part import LearnedPart
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
-from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
+from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
@@ -75,8 +76,7 @@ class Compensation:
             measurements define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`.
         learned: pseudo-error on top of that model; None for none.
         eta: weight of the orientation in the tip error [m/rad].
-        scatter: covariance of the tip-weighted error that was left in the measurements beside all this and beside their
-            noise, base axes, shape=(6, 6) [m^2].
+        scatter: what was left in the measurements beside all this and beside their noise.
         stiffness: by spring, how many times stiffer it was found than described, and the standard deviation of the
             logarithm of that; springs not named are as described.
     """
@@ -86,13 +86,8 @@ class Compensation:
     covariance: Array | None = None
     learned: LearnedPart | None = None
     eta: float = TIP_LENGTH
-    scatter: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    scatter: Scatter = field(default_factory=Scatter)
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    @property
-    def unexplained(self) -> float:
-        """Tip error that was left in the measurements, root mean square [m]."""
-        return float(np.sqrt(np.trace(self.scatter)))
 
     @cached_property
     def model(self) -> Robot:
@@ -311,7 +306,8 @@ class Compensation:
         """Return the tip-weighted error with the corrected commands, its mean and covariance, (n, 6) and (n, 6, 6)."""
         reached = self._deflected(nearest, conditions)
         left = pose_difference(nominal.transforms, reached.transforms) * tip_weights(self.eta)
-        return left, self.covariances(nearest, conditions) + self.scatter
+        control = weighted_control(nearest, self.eta)
+        return left, self.covariances(nearest, conditions) + self.scatter.covariances(control)
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2].

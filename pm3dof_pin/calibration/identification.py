@@ -5,7 +5,9 @@ closed-loop forward kinematics, in units of its noise, p the machine's parameter
 (:mod:`pm3dof_pin.measuring.nuisances`): the instrument's frame, offsets of targets, drift. Gauss-Newton on the exact
 Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in each step the robust linear problem is solved to its end by
 reweighting (P. Holland and R. Welsch, 1977): first with Huber's weights, which have one minimum, then from there with
-Tukey's, which leave gross outliers no say.
+Tukey's, which leave gross outliers no say. Their scale is that of Huber's fit (V. Yohai's MM-estimates, 1987), so that
+each reweighting lowers one sum; and once the steps are small they keep to the minimum found, lest few rows with
+outliers make them change for ever between two.
 """
 
 from __future__ import annotations
@@ -41,14 +43,16 @@ PRIOR_DOMINATED = 0.9
 
 _MAX_STEPS = 50
 _DAMPING = 1e-4  # (1 / 100 tolerances)^2: further than that no linearisation reaches, should nothing else hold a step
-_SMALL_STEP = 1e-8  # what a step changes of the residuals, in units of their sigma
+_SMALL_STEP = 1e-6  # what a step changes of the residuals, in units of their sigma
 _STUCK = 1e-4  # a step that rounding alone keeps from falling further
+_NEAR = 1.0  # sigma that a step changes of the residuals, from which on the minimum is kept
 _REWEIGHTINGS = 200
 _SETTLED = 1e-6  # change of weights
 _HUBER = 0.95  # part of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
 _FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
 _LEAST_FREEDOM = 0.2  # of the measurements
+_BELIEVED = 4.0  # parameters off by their tolerance, as which the tolerances count
 _UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that says nothing
 
 
@@ -75,8 +79,6 @@ class Identification:
         outliers: rows whose residual is no noise.
         rows: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
             parameters).
-        identifiability: rank of the data, beside nuisance parameters of which nothing is known beforehand, and
-            combinations that they say nothing about.
         steps: Gauss-Newton steps taken.
         elastic: the deflections under known wrenches; without unknowns where there were none.
         stiffness_logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
@@ -97,7 +99,6 @@ class Identification:
     noise_factor: float
     outliers: tuple[int, ...]
     rows: Array
-    identifiability: Identifiability
     steps: int
     elastic: ElasticTerm
     stiffness_logarithms: Array
@@ -131,6 +132,12 @@ class Identification:
         return np.asarray(chosen @ known @ chosen.T)
 
     @property
+    def scaled_values(self) -> Array:
+        """All parameters in units of their scales: p, the logarithms of stiffness, y."""
+        parts = (self.values / self.errors.tolerances, self.stiffness_logarithms / self.elastic.sigmas)
+        return np.concatenate([*parts, self.nuisance_values / self.nuisances.scales])
+
+    @property
     def sigmas(self) -> Array:
         """Standard deviation of each parameter, shape=(number of parameters,) [m, rad]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -150,6 +157,14 @@ class Identification:
     def outlier_lines(self) -> tuple[int, ...]:
         """Lines of the file that are outliers."""
         return tuple(self.measurements.lines[row] for row in self.outliers)
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Rank of the data beside nuisance parameters of which nothing is known beforehand, and what it leaves open."""
+        machine = self.rows.shape[2] - len(self.nuisances)
+        scales = np.concatenate([self.errors.tolerances, self.elastic.sigmas])
+        unknowns = NamedUnknowns((*self.errors.names, *self.elastic.names), scales)
+        return identifiability(unknowns, self.rows[:, :, :machine], self.rows[:, :, machine:])
 
     @cached_property
     def prior_dominated(self) -> tuple[str, ...]:
@@ -176,8 +191,8 @@ def prior_from_data(found: Identification) -> float:
     """Return k, how many tolerances parameters are off in the mean, as the measurements that tell them have it.
 
     The k under which the measurements are most likely (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g with x
-    the parameters in tolerances and g the number of them that are told; at least 1 and at most that of the
-    identification.
+    the parameters in tolerances and g the number of them that are told. The tolerances' own word, k = 1, counts as
+    much as some parameters that are told. At most that of the identification.
 
     Args:
         found: parameters identified with a generous prior.
@@ -199,7 +214,7 @@ def prior_from_data(found: Identification) -> float:
     for _ in range(_MAX_STEPS):
         x = pulled / (values + 1.0 / k**2)
         told = float(np.sum(values / (values + 1.0 / k**2)))
-        previous, k = k, float(np.clip(np.sqrt(np.sum(x**2) / max(told, 1e-9)), 1.0, most))
+        previous, k = k, min(float(np.sqrt((np.sum(x**2) + _BELIEVED) / (told + _BELIEVED))), most)
         if abs(k - previous) < 1e-3:
             break
     return k
@@ -212,6 +227,7 @@ def identify(
     prior: float = PRIOR,
     loss: Loss = "tukey",
     nuisances: Nuisances | None = None,
+    start: Identification | None = None,
 ) -> Identification:
     """Identify geometric parameters, and the stiffness of springs from measurements under known wrenches.
 
@@ -222,6 +238,7 @@ def identify(
             told stays at its nominal value, and its deviation is infinite.
         loss: "squares", "huber", or "tukey" after Huber's.
         nuisances: what the measurements depend on besides; by default what they say themselves.
+        start: what others of the same measurements told, in the same axes, to be quicker.
 
     Raises:
         InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
@@ -239,11 +256,14 @@ def identify(
     elastic = ElasticTerm.of(errors.robot, measurements)
     count = len(errors)
     frame = count + len(elastic.names) + nuisances.columns("frame")
-    x, previous = np.zeros(count + len(elastic.names) + len(nuisances)), np.inf
+    x, previous, fit = np.zeros(count + len(elastic.names) + len(nuisances)), np.inf, None
     poses = _poses_at(errors.robot, measurements)
+    if start is not None:
+        x = start.scaled_values
+        poses = _poses_at(errors.apply(start.values), measurements, poses.q)
     for step in range(1, _MAX_STEPS + 1):
         linear = _Linearised(measurements, errors, elastic, nuisances, poses, x, prior)
-        fit = linear.robust(loss)
+        fit = linear.robust(loss, fit if previous < _NEAR else None)
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
         if frame.size:
@@ -318,14 +338,17 @@ class _Linearised:
         self._precisions = 1.0 / self._sigmas**2
         self.dimensions = measurements.seen.sum(axis=1)
 
-    def robust(self, loss: Loss) -> _Fit:
-        weights, factor = np.ones(len(self._wanted)), 1.0
+    def robust(self, loss: Loss, start: _Fit | None) -> _Fit:
+        """Solve it by reweighting, from the first or from a fit nearby, whose scale then stands."""
+        weights, factor = (np.ones(len(self._wanted)), 1.0) if start is None else (start.weights, start.noise_factor)
         x = self._solve(weights, factor)
-        for kind in {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]:
+        kinds = {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]
+        for kind in kinds if start is None else kinds[-1:]:
             for _ in range(_REWEIGHTINGS):
                 last, last_factor = weights, factor
                 squares = self.squares(x)
-                factor = self.noise_factor(squares)
+                if start is None and kind != "tukey":
+                    factor = self.noise_factor(squares)
                 weights = _weights(squares / factor**2, self.dimensions, kind)
                 x = self._solve(weights, factor)
                 if max(np.abs(weights - last).max(), abs(factor - last_factor)) < _SETTLED:
@@ -365,11 +388,12 @@ class _Linearised:
     @cached_property
     def _used(self) -> float:
         """How many degrees of freedom the parameters take from the measurements."""
-        relative = self.rows.reshape(-1, self.rows.shape[2]) * np.minimum(self._sigmas, _UNKNOWN)
-        s = np.linalg.svd(relative, compute_uv=False)
+        sigmas = np.minimum(self._sigmas, _UNKNOWN)
         if np.isinf(self.prior):
+            s = np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]) * sigmas, compute_uv=False)
             return float(np.sum(s > REGRESSOR_TOLERANCE * s.max(initial=0.0)))
-        return float(np.sum(s**2 / (s**2 + 1.0)))
+        squares = np.maximum(np.linalg.eigvalsh(self._blocks.sum(axis=0) * np.outer(sigmas, sigmas)), 0.0)
+        return float(np.sum(squares / (squares + 1.0)))
 
     def _solve(self, weights: Array, factor: float) -> Array:
         if np.isfinite(self.prior):
@@ -410,7 +434,6 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
     values = np.split(fit.x * linear.units, linear.ends)
     covariance = linear.covariance(fit.weights, fit.noise_factor)
     machine = int(linear.ends[1])
-    unknowns = NamedUnknowns((*errors.names, *linear.elastic.names), linear.units[:machine])
     return Identification(
         errors=errors,
         values=frozen(values[0]),
@@ -426,7 +449,6 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
         noise_factor=fit.noise_factor,
         outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
         rows=frozen(linear.rows),
-        identifiability=identifiability(unknowns, linear.rows[:, :, :machine], linear.rows[:, :, machine:]),
         steps=steps,
         elastic=linear.elastic,
         stiffness_logarithms=frozen(values[1]),

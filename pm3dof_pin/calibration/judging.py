@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from, scatter_of
+from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
-from pm3dof_pin.errors.command_correction import command_scales, nearest_poses
+from pm3dof_pin.calibration.scatter import Scatter, scatter_of
+from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
@@ -39,10 +40,10 @@ class HeldOut:
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
         noise: tip error that the measurements' noise amounts to, root mean square, shape=(visits,) [m].
         excess: by how much the corrected commands are to be expected to miss the best ones, root mean square over the
-            drives' joints, shape=(visits,) [m, rad]. As seen it would have the measurements' noise in it; its size is
-            that of what is uncertain about parameters and learned parts, and of the scatter beyond the noise.
-        scatter: covariance of what the corrected machine misses beyond what is known to be uncertain, tip-weighted,
-            shape=(6, 6) [m^2].
+            drives' joints, shape=(visits,) [m, rad]: by what is uncertain about parameters and learned parts, seen or
+            not, and by the scatter beyond that. What is seen of it has more noise than there is excess. NaN where a
+            method without parameters, which say how uncertain that is, does not see all motions of the drives.
+        scatter: what the corrected machine misses beyond what is known to be uncertain.
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
     """
@@ -53,7 +54,7 @@ class HeldOut:
     floor: Array
     noise: Array
     excess: Array
-    scatter: Array
+    scatter: Scatter
     within: float
     energies: Array
 
@@ -84,6 +85,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
             prior=calibration.identification.prior,
             loss=options.loss,
             nuisances=calibration.identification.nuisances,
+            start=calibration.identification,
         )
         compensation = compensation_from(found.settled, errors, options, found if options.identifies else None)
         part = measurements[hidden]
@@ -108,11 +110,11 @@ class _Scores:
     """Of each visit what it is judged by.
 
     Attributes:
-        sizes: before, after, floor, noise, squared excess as seen, E of the first three, shape=(8, visits).
+        sizes: before, after, floor, noise, E of the first three, shape=(7, visits).
         missed: what predicted poses miss, tip-weighted, shape=(visits, 6) [m].
         covariances: what is known to be uncertain of that, shape=(visits, 6, 6) [m^2].
         shown: the directions that are shown, shape=(visits, 6, 6).
-        gains: what the drives' joints make of tip-weighted errors, shape=(visits, drives, 6).
+        control: tip-weighted motion by the drives' joints, shape=(visits, 6, drives).
         uncertain: of poses that the calibration from all measurements predicts, shape=(visits, 6, 6) [m^2].
     """
 
@@ -120,7 +122,7 @@ class _Scores:
     missed: Array
     covariances: Array
     shown: Array
-    gains: Array
+    control: Array
     uncertain: Array
 
     @classmethod
@@ -128,7 +130,7 @@ class _Scores:
         sizes = np.concatenate([part.sizes for part in parts], axis=1)[:, order]
         others = (
             np.concatenate([getattr(part, name) for part in parts])[order]
-            for name in ("missed", "covariances", "shown", "gains", "uncertain")
+            for name in ("missed", "covariances", "shown", "control", "uncertain")
         )
         return cls(sizes, *others)
 
@@ -142,15 +144,11 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     true = pseudo_errors(measurements, nominal, eta)
     best = pseudo_errors(measurements, nominal, eta, seen=_FLOOR_SEEN).left if true.whole else true.left
     reached = compensation.errors.robot.forward(nominal.commands + predicted, guess=nominal.q)
-    missed = np.einsum("nij,nj->ni", true.control, (true.deviations - predicted) / command_scales(nominal))
-    gain = control_inverse(true.control)
-    excess = np.einsum("nij,nj->ni", gain, missed)  # what is not seen is not judged
     judged = (true.before, seen_errors(measurements, reached, eta).errors, best)
     sizes = np.array(
         [
             *(np.linalg.norm(errors, axis=1) for errors in judged),
             np.sqrt(np.einsum("nii->n", true.seen.covariances)),
-            np.mean(excess**2, axis=1),
             *map(weighted_energy, judged),
         ]
     )
@@ -159,20 +157,23 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     uncertain = compensation.covariances(model, visits.conditions)
     known = left.covariances + left.shown @ uncertain @ left.shown
     of_all = final.covariances(final.model_poses(nominal), visits.conditions)
-    return _Scores(sizes, left.errors, known, left.shown, gain, of_all)
+    control = weighted_control(nominal, eta)
+    if compensation.values is None:
+        blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
+        of_all[blind] = np.nan
+    return _Scores(sizes, left.errors, known, left.shown, control, of_all)
 
 
-def _together(rows: Indices, scores: _Scores, scatter: Array | None = None) -> HeldOut:
-    before, after, floor, noise, excess, *energies = scores.sizes
+def _together(rows: Indices, scores: _Scores, scatter: Scatter | None = None) -> HeldOut:
+    before, after, floor, noise, *energies = scores.sizes
     if scatter is None:
-        scatter = scatter_of(scores.missed, scores.covariances, scores.shown)
-    gains = scores.gains
-    expected = np.einsum("nij,njk,nik->n", gains, scores.uncertain + scatter, gains) / gains.shape[1]
-    part = float(expected.mean()) / max(float(excess.mean()), np.finfo(float).tiny)
-    spread = scores.covariances + scores.shown @ scatter @ scores.shown
+        scatter = scatter_of(scores.missed, scores.covariances, scores.shown, scores.control)
+    gains, left = control_inverse(scores.control), scatter.covariances(scores.control)
+    excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
+    spread = scores.covariances + scores.shown @ left @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    return HeldOut(rows, before, after, floor, noise, np.sqrt(part * excess), scatter, within, np.array(energies))
+    return HeldOut(rows, before, after, floor, noise, excess, scatter, within, np.array(energies))
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.errors.command_correction import command_jacobians, command_scales, descend
+from pm3dof_pin.errors.command_correction import command_scales, descend, weighted_control
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -109,13 +109,13 @@ def pseudo_errors(
         UnreachablePoseError: no commands bring the model there.
         SingularConfigurationError: at a command the tool can move while all drives stand still.
     """
-    scales, weights = command_scales(model), tip_weights(eta)
+    scales = command_scales(model)
 
     def residuals(poses: Poses) -> Array:
         return seen_errors(measurements, poses, eta).errors
 
     def control(poses: Poses, found: SeenErrors) -> Array:
-        return np.asarray(found.shown @ (command_jacobians(poses) * scales * weights[:, None]))
+        return np.asarray(found.shown @ weighted_control(poses, eta))
 
     def step(poses: Poses) -> Array:
         found = seen_errors(measurements, poses, eta)

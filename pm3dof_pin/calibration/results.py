@@ -27,6 +27,7 @@ from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, learned_model_from_data
 from pm3dof_pin.calibration.repeatability import Repeatability
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.verdict import Verdict
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -164,7 +165,7 @@ def summary_of(
         "measurements": _measurements_summary(calibration),
         "outlier_lines": list(found.outlier_lines),
         "noise_factor": found.noise_factor,
-        "unexplained_tip_error_m": calibration.compensation.unexplained,
+        "unexplained_tip_error_m": calibration.compensation.scatter.tip_error,
     }
     units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
     for name, judged in (("validation", validation), ("held_out", held_out)):
@@ -211,7 +212,7 @@ def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
         excess: judged.excess,
         **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), judged.energies, strict=True)),
     }
-    named = {name: statistics(values) for name, values in kinds.items()}
+    named = {name: statistics(values) for name, values in kinds.items() if np.isfinite(values).all()}
     return {"poses": len(judged.after)} | named | {"within_95_percent_bound": judged.within}
 
 
@@ -248,8 +249,9 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "urdf": urdf,
         "tool_frame": compensation.errors.robot.tool_frame,
         "eta_m_per_rad": compensation.eta,
-        "unexplained_m": compensation.unexplained,
-        "scatter_m2": compensation.scatter.tolist(),
+        "unexplained_m": compensation.scatter.tip_error,
+        "scatter_everywhere_m2": compensation.scatter.everywhere,
+        "scatter_of_drives": compensation.scatter.drives.tolist(),
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
         "covariance": None if covariance is None else covariance.tolist(),
@@ -286,7 +288,7 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         covariance,
         learned,
         float(data["eta_m_per_rad"]),
-        _scatter(path, data),
+        _scatter(path, data, len(errors.robot.commands)),
         {name: (float(factor), float(sigma)) for name, (factor, sigma) in data.get("stiffness", {}).items()},
     )
 
@@ -327,11 +329,14 @@ def _semidefinite(path: Path, key: str, data: Mapping[str, Any], size: int) -> A
     return matrix
 
 
-def _scatter(path: Path, data: Mapping[str, Any]) -> Array:
-    """Return the scatter; of older files, which have its size alone, as one that is the same in all directions."""
-    if "scatter_m2" in data:
-        return _semidefinite(path, "scatter_m2", data, 6)
-    return np.asarray(np.eye(6) * float(data["unexplained_m"]) ** 2 / 6.0)
+def _scatter(path: Path, data: Mapping[str, Any], drives: int) -> Scatter:
+    """Return the scatter; that of older files, which do not tell the drives' part, as one of all directions."""
+    size = float(data["unexplained_m"])
+    everywhere, by_drives = float(data.get("scatter_everywhere_m2", size**2 / 6.0)), data.get("scatter_of_drives", [])
+    found = Scatter(everywhere, np.array(by_drives, dtype=float), size)
+    if len(found.drives) not in (0, drives) or min(everywhere, *found.drives, 0.0) < 0.0:
+        raise DescriptionError(path, "scatter_of_drives", f"expected {drives} variances, none of them negative")
+    return found
 
 
 def _measurements_summary(calibration: Calibration) -> dict[str, Any]:

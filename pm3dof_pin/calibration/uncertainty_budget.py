@@ -46,7 +46,7 @@ def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, floa
         spread = compensation.learned.uncertainties(model.commands, conditions)
         parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
     repeated = repeatability(calibration)
-    scatter = compensation.unexplained**2
+    scatter = compensation.scatter.tip_error**2
     parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
     parts["unmodelled"] = scatter - parts["repeatability"]
     return {name: float(np.sqrt(max(value, 0.0))) for name, value in parts.items()}

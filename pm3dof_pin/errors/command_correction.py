@@ -37,6 +37,11 @@ def command_scales(poses: Poses) -> Array:
     return np.array([command.scale for command in poses.robot.commands])
 
 
+def weighted_control(poses: Poses, eta: float = TIP_LENGTH) -> Array:
+    """Return the tip-weighted motion of the tool by the drives' joints, shape=(n, 6, number of commands) [m]."""
+    return np.asarray(command_jacobians(poses) * command_scales(poses) * tip_weights(eta)[:, None])
+
+
 def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     """Return the change of commands that undoes most of small pose errors, shape=(n, 6) [m, rad].
 

@@ -166,10 +166,11 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None, title: str, te
         ("corrected", held_out.after),
         ("best commands: floor", held_out.floor),
         ("measurement noise", held_out.noise),
-        (f"corrected minus best commands, each joint [{joint_unit}]", held_out.excess),
+        (f"corrected minus best commands, as is to be expected, each joint [{joint_unit}]", held_out.excess),
     ]
     kinds = ("as described", "corrected", "best commands: floor")
     rows += [(f"E of (8.15), {kind}", values) for kind, values in zip(kinds, held_out.energies, strict=True)]
+    rows = [(name, values) for name, values in rows if np.isfinite(values).all()]
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
     return [
         heading,
@@ -179,8 +180,9 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None, title: str, te
         "are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
         _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
-        f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside noise, "
-        f"{1e6 * calibration.compensation.unexplained:.1f} µm (rms) of the tip error are explained by nothing.</p>",
+        f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside "
+        f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are explained by "
+        "nothing.</p>",
     ]
 
 

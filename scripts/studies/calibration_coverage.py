@@ -1,10 +1,13 @@
-"""Is what a calibration says of itself true? Simulated tripods written without the package, calibrated and compared.
+"""Is what a calibration says of itself true? Machines written without the package, calibrated and compared.
 
-The machines here are plain NumPy: sliders on guideways, links, a passive leg, with errors of geometry, lead, guideways,
-sag and backlash; nothing of :mod:`pm3dof_pin` moves them. They are measured in the base's frame, from a tracker metres
-away, by targets that sit where nobody knows exactly, by positions of the tool point and by heights alone.
+The machines are those of machines_apart.py. They are measured in the base's frame, from a tracker metres away, by
+targets that sit where nobody knows exactly, by positions of the tool point and by heights alone; errors are from half
+to twice the tolerances of the error files. "Richness" is that of the effects that no parameter describes: 0 for none.
 
-    python scripts/studies/calibration_coverage.py [--machines 20] [--poses 40] [--out FILE.csv]
+    python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--table]
+
+Seeds from 0 on are for the table of the documentation, those from 1000 on for work on the package. An interrupted study
+goes on where it stopped: what stands in the file is not computed again.
 """
 
 from __future__ import annotations
@@ -13,16 +16,19 @@ import argparse
 import csv
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from machines_apart import Arm, Machine, Rods, Tripod
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
+from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
 
@@ -30,127 +36,71 @@ ETA = 0.1
 TARGETS = np.array([[0.12, 0.0, 0.01], [-0.06, 0.1, 0.0], [-0.06, -0.1, -0.02]])
 TRACKER = (Rotation.from_rotvec([0.4, -0.7, 1.9]).as_matrix(), np.array([3.0, -1.5, 0.8]))
 SETUPS = ("base", "tracker", "targets", "positions", "heights")
+ROBOTS = {"tripod": "pm3dof", "delta": "linear_delta", "hexapod": "hexapod", "arm": "ur5"}
+TESTS = 60
+_DENSE = 80  # poses at which a machine shows its parameters without noise
+_NO_PRIOR = 1e3  # tolerances
+_FAR = 4.0  # standard deviations
 
 
-@dataclass
-class Tripod:
-    """A tripod with errors. All arrays in metres and radians."""
+@cache
+def described(robot: str) -> pm.GeometricErrors:
+    """Return the errors of a robot as described."""
+    return pm.GeometricErrors.load(ROBOTS[robot], tool_frame="tool0" if robot == "arm" else None)
 
-    bases: np.ndarray
-    guides: np.ndarray
-    sides: np.ndarray
-    lengths: np.ndarray
-    joints: np.ndarray
-    leg_turn: np.ndarray
-    leg_shift: np.ndarray
-    second_axis: np.ndarray
-    tool_turn: np.ndarray
-    tool_shift: np.ndarray
-    lead: np.ndarray
-    waves: np.ndarray
-    sag: float
 
-    @classmethod
-    def random(cls, generator: np.random.Generator, *, everything: bool) -> Tripod:
-        """Draw a machine: 0.1 mm and 0.5 mrad, standard deviations; with everything, effects beyond geometry too."""
-        d, a = 1e-4, 5e-4
-        normal = generator.standard_normal
-        angles = np.radians([-30.0, 90.0, -150.0])
-        bases = 0.37425 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1) + d * normal((3, 3))
-        slope = np.radians(50.0)
-        guides = np.stack(
-            [-np.cos(slope) * np.cos(angles), -np.cos(slope) * np.sin(angles), np.sin(slope) + 0 * angles], 1
-        )
-        guides = np.array([Rotation.from_rotvec(a * normal(3)).apply(guide) for guide in guides])
-        across = np.array([np.cross(guide, [0.0, 0.0, 1.0]) for guide in guides])
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        joints = np.stack([0.075 * np.cos(angles), 0.075 * np.sin(angles), 0.013 + 0 * angles], 1) + d * normal((3, 3))
-        rich = float(everything)
-        return cls(
-            bases=bases + d * normal((3, 1)) * guides,
-            guides=guides,
-            sides=np.stack([across, np.cross(guides, across)], axis=1),
-            lengths=0.353 + d * normal(3),
-            joints=joints,
-            leg_turn=a * normal(3) * np.array([1.0, 1.0, rich]),
-            leg_shift=d * normal(3) * np.array([1.0, 1.0, 0.0]),
-            second_axis=a * normal(3) * np.array([0.0, 0.0, 1.0]) + rich * a * normal(3),
-            tool_turn=rich * a * normal(3),
-            tool_shift=d * normal(3),
-            lead=rich * 5e-5 * normal(3),
-            waves=np.concatenate(
-                [rich * 4e-6 * normal((3, 3, 3)), generator.uniform(0.0, 2 * np.pi, (3, 3, 3))], axis=2
-            ),
-            sag=rich * 3e-5 * abs(float(normal())),
-        )
+def drawn(robot: str, generator: np.random.Generator, size: float, richness: float) -> Machine:
+    """Draw a machine."""
+    if robot == "tripod":
+        return Tripod.random(generator, size, richness)
+    if robot == "delta":
+        return Rods.delta(generator, size, richness)
+    if robot == "hexapod":
+        return Rods.hexapod(generator, size, richness)
+    mechanism = described(robot).robot
+    joints = range(1, mechanism.model.njoints)
+    placements = [mechanism.model.jointPlacements[j].homogeneous for j in joints]
+    placements.append(mechanism.model.frames[mechanism.tool_frame_id].placement.homogeneous)
+    axes = ["XYZ".index(mechanism.model.joints[j].shortname()[-1]) for j in joints]
+    return Arm.random(generator, size, richness, np.array(placements), np.eye(3)[axes])
 
-    def poses(self, commands: np.ndarray, backlash: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return the tool's placements, shape=(n, 4, 4)."""
-        u = commands * (1.0 + self.lead) + backlash
-        periods = np.array([0.12, 0.05, 0.02])
-        waves = np.sum(
-            self.waves[..., :3] * np.sin(2 * np.pi * u[:, :, None, None] / periods + self.waves[..., 3:]), axis=3
-        )
-        sliders = self.bases + (u + waves[:, :, 0])[..., None] * self.guides
-        sliders += np.einsum("nks,ksj->nkj", waves[:, :, 1:], self.sides)
-        x = np.tile([0.0, 0.0, 0.49], (len(u), 1))
-        for _ in range(12):
-            missed = self._missed(x, sliders)
-            step = 1e-6
-            slopes = np.stack([(self._missed(x + step * row, sliders) - missed) / step for row in np.eye(3)], axis=2)
-            x = x - np.linalg.solve(slopes, missed[..., None])[..., 0]
-        return self._tool(x)
 
-    def _platform(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        leg = Rotation.from_rotvec(self.leg_turn)
-        place = self.leg_shift + leg.apply(np.stack([0 * x[:, 0], 0 * x[:, 0], x[:, 2] - 0.379], axis=1))
-        place[:, 2] += 0.379
-        place[:, 2] -= self.sag * (1.0 + 5.0 * (x[:, 2] - 0.49)) + 0.5 * self.sag * np.sum(x[:, :2] ** 2, axis=1)
-        first, second = (np.stack([x[:, k] if k == m else 0 * x[:, 0] for m in range(3)], 1) for k in (0, 1))
-        turn = leg * Rotation.from_rotvec(first) * Rotation.from_rotvec(self.second_axis) * Rotation.from_rotvec(second)
-        return place, turn.as_matrix()
-
-    def _missed(self, x: np.ndarray, sliders: np.ndarray) -> np.ndarray:
-        place, turn = self._platform(x)
-        ends = place[:, None, :] + np.einsum("nij,kj->nki", turn, self.joints)
-        return np.asarray(np.linalg.norm(ends - sliders, axis=2) - self.lengths)
-
-    def _tool(self, x: np.ndarray) -> np.ndarray:
-        place, turn = self._platform(x)
-        tool = np.tile(np.eye(4), (len(x), 1, 1))
-        tool[:, :3, :3] = turn @ Rotation.from_rotvec(self.tool_turn).as_matrix()
-        tool[:, :3, 3] = place + turn @ self.tool_shift
-        return tool
+@cache
+def machine_of(robot: str, seed: int, richness: float) -> tuple[Machine, float]:
+    """Return the machine of a seed, and the size of its errors in tolerances; the same geometry for any richness."""
+    generator = np.random.default_rng([seed, list(ROBOTS).index(robot)])
+    size = float(2.0 ** generator.uniform(-1.0, 1.0))
+    return drawn(robot, generator, size, richness), size
 
 
 def measured(
-    machine: Tripod, commands: np.ndarray, setup: str, generator: np.random.Generator, truth: dict[str, np.ndarray]
-) -> Measurements:
-    """Measure a machine as a person would; what only the machine knows is added to `truth`."""
-    reached, count, normal = machine.poses(commands), len(commands), generator.standard_normal
+    machine: Machine, commands: np.ndarray, setup: str, generator: np.random.Generator, nominal: pm.Poses
+) -> tuple[Measurements, np.ndarray]:
+    """Measure a machine as a person would; return also where the targets truly are."""
+    count, normal = len(commands), generator.standard_normal
+    reached = machine.poses(commands, generator.choice([-1.0, 1.0], commands.shape), np.linspace(-0.5, 0.5, count))
     positions = reached[:, :3, 3] + 7.5e-6 * normal((count, 3))
     rotations = Rotation.from_rotvec(7.07e-5 * normal((count, 3))).as_matrix() @ reached[:, :3, :3]
     sigmas = np.tile(np.repeat([7.5e-6, 7.07e-5], 3), (count, 1))
     points = np.zeros((count, 3))
     if setup == "base":
-        return Measurements(commands, positions, rotations, sigmas, points)
+        return Measurements(commands, positions, rotations, sigmas, points), TARGETS
     if setup == "positions":
-        return Measurements(commands, positions, None, sigmas[:, :3], points)
+        return Measurements(commands, positions, None, sigmas[:, :3], points), TARGETS
     if setup == "heights":
-        only = np.tile([10.0, 10.0, 7.5e-6], (count, 1))
-        return Measurements(commands, positions * [0.0, 0.0, 1.0], None, only, points)
+        only = np.tile([np.inf, np.inf, 7.5e-6], (count, 1))
+        return Measurements(commands, positions * [0.0, 0.0, 1.0], None, only, points), TARGETS
     turn, shift = TRACKER
-    nominal = pm.load("pm3dof").forward(commands)
     if setup == "tracker":
         found = register(positions @ turn.T + shift, nominal.positions, turn @ rotations, nominal.rotations)
         seen, turned = found.positions(positions @ turn.T + shift), found.rotations(turn @ rotations)
-        return Measurements(commands, seen, turned, sigmas, points, registration=found)
-    truth["targets"] = truly = TARGETS + 1e-3 * normal(TARGETS.shape)
+        return Measurements(commands, seen, turned, sigmas, points, registration=found), TARGETS
+    truly = TARGETS + 1e-3 * normal(TARGETS.shape)
     seen = (reached[:, None, :3, 3] + np.einsum("nij,kj->nki", reached[:, :3, :3], truly)).reshape(-1, 3)
     seen = (seen + 15e-6 * normal(seen.shape)) @ turn.T + shift
     at = (nominal.positions[:, None] + np.einsum("nij,kj->nki", nominal.rotations, TARGETS)).reshape(-1, 3)
     found = register(seen, at)
-    return Measurements(
+    rows = Measurements(
         np.repeat(commands, 3, axis=0),
         found.positions(seen),
         None,
@@ -159,6 +109,7 @@ def measured(
         registration=found,
         target_sigma=1e-3,
     )
+    return rows, truly
 
 
 def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
@@ -170,74 +121,68 @@ def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
 def best_commands(poses: Callable[[np.ndarray], np.ndarray], wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return the commands that bring a machine nearest."""
     u = start.copy()
-    for _ in range(4):
+    for _ in range(3):
         missed = tip(wanted, poses(u))
-        slopes = np.stack([(tip(wanted, poses(u + 1e-6 * row)) - missed) / 1e-6 for row in np.eye(3)], axis=2)
-        u = u - np.einsum("nij,nj->ni", np.linalg.pinv(slopes), missed)
+        rows = 1e-6 * np.eye(u.shape[1])
+        slopes = np.stack([(tip(wanted, poses(u + row)) - missed) / 1e-6 for row in rows], axis=2)
+        u = u - np.einsum("nij,nj->ni", np.linalg.pinv(slopes, rcond=1e-3), missed)
     return u
 
 
-def main() -> None:
-    """Run the study and write one row for each calibration."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--poses", type=int, default=40)
-    parser.add_argument("--setups", nargs="*", default=SETUPS)
-    parser.add_argument("--methods", nargs="*", default=["lm", "lm+gp"])
-    parser.add_argument("--out", type=Path, default=Path("results/calibration_coverage.csv"))
-    given = parser.parse_args()
-    logging.disable(logging.WARNING)
-    errors = pm.GeometricErrors.load("pm3dof")
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    with given.out.open("w", newline="") as file:
-        writer = None
-        for seed in range(given.first, given.first + given.machines):
-            for everything in (False, True):
-                for setup in given.setups:
-                    for method in given.methods:
-                        row = one(errors, seed, everything, setup, method, given.poses)
-                        writer = writer or csv.DictWriter(file, list(row))
-                        if file.tell() == 0:
-                            writer.writeheader()
-                        writer.writerow(row)
-                        file.flush()
+@cache
+def true_parameters(robot: str, seed: int) -> np.ndarray:
+    """Return the parameters that describe a machine's geometry exactly, by exact poses all over its workspace."""
+    errors, machine = described(robot), machine_of(robot, seed, 0.0)[0]
+    dense = pm.reachable_poses(errors.robot, _DENSE, np.random.default_rng(7)).commands
+    exact = Measurements.of_poses(dense, machine.poses(dense))
+    return np.asarray(identify(exact, errors, prior=_NO_PRIOR, loss="squares").values)
 
 
-def one(
-    errors: pm.GeometricErrors, seed: int, everything: bool, setup: str, method: str, count: int
-) -> dict[str, object]:
+def placed(calibration: Calibration, setup: str, truly: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the machine's base and tool as the measurements define them."""
+    found, base, tool = calibration.identification, np.eye(4), np.eye(4)
+    if setup in ("tracker", "targets"):
+        turn, shift = TRACKER
+        stands = found.measurements.registration.base  # type: ignore[union-attr]
+        base[:3, :3], base[:3, 3] = stands[:3, :3].T @ turn, stands[:3, :3].T @ (shift - stands[:3, 3])
+    if setup == "targets":
+        believed = TARGETS + found.nuisance_values[found.nuisances.columns("targets")].reshape(-1, 3)
+        fitted = register(believed, truly)
+        tool[:3, :3], tool[:3, 3] = fitted.rotation, fitted.translation
+    return base, tool
+
+
+def one(robot: str, seed: int, richness: float, setup: str, method: str, count: int) -> dict[str, object]:
     """Calibrate one machine and compare what is said of it with what is."""
-    generator = np.random.default_rng([seed, everything, SETUPS.index(setup)])
-    machine = Tripod.random(np.random.default_rng([seed, everything]), everything=everything)
-    commands = pm.reachable_poses(errors.robot, count, generator).commands
-    truth: dict[str, np.ndarray] = {}
-    calibration = calibrate(measured(machine, commands, setup, generator, truth), errors, Options(method))  # type: ignore[arg-type]
+    errors = described(robot)
+    machine, size = machine_of(robot, seed, richness)
+    generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
+    poses = pm.reachable_poses(errors.robot, count, generator)
+    rows, truly = measured(machine, poses.commands, setup, generator, poses)
+    calibration = calibrate(rows, errors, Options(method))  # type: ignore[arg-type]
     judged = held_out_errors(calibration)
     calibration = calibration.with_scatter(judged.scatter)
     found = calibration.identification
-    base, tool = np.eye(4), np.eye(4)
-    if setup in ("tracker", "targets"):  # base and tool are what the measurements say they are
-        turn, shift = TRACKER
-        placed = found.measurements.registration.base  # type: ignore[union-attr]
-        base[:3, :3], base[:3, 3] = placed[:3, :3].T @ turn, placed[:3, :3].T @ (shift - placed[:3, 3])
-    if setup == "targets":
-        believed = TARGETS + found.nuisance_values[found.nuisances.columns("targets")].reshape(-1, 3)
-        fitted = register(believed, truth["targets"])
-        tool[:3, :3], tool[:3, 3] = fitted.rotation, fitted.translation
+    base, tool = placed(calibration, setup, truly)
+    sides = generator.choice([-1.0, 1.0], (TESTS, poses.commands.shape[1]))
 
-    def poses(u: np.ndarray) -> np.ndarray:
-        return np.asarray(base @ machine.poses(u) @ tool)
+    def reached(u: np.ndarray) -> np.ndarray:
+        return np.asarray(base @ machine.poses(u, sides) @ tool)
 
-    tests = pm.reachable_poses(errors.robot, 60, np.random.default_rng([seed, 99]))
+    tests = pm.reachable_poses(errors.robot, TESTS, generator)
     answer = calibration.compensation.compensate(tests)
-    before, after = (tip(tests.transforms, poses(u)) for u in (tests.commands, answer.commands))
-    best = best_commands(poses, tests.transforms, answer.commands)
-    floor = tip(tests.transforms, poses(best))
+    before, after = (tip(tests.transforms, reached(u)) for u in (tests.commands, answer.commands))
+    best = best_commands(reached, tests.transforms, answer.commands)
+    floor = tip(tests.transforms, reached(best))
     sizes = {name: np.linalg.norm(e, axis=1) for name, e in (("before", before), ("after", after), ("floor", floor))}
+    off = np.zeros(0)
+    if robot != "arm":
+        off = (found.values - true_parameters(robot, seed)) / found.sigmas
     return {
+        "robot": robot,
         "machine": seed,
-        "everything": int(everything),
+        "size": round(size, 2),
+        "richness": richness,
         "setup": setup,
         "method": method,
         "refused": int(bool(objections(calibration, judged))),
@@ -247,10 +192,93 @@ def one(
         **{f"{name}_um": round(1e6 * float(np.sqrt(np.mean(e**2))), 2) for name, e in sizes.items()},
         "expected_um": round(1e6 * float(np.sqrt(np.mean(answer.predicted_error**2))), 2),
         "within": float(np.mean(sizes["after"] <= answer.error_bound)),
+        "scatter_um": round(1e6 * calibration.compensation.scatter.tip_error, 2),
         "excess_true_um": round(1e6 * float(np.sqrt(np.mean((answer.commands - best) ** 2))), 3),
         "excess_said_um": round(1e6 * float(np.sqrt(np.mean(judged.excess**2))), 3),
-        "within_held_out": judged.within,
+        "parameters": len(off),
+        "beyond_4_sigma": int(np.sum(np.abs(off) > _FAR)),
     }
+
+
+def table(path: Path) -> str:
+    """Return what stands in a file as a table, one row for each robot and way of measuring, errors in micrometres."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        key = (row["robot"], row["setup"], "geometry" if float(row["richness"]) == 0.0 else "everything", row["method"])
+        groups.setdefault(key, []).append(row)
+    heads = (
+        *("robot", "measured", "errors", "method", "machines", "before", "after", "floor", "expected", "within"),
+        *("made worse", "refused", "beyond 4 sigma", "commands off", "said to be"),
+    )
+    lines = [heads, ("---",) * len(heads)]
+    for key, group in groups.items():
+
+        def column(name: str, group: list[dict[str, str]] = group) -> np.ndarray:
+            return np.array([float(row[name]) for row in group])
+
+        def rms(name: str, column: Callable[[str], np.ndarray] = column) -> float:
+            return float(np.sqrt(np.mean(column(name) ** 2)))
+
+        beyond, parameters = (int(column(name).sum()) for name in ("beyond_4_sigma", "parameters"))
+        within = column("within")
+        lines.append(
+            (
+                *key,
+                str(len(group)),
+                *(f"{rms(f'{name}_um'):.0f}" for name in ("before", "after", "floor", "expected")),
+                f"{100 * within.mean():.1f} ± {100 * within.std(ddof=1) / np.sqrt(len(group)):.1f} %",
+                str(int(np.sum(column("after_um") > column("before_um")))),
+                str(int(column("refused").sum())),
+                f"{beyond} of {parameters}" if parameters else "",
+                *(f"{rms(f'excess_{name}_um'):.1f}" for name in ("true", "said")),
+            )
+        )
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
+def main() -> None:
+    """Run the study and write one row for each calibration."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--machines", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--poses", type=int, default=40)
+    parser.add_argument("--robots", nargs="*", default=["tripod"], choices=ROBOTS)
+    parser.add_argument("--setups", nargs="*", default=SETUPS, choices=SETUPS)
+    parser.add_argument("--methods", nargs="*", default=["lm"])
+    parser.add_argument("--richness", nargs="*", type=float, default=[0.0, 1.0])
+    parser.add_argument("--out", type=Path, default=Path("results/calibration_coverage.csv"))
+    parser.add_argument("--table", action="store_true", help="print what stands in the file, and compute nothing")
+    given = parser.parse_args()
+    if given.table:
+        print(table(given.out), end="")
+        return
+    logging.disable(logging.WARNING)
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    keys = ("robot", "machine", "richness", "setup", "method")
+    done = set()
+    if given.out.is_file():
+        with given.out.open(newline="") as file:
+            done = {tuple(row[key] for key in keys) for row in csv.DictReader(file)}
+    with given.out.open("a", newline="") as file:
+        for seed in range(given.first, given.first + given.machines):
+            for robot in given.robots:
+                for richness in given.richness:
+                    for setup in given.setups:
+                        for method in given.methods:
+                            if (robot, str(seed), str(richness), setup, method) in done:
+                                continue
+                            try:
+                                row = one(robot, seed, richness, setup, method, given.poses)
+                            except PM3DofError as error:
+                                print(robot, seed, richness, setup, method, error)
+                                continue
+                            writer = csv.DictWriter(file, list(row))
+                            if file.tell() == 0:
+                                writer.writeheader()
+                            writer.writerow(row)
+                            file.flush()
 
 
 if __name__ == "__main__":

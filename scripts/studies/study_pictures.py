@@ -42,9 +42,8 @@ def excess_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
                 values = [[r.excess for r in select(here, count=count, method=method)] for count in plan.counts]
                 _curve(axes, plan, values, method)
             _levels(axes, *(over_seeds(select(here, method=NONE), name)[0] for name in ("excess", "joint_noise")))
-            axes.set_ylabel("excess joint error, rms [µm]")
             axes.set_title(f"{world}: {test}")
-        _finish(plan, figure, panels)
+        _finish(plan, figure, panels, "excess joint error, rms [µm]")
     return figure
 
 
@@ -66,9 +65,8 @@ def tip_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
             floor = over_seeds(select(here, method=FLOOR), "tip", 0)[0]
             before = over_seeds(select(here, method=NONE), "tip", 0)[0]
             _levels(axes, before - floor, over_seeds(select(here, method=NONE), "noise")[0])
-            axes.set_ylabel("mean tip error beyond the floor [µm]")
             axes.set_title(f"{world}: {test}, floor {_MICROMETRES * floor:.0f} µm")
-        _finish(plan, figure, panels)
+        _finish(plan, figure, panels, "mean tip error beyond the floor [µm]")
     return figure
 
 
@@ -103,7 +101,7 @@ def _levels(axes: Any, none: float, noise: float) -> None:
     axes.axhline(_MICROMETRES * noise, color="#009E73", linestyle=":", label="noise of one measurement")
 
 
-def _finish(plan: StudyPlan, figure: Figure, panels: dict[tuple[str, str], Any]) -> None:
+def _finish(plan: StudyPlan, figure: Figure, panels: dict[tuple[str, str], Any], quantity: str) -> None:
     for axes in panels.values():
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -115,5 +113,6 @@ def _finish(plan: StudyPlan, figure: Figure, panels: dict[tuple[str, str], Any])
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.minorticks_off()
         axes.label_outer()
+    figure.supylabel(quantity, fontsize="medium")
     handles, labels = next(iter(panels.values())).get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)

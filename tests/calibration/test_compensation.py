@@ -284,12 +284,19 @@ def test_positions_of_the_tool_point_correct_its_height(
     assert "shows 1 of 3 motions of the drives" in caplog.text
 
 
-def test_what_positions_do_not_show_is_not_judged(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    """Parameters predict tilts that positions of the tool point do not show; that is no excess over the best."""
+def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
+    measured: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    """Of them the tolerances alone speak: by how much commands are off is known to a factor of two. A method without
+    parameters has no tolerances, and says nothing."""
     positions = replace(measured, rotations=None, sigmas=measured.sigmas[:, :3])
-    whole = held_out_errors(calibrate(measured, tripod_errors, Options("lm"))).excess
-    seen = held_out_errors(calibrate(positions, tripod_errors, Options("lm"))).excess
-    assert seen.mean() < 2.0 * whole.mean()
+    wanted = tripod_nominal[200:225]
+    middle = {name: np.full(25, values.mean()) for name, values in measured.conditions.items()}
+    whole, blind = (calibrate(rows, tripod_errors, Options("lm")) for rows in (measured, positions))
+    commands = (found.compensation.corrected(wanted, middle) for found in (whole, blind))
+    off = np.sqrt(np.mean(np.subtract(*commands) ** 2))
+    assert 0.5 * off < np.sqrt(np.mean(held_out_errors(blind).excess ** 2)) < 2.0 * off
+    assert np.isnan(held_out_errors(calibrate(positions, tripod_errors, Options("gp"))).excess).all()
 
 
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:

@@ -1,0 +1,79 @@
+"""What a corrected machine misses beyond all that is known to be uncertain: by its drives, and in all directions.
+
+What parameters do not describe comes from the drives (leads, waves, backlash), which miss their commands, and from all
+else (guides, sag, warmth), of which no direction is preferred: the tip-weighted error e at a pose has the covariance
+
+    V = K + a 1 + C diag(d) C^T,
+
+K known, from noise and parameters, C the motion of the tool by the drives' joints. a and d are fitted to errors of
+poses that were hidden, by Fisher's scoring (minimum-variance quadratic estimates: C. R. Rao, J. Multivariate Analysis
+1, 1971), as far as each pose shows them. The drives are taken to be alike in what they do to the tool. Variances are
+not negative: where there is no scatter at all they are too large by 0.4 of their standard error, on average.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.optimize
+
+from pm3dof_pin.typing import Array
+
+_ROUNDS = 20
+_SETTLED = 1e-3
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Variances of tip errors that nothing known explains.
+
+    Attributes:
+        everywhere: a, of each direction of the tip-weighted error [m^2].
+        drives: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none.
+        tip_error: what both amount to, root mean square over the poses that they were found at [m].
+    """
+
+    everywhere: float = 0.0
+    drives: Array = field(default_factory=lambda: np.zeros(0))
+    tip_error: float = 0.0
+
+    def covariances(self, control: Array) -> Array:
+        """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].
+
+        Args:
+            control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+        """
+        by_drives = (control * self.drives) @ np.swapaxes(control, 1, 2) if self.drives.size else 0.0
+        return np.asarray(self.everywhere * np.eye(6) + by_drives + np.zeros((len(control), 6, 6)))
+
+
+def scatter_of(errors: Array, covariances: Array, shown: Array, control: Array) -> Scatter:
+    """Estimate the scatter in errors of which a part is known.
+
+    Args:
+        errors: tip-weighted, shape=(n, 6) [m].
+        covariances: what is known of them, K, shape=(n, 6, 6) [m^2].
+        shown: projections on the directions they were seen in, shape=(n, 6, 6).
+        control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+    """
+    unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
+    effects = np.sqrt(np.mean(np.sum(control**2, axis=1), axis=0))  # of each drive, rms
+    alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
+    by_drives = shown @ (control * alike)
+    parts = np.array([shown, by_drives @ np.swapaxes(by_drives, 1, 2)])
+    known, squares = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
+    hidden, variances = np.eye(6) - shown, np.zeros(2)
+    for _ in range(_ROUNDS):
+        weights = shown @ np.linalg.inv(known + np.tensordot(variances, parts, 1) + hidden) @ shown
+        weighted = parts @ weights
+        information = np.einsum("anij,bnji->ab", weighted, weighted)
+        pull = np.einsum("anij,njk,nki->a", weighted, squares - known, weights)
+        factor = np.linalg.cholesky(information + _RIDGE * np.trace(information) * np.eye(2))
+        last, variances = variances, scipy.optimize.nnls(factor.T, np.linalg.solve(factor, pull))[0]
+        if np.abs(variances - last).max() <= _SETTLED * variances.max():
+            break
+    everywhere, drives = (unit * variances).tolist()
+    tip_error = float(np.sqrt(6.0 * everywhere + drives * np.count_nonzero(alike)))
+    return Scatter(everywhere, drives * alike**2, tip_error)
