@@ -236,5 +236,4 @@ def _evaluated(
     found = masses.numbers(model)
     names = tuple(name for name in compiled.program.parameters if name not in found)
     found |= dict(zip(names, others(names), strict=True))
-    results = compiled(q, geometry.chosen(found, compiled.program.parameters), threads=threads)
-    return results[:, :-1], results[:, -1] == 1.0
+    return compiled.with_doubt(q, geometry.chosen(found, compiled.program.parameters), threads)

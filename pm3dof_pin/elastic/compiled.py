@@ -35,8 +35,7 @@ class ElasticProgram:
 
     def __call__(self, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
         """Evaluate at q of the rigid mechanism, shape=(n, nq): flat values, and where nothing is in doubt."""
-        results = self.compiled(q, self.parameters, threads=threads)
-        return results[:, :-1], results[:, -1] == 1.0
+        return self.compiled.with_doubt(q, self.parameters, threads)
 
 
 def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> ElasticProgram:

@@ -112,6 +112,17 @@ class Compiled:
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
+    def with_doubt(
+        self, inputs: ArrayLike, parameters: ArrayLike, threads: int | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Evaluate a program whose last output is 1 where nothing is in doubt; return the others, and where it is 1."""
+        rows = np.asarray(inputs, dtype=np.float64)
+        sound = np.empty(len(rows), dtype=bool)
+        outputs = self(
+            rows, parameters, threads=threads, then=lambda part, done: np.equal(done[:, -1], 1.0, out=sound[part])
+        )
+        return outputs[:, :-1], sound
+
     def _function(self, name: str, *arguments: Any) -> Callable[..., None]:
         address = self._engine.get_function_address(name)
         if not address:
@@ -124,6 +135,7 @@ class Compiled:
         parameters: ArrayLike = (),
         out: NDArray[np.float64] | None = None,
         threads: int | None = None,
+        then: Callable[[slice, NDArray[np.float64]], object] | None = None,
     ) -> NDArray[np.float64]:
         """Evaluate the program at many poses.
 
@@ -132,6 +144,7 @@ class Compiled:
             parameters: shape=(number of parameters,).
             out: where results are written, shape=(n, number of outputs); rows may stand apart.
             threads: number of threads at most; the number of processors by default.
+            then: what each thread does with rows that are finished, given their place and their outputs.
 
         Returns:
             Outputs, shape=(n, number of outputs); `program.split` names them.
@@ -142,7 +155,7 @@ class Compiled:
         rows = _rows("inputs", inputs, len(self.program.inputs))
         n_outputs = len(self.program.results)
         outputs = np.empty((len(rows), n_outputs)) if out is None else _writable("out", out, len(rows), n_outputs)
-        self._run(self._evaluate, rows, parameters, outputs, threads)
+        self._run(self._evaluate, rows, parameters, outputs, threads, then=then)
         return outputs
 
     def iterate(
@@ -252,6 +265,7 @@ class Compiled:
         threads: int | None,
         *more: float,
         length: int = 1,
+        then: Callable[[slice, NDArray[np.float64]], object] | None = None,
     ) -> None:
         """Call a function on the rows, in parts of them where there are threads; `length` evaluations are a row."""
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
@@ -272,6 +286,8 @@ class Compiled:
                 stop - start,
                 *more,
             )
+            if then is not None:
+                then(slice(start, stop), outputs[start:stop])
 
         parts = n * length * len(self.program) // _OPERATIONS_A_PART
         if parts > 1:
@@ -281,8 +297,17 @@ class Compiled:
             part(0, n)
             return
         ends = [n * k // parts for k in range(parts + 1)]
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(part, ends[:-1], ends[1:]))
+        list(_pool(threads).map(part, ends[:-1], ends[1:]))
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return threads that are kept: starting them takes as long as a thousand poses."""
+    return ThreadPoolExecutor(threads)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def _processors() -> int:
