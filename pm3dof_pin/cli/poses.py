@@ -72,16 +72,16 @@ def read_poses(
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.pose_file import has_placements, possible_headings, read_placements, read_pose_file
+    from pm3dof_pin.kinematics.pose_file import PoseFile, possible_headings
 
-    if placements and has_placements(path):
-        file, transforms = read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
+    if placements and PoseFile.gives_placements(path):
+        file, transforms = PoseFile.read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
         return file, robot.reach(transforms, on_failure="nan")
     given, others = robot.coordinates, robot.command_coordinates
     if forward:
         given, others = others, given
     known = [heading for coordinate in others for heading in possible_headings(coordinate)]
-    file = read_pose_file(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
+    file = PoseFile.read(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
     if file.unused:
         message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
     check_units(robot, given, file.values * _factors(given))
@@ -91,14 +91,15 @@ def read_poses(
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
     """Write columns about many poses with the limits they break, and exit with status 1 if some break one."""
-    from pm3dof_pin.kinematics.pose_file import columns_text, write_columns
+    from pm3dof_pin.files import write_text_atomically
+    from pm3dof_pin.kinematics.pose_file import columns_text
 
     table = {**columns, BROKEN_LIMITS: _limit_words(poses)}
     inside = int(poses.within_limits.sum())
     if as_json:
         print_result({"poses": len(poses), "poses_within_limits": inside, "columns": table}, [], as_json=True)
     if out is not None:
-        write_columns(out, table)
+        write_text_atomically(out, columns_text(table))
         message(f"wrote {out}")
     elif not as_json:
         typer.echo(columns_text(table), nl=False)

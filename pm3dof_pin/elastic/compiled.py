@@ -27,7 +27,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class ElasticProgram:
+class _ElasticProgram:
     """A compiled program with the numbers of one model."""
 
     compiled: Compiled
@@ -38,7 +38,7 @@ class ElasticProgram:
         return self.compiled.with_doubt(q, self.parameters, threads)
 
 
-def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> ElasticProgram:
+def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> _ElasticProgram:
     """Return the program of a quantity of a frame, compiled if no model of this structure needed it before.
 
     Loops not known to be `closed` are checked by the program.
@@ -51,7 +51,7 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
         key = repr((quantity.name, closed, *structure(model, frame)))
         try:
             compiled = cache.known(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
-            model.programs[name] = ElasticProgram(compiled, parameters(model, compiled.program.parameters))
+            model.programs[name] = _ElasticProgram(compiled, parameters(model, compiled.program.parameters))
         except ProgramError as error:
             _logger.warning(
                 "%s: %s is computed by Pinocchio, pose by pose: %s", model.mechanism.name, quantity.name, error
@@ -60,7 +60,7 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     found = model.programs[name]
     if isinstance(found, ProgramError):
         raise found
-    assert isinstance(found, ElasticProgram)
+    assert isinstance(found, _ElasticProgram)
     return found
 
 

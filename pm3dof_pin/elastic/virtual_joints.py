@@ -58,7 +58,7 @@ _NO_MASS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class VirtualJoints:
+class _VirtualJoints:
     """A mechanism with virtual joints, and where the joints of the rigid one stand in it."""
 
     mechanism: Robot  #: the mechanism with virtual joints; it names no springs any more
@@ -67,7 +67,7 @@ class VirtualJoints:
     v_indices: NDArray[np.intp]  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
 
 
-def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> VirtualJoints:
+def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> _VirtualJoints:
     """Put the virtual joints of springs into a copy of a mechanism. Springs at joints need none.
 
     Raises:
@@ -171,7 +171,7 @@ class _Builder:
         self._cuts: dict[int, _Piece] = {}
         self._anchor_frames: list[pin.Frame] = []
 
-    def result(self) -> VirtualJoints:
+    def result(self) -> _VirtualJoints:
         self._check_names()
         for chain in self._chains:
             self._place(chain)
@@ -183,7 +183,7 @@ class _Builder:
         joints: dict[str, tuple[str, ...]] = {}
         for chain in self._chains:
             joints[chain.spring] = joints.get(chain.spring, ()) + chain.joints
-        return VirtualJoints(self._mechanism_of_new_tree(), joints, q_indices, v_indices)
+        return _VirtualJoints(self._mechanism_of_new_tree(), joints, q_indices, v_indices)
 
     def _check_names(self) -> None:
         closures = [chain.closure for chain in self._chains if chain.closure is not None]

@@ -34,7 +34,7 @@ TOGETHER = "together"
 
 
 @dataclass(frozen=True)
-class BudgetLine:
+class _BudgetLine:
     """One line of the budget: a source, or all of them, over the poses of a map."""
 
     name: str  #: the source, or :data:`TOGETHER`
@@ -121,7 +121,7 @@ class ErrorBudget:
             squares += np.sum(effects**2, axis=(1, 2))
         return np.asarray(np.sqrt(squares + np.sum(self._left(shift[:, :, None]) ** 2, axis=(1, 2))))
 
-    def lines(self) -> list[BudgetLine]:
+    def lines(self) -> list[_BudgetLine]:
         """Return the budget, source by source, and last of all of them together."""
         apart = {source.name: self.select([source.name]) for source in self.sources}
         squares = {name: float(np.mean(alone.tip_rms**2)) for name, alone in apart.items()}
@@ -133,9 +133,9 @@ class ErrorBudget:
         """Tell which poses are among the part with the smallest tip error by these sources, shape=(n,)."""
         return least_sensitive(self.tip_rms, part)
 
-    def _line(self, name: str, error_class: str, long_name: str, share: float) -> BudgetLine:
+    def _line(self, name: str, error_class: str, long_name: str, share: float) -> _BudgetLine:
         tip = self.tip_rms
-        return BudgetLine(
+        return _BudgetLine(
             name,
             error_class,
             long_name,
@@ -191,7 +191,7 @@ def error_budget(
     return budget.select(names) if names else budget
 
 
-def budget_as_data(lines: Sequence[BudgetLine]) -> list[dict[str, Any]]:
+def budget_as_data(lines: Sequence[_BudgetLine]) -> list[dict[str, Any]]:
     """Return the lines of a budget as plain data; keys end in their unit."""
     lengths = ("tip_rms", "greatest_tip_rms", "worst_tip", "left", "energy")
     return [{f"{key}_m" if key in lengths else key: value for key, value in vars(line).items()} for line in lines]

@@ -27,7 +27,7 @@ _STATIONARY = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly:
+class _Assembly:
     """What the assembly solver found."""
 
     converged: bool  #: the loops are closed, and the tool is where it was wanted, within the tolerance
@@ -44,7 +44,7 @@ def assemble(
     tool: Mapping[ToolComponent, float] | None = None,
     tolerance: float = CLOSURE_TOLERANCE,
     max_steps: int = 100,
-) -> Assembly:
+) -> _Assembly:
     """Close the loops of a mechanism, with joints or components of the tool's placement at given values.
 
     A failure is no error: see `converged`. The methods of :class:`~pm3dof_pin.kinematics.robot.Robot` raise instead.
@@ -72,7 +72,7 @@ def assemble(
     q, free = mechanism.place_joints(start, joints or {})
     equations = _Equations(mechanism, free, tool or {})
     point, steps = _iterate(equations, equations.at(q), tolerance, max_steps)
-    return Assembly(point.residual <= tolerance, steps, point.residual, Configuration(mechanism, point.q))
+    return _Assembly(point.residual <= tolerance, steps, point.residual, Configuration(mechanism, point.q))
 
 
 @dataclass(frozen=True, eq=False)

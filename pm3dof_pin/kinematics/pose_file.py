@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.files import read_text, write_atomically
+from pm3dof_pin.files import read_text
 from pm3dof_pin.typing import Array, Matrix
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -41,86 +42,92 @@ class PoseFile:
         """The columns by their headings, in the units of the file, shape=(n,) each."""
         return dict(zip(self.columns, self.written.T, strict=True))
 
+    @classmethod
+    def read(
+        cls,
+        path: Path | str,
+        coordinates: Sequence[Coordinate],
+        *,
+        known: Sequence[str] = (),
+        numbers: Sequence[str] = (),
+    ) -> PoseFile:
+        """Read a CSV file of poses with a heading; blank lines and lines that start with # are skipped.
 
-def read_pose_file(
-    path: Path | str, coordinates: Sequence[Coordinate], *, known: Sequence[str] = (), numbers: Sequence[str] = ()
-) -> PoseFile:
-    """Read a CSV file of poses with a heading; blank lines and lines that start with # are skipped.
+        Each coordinate has one column, `name_deg` or `name_rad` of an angle, `name_m` of a length. Columns `known` may
+        be there, those of `numbers` are read if they are.
 
-    Each coordinate has one column, `name_deg` or `name_rad` of an angle, `name_m` of a length. Columns `known` may be
-    there, those of `numbers` are read if they are.
+        Raises:
+            DescriptionError: the file cannot be read, a column is missing, unknown or there twice, or an entry is not a
+                finite number.
+        """
+        path = Path(path)
+        lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
+        lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+        if not lines:
+            raise DescriptionError(
+                path, "file", f"is empty, expected a heading such as {_example_heading(coordinates)}"
+            )
+        try:
+            rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
+        except csv.Error as error:
+            raise DescriptionError(path, "file", f"expected CSV ({error})") from error
+        heading = rows[0]
+        _require_known(path, heading, coordinates, (*known, *numbers))
+        columns = [_column(path, heading, coordinate, coordinates) for coordinate in coordinates]
+        columns += [name for name in numbers if name in heading]
+        written = np.empty((len(rows) - 1, len(columns)))
+        for row, (cells, (number, _)) in enumerate(zip(rows[1:], lines[1:], strict=True)):
+            if len(cells) != len(heading):
+                raise DescriptionError(path, f"line {number}", f"expected {len(heading)} entries, not {len(cells)}")
+            for k, column in enumerate(columns):
+                written[row, k] = _number(path, number, column, cells[heading.index(column)])
+        factors = [
+            _UNITS[coordinate.unit][column.rpartition("_")[2]]
+            for column, coordinate in zip(columns, coordinates, strict=False)
+        ]
+        count = len(coordinates)
+        unused = tuple(name for name in heading if name not in columns)
+        values = written[:, :count] * factors
+        further = dict(zip(columns[count:], written[:, count:].T, strict=True))
+        return cls(path, tuple(columns[:count]), frozen(written[:, :count]), frozen(values), unused, further)
 
-    Raises:
-        DescriptionError: the file cannot be read, a column is missing, unknown or there twice, or an entry is not a
-            finite number.
-    """
-    path = Path(path)
-    lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise DescriptionError(path, "file", f"is empty, expected a heading such as {_example_heading(coordinates)}")
-    try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
-    except csv.Error as error:
-        raise DescriptionError(path, "file", f"expected CSV ({error})") from error
-    heading = rows[0]
-    _require_known(path, heading, coordinates, (*known, *numbers))
-    columns = [_column(path, heading, coordinate, coordinates) for coordinate in coordinates]
-    columns += [name for name in numbers if name in heading]
-    written = np.empty((len(rows) - 1, len(columns)))
-    for row, (cells, (number, _)) in enumerate(zip(rows[1:], lines[1:], strict=True)):
-        if len(cells) != len(heading):
-            raise DescriptionError(path, f"line {number}", f"expected {len(heading)} entries, not {len(cells)}")
-        for k, column in enumerate(columns):
-            written[row, k] = _number(path, number, column, cells[heading.index(column)])
-    factors = [
-        _UNITS[coordinate.unit][column.rpartition("_")[2]]
-        for column, coordinate in zip(columns, coordinates, strict=False)
-    ]
-    count = len(coordinates)
-    unused = tuple(name for name in heading if name not in columns)
-    values = written[:, :count] * factors
-    further = dict(zip(columns[count:], written[:, count:].T, strict=True))
-    return PoseFile(path, tuple(columns[:count]), frozen(written[:, :count]), frozen(values), unused, further)
+    @classmethod
+    def read_placements(
+        cls, path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
+    ) -> tuple[PoseFile, Array]:
+        """Read a file as :meth:`read` of tool placements: columns x_m, y_m, z_m, qw, qx, qy, qz; and transforms.
 
+        Raises:
+            DescriptionError: see there; or a quaternion is missing or not of length 1.
+        """
+        position = [Coordinate(name, "m", tool=name) for name in TOOL_COMPONENTS[:3]]
+        file = cls.read(path, position, known=known, numbers=(*QUATERNION, *numbers))
+        if missing := [name for name in QUATERNION if name not in file.numbers]:
+            raise DescriptionError(
+                path, f"column {', '.join(missing)}", f"is missing, expected {', '.join(QUATERNION)}"
+            )
+        quaternions = np.stack([file.numbers[name] for name in QUATERNION], axis=-1)
+        lengths = np.linalg.norm(quaternions, axis=-1)
+        if not np.all(np.abs(lengths - 1.0) < _UNIT_QUATERNION):
+            worst = lengths[np.abs(lengths - 1.0).argmax()]
+            raise DescriptionError(path, ", ".join(QUATERNION), f"a quaternion of length {worst:.6g}, expected 1")
+        transforms = np.zeros((len(quaternions), 4, 4))
+        transforms[:, :3, :3] = Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix()
+        transforms[:, :3, 3] = file.values
+        transforms[:, 3, 3] = 1.0
+        written = np.concatenate([file.written, quaternions], axis=1)
+        others = {name: values for name, values in file.numbers.items() if name not in QUATERNION}
+        return replace(file, columns=(*file.columns, *QUATERNION), written=frozen(written), numbers=others), transforms
 
-def has_placements(path: Path | str) -> bool:
-    """Tell whether a file gives placements of the tool, with quaternions; False for one that cannot be read."""
-    try:
-        lines = read_text(path).splitlines()
-    except DescriptionError:
-        return False
-    heading = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    return QUATERNION[0] in (name.strip() for name in heading.split(","))
-
-
-def read_placements(
-    path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
-) -> tuple[PoseFile, Array]:
-    """Read a file as :func:`read_pose_file` of tool placements: columns x_m, y_m, z_m, qw, qx, qy, qz; and transforms.
-
-    Raises:
-        DescriptionError: see there; or a quaternion is missing or not of length 1.
-    """
-    position = [Coordinate(name, "m", tool=name) for name in TOOL_COMPONENTS[:3]]
-    file = read_pose_file(path, position, known=known, numbers=(*QUATERNION, *numbers))
-    if missing := [name for name in QUATERNION if name not in file.numbers]:
-        raise DescriptionError(path, f"column {', '.join(missing)}", f"is missing, expected {', '.join(QUATERNION)}")
-    quaternions = np.stack([file.numbers[name] for name in QUATERNION], axis=-1)
-    lengths = np.linalg.norm(quaternions, axis=-1)
-    if not np.all(np.abs(lengths - 1.0) < _UNIT_QUATERNION):
-        worst = lengths[np.abs(lengths - 1.0).argmax()]
-        raise DescriptionError(path, ", ".join(QUATERNION), f"a quaternion of length {worst:.6g}, expected 1")
-    w, x, y, z = (quaternions / lengths[:, None]).T
-    transforms = np.zeros((len(quaternions), 4, 4))
-    transforms[:, 0, :3] = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1)
-    transforms[:, 1, :3] = np.stack([2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)], axis=-1)
-    transforms[:, 2, :3] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z], axis=-1)
-    transforms[:, :3, 3] = file.values
-    transforms[:, 3, 3] = 1.0
-    written = np.concatenate([file.written, quaternions], axis=1)
-    others = {name: values for name, values in file.numbers.items() if name not in QUATERNION}
-    return replace(file, columns=(*file.columns, *QUATERNION), written=frozen(written), numbers=others), transforms
+    @staticmethod
+    def gives_placements(path: Path | str) -> bool:
+        """Tell whether a file gives placements of the tool, with quaternions; False for one that cannot be read."""
+        try:
+            lines = read_text(path).splitlines()
+        except DescriptionError:
+            return False
+        heading = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
+        return QUATERNION[0] in (name.strip() for name in heading.split(","))
 
 
 def possible_headings(coordinate: Coordinate) -> list[str]:
@@ -130,7 +137,7 @@ def possible_headings(coordinate: Coordinate) -> list[str]:
 
 def heading_of(coordinate: Coordinate) -> str:
     """Return the heading under which a coordinate is written: angles in degrees."""
-    return f"{coordinate.name}_{'m' if coordinate.unit == 'm' else 'deg'}"
+    return f"{coordinate.name}_{shown_in(coordinate.unit)[1]}"
 
 
 def _example_heading(coordinates: Sequence[Coordinate]) -> str:
@@ -138,15 +145,8 @@ def _example_heading(coordinates: Sequence[Coordinate]) -> str:
     return ",".join(map(heading_of, coordinates))
 
 
-def write_columns(path: Path | str, columns: Mapping[str, ArrayLike | Sequence[str]]) -> Path:
-    """Write columns, n numbers or words by heading, as CSV, whole or not at all; OutputError where that fails."""
-    with write_atomically(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        file.write(columns_text(columns))
-    return Path(path)
-
-
 def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
-    """Return columns of numbers or words as the text of a CSV file; see :func:`write_columns`."""
+    """Return columns of numbers or words as the text of a CSV file."""
     cells = [
         [entry if isinstance(entry, str) else f"{entry:.12g}" for entry in np.asarray(values).tolist()]
         for values in columns.values()

@@ -21,7 +21,7 @@ from pm3dof_pin.typing import Array, Mask
 BOUNDARY_TOLERANCE = 1e-10  # how near to the boundary a crossing is found, as a radius
 
 
-class Crossings(NamedTuple):
+class _Crossings(NamedTuple):
     """Crossings of rays with the boundary, ordered by ray and, on a ray, by radius; each field has shape=(m,)."""
 
     rays: NDArray[np.intp]
@@ -30,7 +30,7 @@ class Crossings(NamedTuple):
     limits: Flags  #: sums of the limits broken just across the boundary
 
 
-class Brackets(NamedTuple):
+class _Brackets(NamedTuple):
     """Neighbouring samples of rays, within the limits and outside, ordered by ray and, on a ray, by radius."""
 
     rays: NDArray[np.intp]
@@ -71,7 +71,7 @@ def explored(
     return found
 
 
-def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> list[Crossings]:
+def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array) -> list[_Crossings]:
     """Check the limits along rays at growing radii; close in changes by bisection to :data:`BOUNDARY_TOLERANCE`.
 
     Rays point in all azimuths [rad] at all levels [m, rad]; returns one result a level. A part of the set, or of its
@@ -90,20 +90,20 @@ def crossings(space: LimitSpace, azimuths: Array, levels: Array, samples: Array)
     rays, inner, outer = closed_in(space, all_azimuths, all_levels, found)
     limits = space.flags(space.points(outer, all_azimuths[rays]), all_levels[rays])
     of_levels = np.split(np.arange(len(rays)), np.searchsorted(rays, count * np.arange(1, len(levels))))
-    return [Crossings(rays[part] % count, inner[part], leaving[part], limits[part]) for part in of_levels]
+    return [_Crossings(rays[part] % count, inner[part], leaving[part], limits[part]) for part in of_levels]
 
 
-def brackets(within: Mask, radii: Array) -> Brackets:
+def brackets(within: Mask, radii: Array) -> _Brackets:
     """Return where neighbouring samples of rays differ, from masks and growing radii, shape=(n, k)."""
     rays, sample = np.nonzero(within[:, 1:] != within[:, :-1])
     leaving = within[rays, sample]
     near, far = radii[rays, sample], radii[rays, sample + 1]
-    return Brackets(rays, np.where(leaving, near, far), np.where(leaving, far, near))
+    return _Brackets(rays, np.where(leaving, near, far), np.where(leaving, far, near))
 
 
 def closed_in(
-    space: LimitSpace, azimuths: Array, levels: Array, start: Brackets, contenders: Contenders | None = None
-) -> Brackets:
+    space: LimitSpace, azimuths: Array, levels: Array, start: _Brackets, contenders: Contenders | None = None
+) -> _Brackets:
     """Close in crossings, or the contenders among them, by bisection to :data:`BOUNDARY_TOLERANCE`."""
     rays, inner, outer = start
     longest = float(np.abs(outer - inner).max(initial=BOUNDARY_TOLERANCE))
@@ -114,4 +114,4 @@ def closed_in(
         middle = 0.5 * (inner + outer)
         keeps = space.within(space.points(middle, azimuths[rays]), levels[rays])
         inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
-    return Brackets(rays, inner, outer)
+    return _Brackets(rays, inner, outer)

@@ -65,7 +65,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class SpringRank:
+class _SpringRank:
     """What one spring means for one axis of the tool, over the reachable set."""
 
     spring: str  #: its name
@@ -91,7 +91,7 @@ class WorkspaceEvaluation:
     distributions: tuple[Distribution, ...]  #: of every number
     indices: dict[str, float]  #: the global indices; empty if the elastic stiffness was not asked for
     #: rank of every spring for every axis, most important first; empty without the shares of the springs
-    springs: tuple[SpringRank, ...]
+    springs: tuple[_SpringRank, ...]
 
 
 def evaluate_workspace(
@@ -128,7 +128,7 @@ def evaluate_workspace(
         units = [unit_of_entry(variable.attrs["units"], str(entry)) for entry in variable[variable.dims[-1]].values]
         turns = np.array([unit == "N m/rad" for unit in units]) if name == "free_stiffness" else np.arange(6) >= 3
         indices = _global_indices(variable.values[inside], turns, weights[inside])
-    ranks: tuple[SpringRank, ...] = ()
+    ranks: tuple[_SpringRank, ...] = ()
     if springs:
         dataset = _with_critical_springs(dataset)
         ranks = tuple(_ranks(dataset, inside, weights))
@@ -230,7 +230,7 @@ def _leading(shares: Array) -> Mask:
     return leading
 
 
-def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[SpringRank]:
+def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[_SpringRank]:
     shares, critical = dataset[SHARES].values[inside], dataset[CRITICAL].values[inside]
     names = [str(name) for name in dataset["spring"].values]
     for number, axis in enumerate(map(str, dataset["axis"].values)):
@@ -243,7 +243,7 @@ def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[Spring
         governs = np.average(leading / leading.sum(axis=1, keepdims=True), axis=0, weights=volume)
         gains = np.average(1.0 / (1.0 - parts * STIFFER / (1.0 + STIFFER)) - 1.0, axis=0, weights=volume)
         for spring in np.argsort(-means, kind="stable"):
-            yield SpringRank(
+            yield _SpringRank(
                 names[spring],
                 axis,
                 float(governs[spring]),

@@ -17,7 +17,7 @@ from pm3dof_pin.typing import Objects
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedMotions:
+class _ClosedMotions:
     """Velocities that keep the loops closed; those of slides are measured in units of length."""
 
     #: velocities of all joints at unit rate of each driven one, where these obey the relations, shape=(nv, k)
@@ -28,7 +28,7 @@ class ClosedMotions:
 
 def closed_motions(
     tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
-) -> ClosedMotions:
+) -> _ClosedMotions:
     """Record the motions of a mechanism; joints neither driven nor passive are locked.
 
     Args:
@@ -38,7 +38,7 @@ def closed_motions(
         unit: unit of length [m].
         doubt: where to record pivots and what is dropped.
     """
-    rows = constraint_rows(tree, unit)
+    rows = _constraint_rows(tree, unit)
     count, nv = len(passive), rows.shape[1]
     result = eliminate(rows[:, [*passive, *driven]], range(count), doubt)
     columns = list(result.columns)
@@ -52,10 +52,10 @@ def closed_motions(
     if rank(relations) < len(relations):
         relations = eliminate(relations, range(len(driven)), doubt).pivot_rows
     idle = len(result.dropped)
-    return ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
+    return _ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
 
 
-def constraint_rows(tree: Tree, unit: float) -> Objects:
+def _constraint_rows(tree: Tree, unit: float) -> Objects:
     """Return the constraint Jacobian, velocities of slides and of points in units of length, shape=(m, nv)."""
     rows = []
     for index in range(len(tree.mechanism.closures)):

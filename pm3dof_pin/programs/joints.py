@@ -62,7 +62,7 @@ _NO_ROTATION = objects(np.eye(3).tolist())
 
 
 @dataclass(frozen=True, eq=False)
-class Revolute:
+class _Revolute:
     """A joint that turns about an axis, a unit vector."""
 
     axis: Objects
@@ -83,7 +83,7 @@ class Revolute:
 
 
 @dataclass(frozen=True, eq=False)
-class _Continuous(Revolute):
+class _Continuous(_Revolute):
     """A joint that turns about an axis without end: q is the cosine and the sine of its angle."""
 
     nq = 2
@@ -194,7 +194,7 @@ class Planar:
         return objects([q[0] + q[2] * v[0] - q[3] * v[1], q[1] + q[3] * v[0] + q[2] * v[1], *turned])
 
 
-Joint: TypeAlias = "Revolute | _Prismatic | Spherical | FreeFlyer | Planar"
+Joint: TypeAlias = "_Revolute | _Prismatic | Spherical | FreeFlyer | Planar"
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,20 +234,20 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
     x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
         axis = objects(_AXES[kind[1]])
-        return [Revolute(axis) if kind[0] == "R" else _Prismatic(axis)]
+        return [_Revolute(axis) if kind[0] == "R" else _Prismatic(axis)]
     if len(kind) == 4 and kind[:3] == "RUB" and kind[3] in _AXES:
         return [_Continuous(objects(_AXES[kind[3]]))]
     match kind:
         case "RevoluteUnaligned":
-            return [Revolute(geometry.vector(name, "axis"))]
+            return [_Revolute(geometry.vector(name, "axis"))]
         case "PrismaticUnaligned":
             return [_Prismatic(geometry.vector(name, "axis"))]
         case "RevoluteUnboundedUnaligned":
             return [_Continuous(geometry.vector(name, "axis"))]
         case "Universal":
-            return [Revolute(geometry.vector(name, "axis1")), Revolute(geometry.vector(name, "axis2"))]
+            return [_Revolute(geometry.vector(name, "axis1")), _Revolute(geometry.vector(name, "axis2"))]
         case "SphericalZYX":
-            return [Revolute(z), Revolute(y), Revolute(x)]
+            return [_Revolute(z), _Revolute(y), _Revolute(x)]
         case "Translation":
             return [_Prismatic(x), _Prismatic(y), _Prismatic(z)]
         case "Spherical":
