@@ -16,13 +16,9 @@ _Array = TypeVar("_Array", bound=NDArray[Any])
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return values as an array of real numbers.
+    """Return values, named for messages, as an array of real numbers.
 
     Texts, truth values and complex numbers are none, even where NumPy would read them, and neither are masked ones.
-
-    Args:
-        name: what the values are, for the message.
-        values: the numbers; an array of them is returned as it is.
 
     Raises:
         InvalidValueError: they are no real numbers, or not of one shape.
@@ -43,12 +39,7 @@ def _objects(array: NDArray[Any]) -> Iterable[Any]:
 
 
 def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
-    """Copy values into an array of finite numbers.
-
-    Args:
-        name: what the values are, for the message.
-        values: the numbers.
-        shapes: the shapes they may have.
+    """Copy values, named for messages, into an array of finite numbers of one of some shapes.
 
     Raises:
         InvalidValueError: they are no numbers, not finite, or of another shape.

@@ -103,10 +103,7 @@ class Compensation:
         return bool(self.errors.robot.springs) and not any(map(is_wrench, learned))
 
     def without_loads(self, measurements: Measurements) -> Measurements:
-        """Return what would have been measured without the wrenches on the tool, by the springs as identified.
-
-        Args:
-            measurements: what was measured; those without wrenches are returned as they are.
+        """Return measurements less what their wrenches on the tool do by the springs as identified.
 
         Raises:
             UnreachablePoseError: the loops do not close at a command.
@@ -119,9 +116,6 @@ class Compensation:
 
     def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
         """Complete conditions by the middle of those measured.
-
-        Args:
-            given: some conditions.
 
         Raises:
             InvalidValueError: a condition of which nothing was learned, and that is no wrench that springs give under.
@@ -197,11 +191,7 @@ class Compensation:
         return answer
 
     def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:
-        """Predict where the machine is at the commands of nominal poses.
-
-        Args:
-            nominal: poses of the robot as described.
-            conditions: temperatures and loads by name.
+        """Predict where the machine is at the commands of nominal poses, under conditions by name.
 
         Raises:
             UnreachablePoseError: the loops do not close at a command.
@@ -210,38 +200,16 @@ class Compensation:
         return self._deflected(reached, conditions or {})
 
     def corrected(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
-        """Return the commands for wanted poses alone, shape=(n, number of commands) [m, rad]; see :meth:`compensate`.
-
-        Args:
-            nominal: wanted poses, of the robot as described.
-            conditions: temperatures and loads by name.
-
-        Raises:
-            ConvergenceError: the correction does not settle.
-            UnreachablePoseError: the loops do not close at a command.
-        """
+        """Return the commands for wanted poses alone, shape=(n, commands) [m, rad]; see :meth:`compensate`."""
         nearest = self._nearest(nominal, self.model_poses(nominal), conditions or {})
         return self._corrected(nearest.commands, conditions or {})
 
     def deviations(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
-        """Predict the pseudo-error of the nominal machine at its own commands, the du of Fig. 8.6.
-
-        Args:
-            nominal: poses of the robot as described.
-            conditions: temperatures and loads by name.
-
-        Returns:
-            shape=(n, number of commands) [m, rad].
-        """
+        """Predict du of Fig. 8.6, the nominal machine's pseudo-error at its commands, shape=(n, commands) [m, rad]."""
         return self._deviations(nominal, self.model_poses(nominal), conditions or {})
 
     def model_poses(self, nominal: Poses, on_failure: OnFailure = "raise") -> Poses:
-        """Return the model's poses, nominal or calibrated, at the commands of nominal ones.
-
-        Args:
-            nominal: poses of the robot as described.
-            on_failure: "raise", or "nan" where the model's loops do not close.
-        """
+        """Return the model's poses, nominal or calibrated, at the commands of nominal ones."""
         if self.values is None:
             return nominal if self.model is nominal.robot else Poses(self.model, nominal.q)
         return self.model.forward(nominal.commands, guess=nominal.q, on_failure=on_failure)
@@ -310,12 +278,7 @@ class Compensation:
         return left, self.covariances(nearest, conditions) + self.scatter.covariances(control)
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
-        """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2].
-
-        Args:
-            poses: of the model.
-            conditions: temperatures and loads by name.
-        """
+        """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
         weights, given = tip_weights(self.eta), conditions or {}
         total = np.zeros((len(poses), 6, 6))
         if self.values is not None and self.covariance is not None:

@@ -143,16 +143,7 @@ def summary_of(
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
 ) -> dict[str, Any]:
-    """Return what was done and found as plain data; keys end in their unit.
-
-    Args:
-        calibration: the calibration.
-        robot: name of the robot.
-        held_out: how good it is on measurements it has not seen.
-        validation: how good it is on another file of measurements.
-        objections: what speaks against it.
-        judgement: what to expect of the machine.
-    """
+    """Return what was done and found as plain data; keys end in their unit. See :func:`write_calibration`."""
     options, found = calibration.options, calibration.identification
     summary: dict[str, Any] = {
         "format": _FORMAT,
@@ -226,12 +217,7 @@ def statistics(values: Array) -> dict[str, float]:
 
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
-    """Return a compensation as JSON, every digit kept.
-
-    Args:
-        compensation: what to write.
-        urdf: name of the nominal robot's URDF.
-    """
+    """Return a compensation as JSON, every digit kept, naming the nominal robot's URDF."""
     covariance, learned = compensation.covariance, compensation.learned
     if covariance is not None:
         # what nothing tells moves the tool by nothing that was ever seen; JSON has no infinity
@@ -377,14 +363,7 @@ def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
 
 
 def _base_sigmas(found: Identification) -> tuple[Array, Array]:
-    """Return the standard deviations of the base's position and orientation along the instrument's axes [m], [rad].
-
-    Args:
-        found: an identification from measurements in a frame of the instrument's own.
-
-    Raises:
-        InvalidValueError: they were measured in the base's axes.
-    """
+    """Return the sigmas of the base's position [m] and orientation [rad] along the instrument's own axes."""
     registration = found.measurements.registration
     if registration is None:
         raise InvalidValueError("measurements", "in the base's own axes", "those of an instrument with its own frame")

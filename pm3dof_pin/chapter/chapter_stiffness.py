@@ -27,16 +27,9 @@ UNITS = {"theta_x": "N m/rad", "theta_y": "N m/rad", "t_z": "N/m", "t_x": "N/m",
 def chapter_stiffness(
     tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the chapter's diagonal stiffness at each pose.
+    """Return the chapter's diagonal stiffness, shape=(..., 6), in the order of :data:`AXES`, units of :data:`UNITS`.
 
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg.
-        on_failure: "raise", or "nan" to mark poses out of reach in the result.
-
-    Returns:
-        Stiffness in the order of :data:`AXES`, units of :data:`UNITS`, shape=(..., 6).
+    Arguments are those of :func:`~pm3dof_pin.chapter.kinematics.inverse_kinematics`.
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".

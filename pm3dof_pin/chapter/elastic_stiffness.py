@@ -22,16 +22,10 @@ from pm3dof_pin.typing import Array, OnFailure
 def elastic_stiffness(
     tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
 ) -> Array:
-    """Return the Cartesian stiffness K = dW/dX at O_e, axes of the base.
+    """Return the Cartesian stiffness K = dW/dX at O_e, axes of the base, symmetric, in the order x, y, z, rx, ry, rz.
 
-    Args:
-        tripod: the machine.
-        poses: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
-        assembly_mode: -1 or +1, once or for each leg; one setting for all poses.
-        on_failure: "raise", or "nan" to mark poses out of reach in the result.
-
-    Returns:
-        Symmetric matrices in the order x, y, z, rx, ry, rz, shape=(..., 6, 6) [N/m, N, N m/rad].
+    Shape=(..., 6, 6) [N/m, N, N m/rad]; arguments are those of
+    :func:`~pm3dof_pin.chapter.kinematics.inverse_kinematics`, with one assembly mode for all poses.
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".

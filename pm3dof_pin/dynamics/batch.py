@@ -82,12 +82,9 @@ def drive_mass_matrices(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> Array:
-    """Compute the mass matrix that the actuated joints feel at many poses.
+    """Compute :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix` at many poses, shape=(..., u, u).
 
-    Args and errors are those of :func:`actuator_forces`.
-
-    Returns:
-        See :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix`, shape=(..., u, u) [kg, kg m, kg m^2].
+    Arguments and errors are those of :func:`actuator_forces`.
     """
     robot.require_possible_inertias()
     model = model_with_payloads(robot, payloads)
@@ -119,19 +116,9 @@ def natural_frequencies(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> Array:
-    """Compute the lowest natural frequencies at many poses.
+    """Compute the lowest natural frequencies at many poses, rising, shape=(..., count) [Hz]; NaN where there are fewer.
 
-    Args:
-        elastic: the mechanism with its springs.
-        poses: solved poses, or configurations q of the rigid mechanism with closed loops, shape=(..., nq) [m, rad].
-        count: number of frequencies at each.
-        payloads: see :func:`actuator_forces`.
-        on_failure: see :func:`actuator_forces`.
-        engine: see :func:`actuator_forces`.
-        threads: see :func:`actuator_forces`.
-
-    Returns:
-        Rising, shape=(..., count) [Hz]; NaN where there are fewer modes.
+    Other arguments are those of :func:`actuator_forces`, q being that of the rigid mechanism.
 
     Raises:
         PM3DofError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.

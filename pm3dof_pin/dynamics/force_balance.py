@@ -48,13 +48,8 @@ def balance(
     A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the motions that keep
     the loops closed, the actuators are found from (A Z)^T f = Z^T load, then the closures from what is left, both by
     singular value decomposition in scaled numbers: lengths are divided by the characteristic length, forces along an
-    axis multiplied by it. Work of the load on idle motions, which leave actuators and tool at rest, is left out.
-
-    Args:
-        configuration: an assembled configuration.
-        load: generalised forces to be balanced, shape=(nv,) [N, N m].
-        reference: size of what the load is the sum of, shape=() [N m], which its rounding goes by.
-        tolerance: singular values below this times their reference count as zero.
+    axis multiplied by it. Work of the load on idle motions, which leave actuators and tool at rest, is left out. The
+    load has shape=(nv,) [N, N m]; its rounding goes by `reference`, the size of what it is the sum of [N m].
 
     Raises:
         SingularConfigurationError: the load works on a motion of the tool that the actuated joints do not hold.

@@ -17,13 +17,11 @@ from pm3dof_pin.typing import Matrix
 def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:
     """Compute the mass matrix M of the tree of bodies, loops open, shape=(nv, nv) [kg, kg m, kg m^2].
 
-    Args:
-        configuration: the configuration.
-        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
+    For payloads see :data:`~pm3dof_pin.mechanism.loads.Payloads`.
 
     Raises:
         FrameNotFoundError: a payload names a frame that the model does not have.
-        InvalidValueError: a payload's mass is negative or no finite number.
+        InvalidValueError: a payload's mass is negative or not finite.
         DescriptionError: a body has moments of inertia that no body has.
     """
     configuration.mechanism.require_possible_inertias()
@@ -37,20 +35,13 @@ def manifold_mass_matrix(
 ) -> Matrix:
     """Compute the mass matrix on the constraint manifold, Z^T M Z: the kinetic energy is half of c^T (Z^T M Z) c.
 
-    Args:
-        configuration: an assembled configuration.
-        motions: Z, velocities that keep the loops closed, shape=(nv, p), v = Z c; by default those of
-            :func:`~pm3dof_pin.mechanism.null_space`. With :func:`~pm3dof_pin.mechanism.independent_motions` it is the
-            mass matrix that belongs to the motion coordinates.
-        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-
-    Returns:
-        Symmetric, shape=(p, p).
+    Z are `motions` that keep the loops closed, shape=(nv, p), v = Z c: by default those of
+    :func:`~pm3dof_pin.kinematics.degrees_of_freedom.null_space`. With
+    :func:`~pm3dof_pin.kinematics.actuation.independent_motions` it is the mass matrix of the motion coordinates.
 
     Raises:
-        FrameNotFoundError: a payload names a frame that the model does not have.
-        InvalidValueError: a payload or `motions` is not finite or has the wrong shape, or the loops are not closed.
-        DescriptionError: a body has moments of inertia that no body has.
+        InvalidValueError: `motions` is not finite or has the wrong shape, or the loops are not closed.
+        PM3DofError: see :func:`mass_matrix`.
     """
     z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
     product = z.T @ mass_matrix(configuration, payloads=payloads) @ z
@@ -61,14 +52,7 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
     """Compute the mass matrix that the actuated joints feel: the kinetic energy is half of du^T M du, du their rates.
 
     Joints that these rates leave free, such as a rod that spins, take the shortest motion in scaled numbers; so do the
-    rates themselves where there are more actuators than degrees of freedom.
-
-    Args:
-        configuration: an assembled configuration.
-        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-
-    Returns:
-        Symmetric, shape=(u, u) [kg, kg m, kg m^2].
+    rates themselves where there are more actuators than degrees of freedom. Shape=(u, u) [kg, kg m, kg m^2].
 
     Raises:
         SingularConfigurationError: the tool can move with the actuated joints at rest.

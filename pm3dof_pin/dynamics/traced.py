@@ -43,10 +43,6 @@ _NO_MASS = 1e-15
 def drive_motions(tree: Tree, doubt: Doubt) -> Objects:
     """Record the shortest motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
 
-    Args:
-        tree: the mechanism.
-        doubt: where to record pivots and what is dropped.
-
     Raises:
         ProgramError: the tool can move with all actuators at rest, at the sample poses; or there is no tool to tell.
     """
@@ -121,10 +117,6 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
 
     Outputs: `forces`, shape=(u,); and `pivot`, the least pivot, small near singular poses.
 
-    Args:
-        robot: the robot.
-        poses: closed configurations near home, shape=(s, nq).
-
     Raises:
         ProgramError: there is no program.
     """
@@ -135,16 +127,9 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
 
 
 def holding(robot: Robot, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the holding forces.
+    """Evaluate the holding forces at q, shape=(n, nq), and where nothing is in doubt, shape=(n,).
 
-    Args:
-        robot: the robot.
-        model: its tree, or a copy with payloads.
-        q: configurations, shape=(n, nq).
-        threads: number of threads.
-
-    Returns:
-        Forces, shape=(n, u); and the poses at which nothing is in doubt, shape=(n,).
+    `model` is the robot's tree, or a copy with payloads.
 
     Raises:
         ProgramError: there is no program for this robot.
@@ -160,15 +145,7 @@ def drive_inertia(robot: Robot, model: pin.Model, q: Matrix, threads: int | None
 def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
     """Evaluate the matrix whose eigenvalues are 1 / omega^2; arguments and errors otherwise as for :func:`holding`.
 
-    Args:
-        elastic: the elastic mechanism.
-        model: its tree, or a copy with payloads.
-        q: configurations of the rigid mechanism, shape=(n, nq).
-        threads: number of threads.
-
-    Returns:
-        Matrices in their lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and the poses at which
-        nothing is in doubt, shape=(n,).
+    Lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
     """
     frame = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name
 

@@ -24,14 +24,9 @@ class Bow:
     length: float | None  #: length of the element [m]; None if a joint changes it
 
     def energy_derivatives(self, d: Vector, length: float) -> tuple[Vector, Matrix]:
-        """Return the derivatives of U - c z^2 / 2 by d and, last, by the length.
+        """Return the derivatives of U - c z^2 / 2 by deflections d, shape=(n,), and, last, by the length [m].
 
-        Args:
-            d: deflections of the spring, shape=(n,).
-            length: length of the element [m].
-
-        Returns:
-            First derivatives, shape=(n + 1,), and second ones, shape=(n + 1, n + 1).
+        First derivatives, shape=(n + 1,), and second ones, shape=(n + 1, n + 1).
         """
         size, bent = len(d) + 1, d[self.bending]
         matrix, rate = _shape(length)

@@ -174,10 +174,8 @@ class CartesianCompliance:
     def stiffness_over(self, twists: ArrayLike) -> Matrix:
         """Return the stiffness of some motions of the frame, all others being held, shape=(p, p).
 
-        With twist = T c it is T^T K T, and exists where K does not: for a planar mechanism over its three motions.
-
-        Args:
-            twists: T, the frame's twists at unit rates of the motions, shape=(6, p).
+        With twist = T c, T of shape=(6, p), it is T^T K T, and exists where K does not: for a planar mechanism over its
+        three motions.
 
         Raises:
             RigidDirectionError: the springs do not allow one of these motions; the message names those they do not.

@@ -154,12 +154,10 @@ class LoadPath:
         return PathPoint(0.0, state, self._direction(state, towards), 0)
 
     def settle(self) -> tuple[LoadedState, int]:
-        """Find where the mechanism stands under the full growing loads: on the path from rest, if that leads there.
+        """Find where the mechanism stands under the full growing loads, and the corrections of the last step.
 
-        If it does not, where it comes to rest when it is let go under them, which is a stable equilibrium elsewhere.
-
-        Returns:
-            The equilibrium and the number of corrections of the last step.
+        That is on the path from rest, if that leads there; else where it comes to rest when it is let go under them,
+        which is a stable equilibrium elsewhere.
 
         Raises:
             DeflectionRangeError: the path from rest leads out of the springs' range.

@@ -99,13 +99,9 @@ class LoadedEquilibrium:
         return frozen(self.state.deflections[self.state.model.spring_indices])
 
     def displacement(self, frame: str | None = None) -> Vector:
-        """Return how far a frame has moved from where it is with the springs at rest.
+        """Return how far a frame, by default the tool, has moved from where it is with the springs at rest.
 
-        Args:
-            frame: the frame; the tool by default.
-
-        Returns:
-            Displacement of its origin and rotation vector, world axes, shape=(6,) [m, rad].
+        Displacement of its origin and rotation vector, world axes, shape=(6,) [m, rad].
 
         Raises:
             FrameNotFoundError: the model has no such frame.
@@ -121,16 +117,11 @@ class LoadedEquilibrium:
     def tangent_compliance(self, frame: str | None = None) -> Matrix:
         """Return the tangent compliance of a frame: its twist for a small wrench more at its origin, world axes.
 
-        Args:
-            frame: the frame; the tool by default.
-
-        Returns:
-            shape=(6, 6) [m/N, 1/N, rad/(N m)], symmetric if the loads have a potential.
+        Shape=(6, 6) [m/N, 1/N, rad/(N m)], symmetric if the loads have a potential.
 
         Raises:
             FreeDirectionError: the frame moves freely in some direction.
-            FrameNotFoundError: the model has no such frame.
-            DescriptionError: no frame is given, and the mechanism has no tool frame.
+            PM3DofError: there is no such frame, see :meth:`displacement`.
         """
         jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
         free = range_and_complement(jacobian @ self.state.idle_motions / unit, self._threshold(jacobian))[0]
@@ -141,19 +132,11 @@ class LoadedEquilibrium:
         return frozen(compliance)
 
     def tangent_stiffness(self, frame: str | None = None) -> Matrix:
-        """Return the tangent stiffness of a frame, the inverse of :meth:`tangent_compliance`.
-
-        Args:
-            frame: the frame; the tool by default.
-
-        Returns:
-            shape=(6, 6) [N/m, N, N m/rad], symmetric if the loads have a potential.
+        """Return the inverse of :meth:`tangent_compliance`, shape=(6, 6) [N/m, N, N m/rad].
 
         Raises:
             RigidDirectionError: no spring gives in some direction.
-            FreeDirectionError: the frame moves freely in some direction.
-            FrameNotFoundError: the model has no such frame.
-            DescriptionError: no frame is given, and the mechanism has no tool frame.
+            PM3DofError: see :meth:`tangent_compliance`.
         """
         jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
         motions = self.state.motions
@@ -250,31 +233,18 @@ def load_deflection(
     tolerance: float = EQUILIBRIUM_TOLERANCE,
     max_steps: int = 60,
 ) -> tuple[LoadedEquilibrium, ...]:
-    """Follow the equilibrium while the loads grow: the load-deflection curve at given loads.
+    """Follow the equilibrium while the loads grow: the load-deflection curve at given factors of the loads, shape=(n,).
 
     The path from one factor to the next is followed by its arc length, so that no equilibrium is taken for one that
     only looks near. It ends at a limit point: see :func:`equilibrium_path` for what comes after it. At a bifurcation it
-    goes on along a stable branch, and a warning is logged with the factor and the branch.
-
-    Args:
-        model: the elastic mechanism.
-        configuration: see :func:`loaded_equilibrium`.
-        loads: loads, which are multiplied by each factor in turn.
-        factors: in the order in which they are applied, from no loads on, shape=(n,).
-        permanent: loads that always act in full.
-        tolerance: see :func:`loaded_equilibrium`.
-        max_steps: Newton steps under the permanent loads to give up after.
-
-    Returns:
-        An equilibrium for each factor.
+    goes on along a stable branch, and a warning is logged with the factor and the branch. Other arguments and errors
+    are those of :func:`loaded_equilibrium`, `permanent` loads always acting in full.
 
     Raises:
         ConvergenceError: the path turns round before a factor is reached, or no stable branch leaves a bifurcation; the
             message says where.
         DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
-        FrameNotFoundError: see :func:`loaded_equilibrium`.
-        InvalidValueError: see there, or the factors are not finite or no list.
-        DescriptionError: see there.
+        InvalidValueError: the factors are not finite or no list.
     """
     targets = finite_array("factors", factors, (np.size(factors),))
     path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
@@ -299,28 +269,13 @@ def equilibrium_path(
 ) -> tuple[LoadedEquilibrium, ...]:
     """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
 
-    At a bifurcation it goes straight on, and a warning is logged with the factor.
-
-    Args:
-        model: the elastic mechanism.
-        configuration: see :func:`loaded_equilibrium`.
-        loads: loads, which are multiplied by a factor that the path finds.
-        increment: factor that the first step would go to if the mechanism were linear and the load alone counted; all
-            steps have the same length, or less where the path bends.
-        count: number of equilibria after the first, at factor 0.
-        permanent: loads that always act in full.
-        tolerance: see :func:`loaded_equilibrium`.
-        max_steps: Newton steps under the permanent loads to give up after.
-
-    Returns:
-        The equilibria with their factors.
+    At a bifurcation it goes straight on, and a warning is logged with the factor. `increment` is the factor that the
+    first step would go to if the mechanism were linear and the load alone counted; all `count` steps have the same
+    length, or less where the path bends. Other arguments and errors are those of :func:`load_deflection`.
 
     Raises:
         ConvergenceError: the path could not be followed; the message says from where.
-        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
-        FrameNotFoundError: see :func:`loaded_equilibrium`.
-        InvalidValueError: see there, or the increment is not a positive number.
-        DescriptionError: see there.
+        InvalidValueError: the increment is not a positive number.
     """
     if not (np.isfinite(increment) and increment > 0.0):
         raise InvalidValueError("increment", increment, "a positive number")

@@ -182,12 +182,7 @@ class LoadedState:
         return coordinates
 
     def moved(self, velocity: Vector, loads: AppliedLoads | None = None) -> LoadedState | None:
-        """Return the state that a velocity leads to, loops closed again; None if they do not close.
-
-        Args:
-            velocity: shape=(nv,).
-            loads: the loads there; the same by default.
-        """
+        """Return the state that a velocity leads to, loops closed again, under the same loads or others; or None."""
         mechanism = self.model.mechanism
         configuration = Configuration(
             mechanism, pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
@@ -265,18 +260,12 @@ def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
 
 
 def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) -> tuple[LoadedState, int]:
-    """Go from a state to the equilibrium by Newton's method, with a line search on the imbalance.
+    """Go from a state to the equilibrium by Newton's method, with a line search on the imbalance; return the steps too.
 
-    Args:
-        state: where to start, with the loads that are to be balanced.
-        tolerance: imbalance that counts as none, as a part of the size of the loads. One more step is tried beyond it.
-        max_steps: steps to give up after.
-
-    Returns:
-        The equilibrium and the number of steps.
+    The tolerance is relative to the size of the loads. One more step is tried beyond it.
 
     Raises:
-        ConvergenceError: no equilibrium was found.
+        ConvergenceError: no equilibrium was found in `max_steps`.
     """
     state = state.moved(np.zeros_like(state.deflections)) or state
     for step in range(max_steps):

@@ -41,14 +41,7 @@ class Loads:
 
 
 class AppliedLoads:
-    """Loads on one mechanism, each times a factor.
-
-    Args:
-        mechanism: the mechanism.
-        loads: factors and loads.
-
-    Attributes:
-        size: sum of forces times the characteristic length and of moments [N m].
+    """Loads on one mechanism, each times a factor; their `size` is the sum of forces times length and of moments [N m].
 
     Raises:
         FrameNotFoundError: the model has no such frame.
@@ -92,13 +85,9 @@ class AppliedLoads:
     def resistance(self, configuration: Configuration, closure_forces: Vector) -> Matrix:
         """Return what the loads add to the tangent stiffness, -d(forces + G^T lambda)/dq, shape=(nv, nv).
 
-        The forces in the closures are taken as dead too. On motions that keep the loops closed it makes no difference:
-        G' = A(q) G has the same null space, and what dA adds is in the range of G^T.
-
-        Args:
-            configuration: an assembled configuration.
-            closure_forces: lambda, force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the
-                axes of frame a, shape=(m,).
+        The forces in the closures, lambda of :class:`~pm3dof_pin.elastic.loaded_state.LoadedState`, are taken as dead
+        too. On motions that keep the loops closed it makes no difference: G' = A(q) G has the same null space, and what
+        dA adds is in the range of G^T.
         """
         q = np.array(configuration.q)
         model, data = self._weightless

@@ -28,15 +28,10 @@ _STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_
 
 
 def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None = None) -> Array:
-    """Return how far each spring lets wrenches move the tool, shape=(n, springs, 6) [m, rad].
+    """Return how far each spring lets wrenches move the tool at n poses, shape=(n, springs, 6) [m, rad].
 
     Their sum over the springs is the tool's displacement, minus each of them its derivative by the logarithm of that
-    spring's stiffness.
-
-    Args:
-        poses: poses of a robot with springs, of shape (n,).
-        wrenches: on the tool, at its point, world axes, shape=(n, 6) [N, N m].
-        engine: what computes; by default the program for many poses, which it takes a while to make.
+    spring's stiffness. Wrenches are at the tool's point, world axes, shape=(n, 6) [N, N m].
 
     Raises:
         DescriptionError: the robot has no springs, or no tool frame.

@@ -15,17 +15,12 @@ from pm3dof_pin.programs.tree import Tree
 
 
 def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
-    """Record the checks of a configuration.
+    """Record the checks of a configuration, at closed samples, shape=(s, nq), see :class:`Tree`.
 
     Inputs are q. Outputs: `residual`, the largest closure error [m, rad]; `broken`, the sum of 2^(k + 1) over the
     mechanism's limit groups k with a limit that is exceeded by more than the tolerance in
-    :mod:`pm3dof_pin.programs.geometry`; and, where the mechanism has a tool, its `transform` in the world,
-    shape=(4, 4).
-
-    Args:
-        mechanism: the mechanism.
-        samples: closed configurations, shape=(s, nq), see :class:`Tree`.
-        dense: see :mod:`pm3dof_pin.programs.geometry`.
+    :mod:`pm3dof_pin.programs.geometry`; and, where the mechanism has a tool, its `transform` in the world, shape=(4,
+    4).
 
     Raises:
         ProgramError: the model has a joint of a type for which there is no program.

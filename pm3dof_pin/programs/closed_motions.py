@@ -29,15 +29,7 @@ class _ClosedMotions:
 def closed_motions(
     tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
 ) -> _ClosedMotions:
-    """Record the motions of a mechanism; joints neither driven nor passive are locked.
-
-    Args:
-        tree: the mechanism.
-        driven: entries of v that are driven.
-        passive: entries of v that follow.
-        unit: unit of length [m].
-        doubt: where to record pivots and what is dropped.
-    """
+    """Record the motions of a mechanism, by a unit of length [m]; joints neither driven nor passive are locked."""
     rows = _constraint_rows(tree, unit)
     count, nv = len(passive), rows.shape[1]
     result = eliminate(rows[:, [*passive, *driven]], range(count), doubt)

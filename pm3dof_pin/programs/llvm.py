@@ -169,14 +169,8 @@ class Compiled:
     ) -> Iteration:
         """Repeat the program, whose outputs are the next state and a residual, until the residual is small.
 
-        The step that finds a residual of at most `tolerance` is the last one. A pose whose residual is NaN stops too.
-
-        Args:
-            inputs: first state, then inputs that stay as they are, shape=(n, number of inputs).
-            parameters: shape=(number of parameters,).
-            tolerance: residual from which one more step is enough.
-            max_steps: steps taken at most, at least 1.
-            threads: number of threads at most; the number of processors by default.
+        The step that finds a residual of at most `tolerance` is the last one, or the last of `max_steps`. A pose whose
+        residual is NaN stops too. Inputs are the first state, then what stays, shape=(n, number of inputs).
 
         Raises:
             InvalidValueError: an array has another shape, or the program's outputs are no state and residual.

@@ -55,12 +55,7 @@ class _Body:
 
 
 class Masses:
-    """What the joints of a tree carry.
-
-    Args:
-        tree: the traced tree.
-        model: its model, or a copy with payloads.
-    """
+    """What the joints of a traced tree carry, by its model, or a copy with payloads."""
 
     def __init__(self, tree: Tree, model: pin.Model) -> None:
         self._tree = tree

@@ -12,16 +12,9 @@ from pm3dof_pin.typing import Objects
 
 
 def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool = False) -> Objects:
-    """Return the part of rows at right angles to independent relations.
+    """Return the part of rows at right angles to independent relations, shape=(m, n - k); (m, n) if restored.
 
-    Args:
-        relations: shape=(k, n).
-        rows: shape=(m, n).
-        doubt: where to record the pivots.
-        restored: whether the part is wanted in its own numbers instead of in an orthonormal basis of that space.
-
-    Returns:
-        shape=(m, n - k); (m, n) if restored.
+    Restored it is in its own numbers instead of in an orthonormal basis of that space.
     """
     stack = [list(row) for row in (*relations, *rows)]
     left = list(range(relations.shape[1]))

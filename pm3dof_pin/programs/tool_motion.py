@@ -132,17 +132,9 @@ def response(
 ) -> Objects:
     """Record how a frame moves with its sources, the passive joints following; nothing is strained.
 
-    Args:
-        tree: the mechanism.
-        frame: the frame.
-        passive: the passive joints' columns; all other joints that are not among the sources stand still.
-        sources: rates that are given: of joints, or of displacements anywhere.
-        doubt: where to record pivots and what is dropped.
-        readings: more rates that are given, as components of the frame's own motion.
-
-    Returns:
-        The frame's twist [v; omega] at its origin, world axes, for one unit of each source, then of each reading,
-        shape=(6, s).
+    Sources are rates of joints, or of displacements anywhere; readings more rates, as components of the frame's motion;
+    all other joints stand still. Returns the frame's twist [v; omega] at its origin, world axes, for one unit of each
+    source, then of each reading, shape=(6, s).
 
     Raises:
         ProgramError: the frame can move with all sources at rest, or loops cannot close with a source, at the sample

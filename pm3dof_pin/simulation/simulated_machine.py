@@ -226,9 +226,6 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
 
     What is not listed gets the smallest tolerance of its kind that is, or the usual one where none of its kind is.
     Errors with which the loops cannot close are left out.
-
-    Args:
-        errors: parameters that are to be identified.
     """
     robot = errors.robot
     least = {

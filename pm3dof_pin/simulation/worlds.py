@@ -46,14 +46,11 @@ class World:
 
     @classmethod
     def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
-        """Draw a world.
+        """Draw a world around the parameters that are to be identified, with their tolerances.
 
-        Args:
-            name: "everything": all six errors of all joints and frames are wrong, drives are wavy, screws and links
-                warm up, bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only
-                for machines all of whose drives slide. "geometry": only the listed parameters are wrong.
-            errors: the parameters that are to be identified, with their tolerances.
-            generator: source of the random numbers.
+        "everything": all six errors of all joints and frames are wrong, drives are wavy, screws and links warm up,
+        bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only for machines all
+        of whose drives slide. "geometry": only the listed parameters are wrong.
 
         Raises:
             InvalidValueError: there is no such world.
