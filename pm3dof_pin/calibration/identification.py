@@ -53,7 +53,7 @@ _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one di
 _FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
 _LEAST_FREEDOM = 0.2  # of the measurements
 _BELIEVED = 4.0  # parameters off by their tolerance, as which the tolerances count
-_UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that says nothing
+UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that says nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +377,7 @@ class _Linearised:
         if np.isfinite(self.prior):
             return np.asarray(np.linalg.inv(information + np.diag(self._precisions)) * unit)
         # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
-        known_before = np.where(self._sigmas < _UNKNOWN, self._precisions, 0.0)
+        known_before = np.where(self._sigmas < UNKNOWN, self._precisions, 0.0)
         values, axes = np.linalg.eigh(information + np.diag(known_before))
         known = values > (REGRESSOR_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
         covariance = (axes[:, known] / values[known]) @ axes[:, known].T * unit
@@ -388,7 +388,7 @@ class _Linearised:
     @cached_property
     def _used(self) -> float:
         """How many degrees of freedom the parameters take from the measurements."""
-        sigmas = np.minimum(self._sigmas, _UNKNOWN)
+        sigmas = np.minimum(self._sigmas, UNKNOWN)
         if np.isinf(self.prior):
             s = np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]) * sigmas, compute_uv=False)
             return float(np.sum(s > REGRESSOR_TOLERANCE * s.max(initial=0.0)))
@@ -401,7 +401,7 @@ class _Linearised:
             pull = np.einsum("n,nj->j", weights, self._pulls) / factor**2
             return np.asarray(scipy.linalg.solve(self.information(weights, factor) + np.diag(self._precisions), pull))
         scale, count = np.sqrt(weights) / factor, self.rows.shape[2]
-        known_before = self._sigmas < _UNKNOWN
+        known_before = self._sigmas < UNKNOWN
         held = np.diag(np.where(known_before, 1.0 / self._sigmas, np.sqrt(_DAMPING)))
         matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), held])
         right = np.concatenate(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +20,17 @@ from pm3dof_pin.errors.norm_quantiles import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Array, Indices, Mask
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
 
+logger = logging.getLogger(__name__)
+
 _FOLDS = 5
+_MOVED = 0.01  # [m, rad]: further than errors of a machine move its base
 _FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
 
 
@@ -95,14 +100,40 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
-    """Judge a calibration by other measurements, of the same session or in the base's axes.
+    """Judge a calibration by other measurements, in the base's axes or from an instrument with a frame of its own.
 
-    The frame of an instrument that has its own is the one identified, where both were registered.
+    That is the one identified, or where it plainly stands elsewhere, one that is found from them alone.
     """
-    settled = calibration.identification.settle(measurements)
+    settled = calibration.identification.settle(_of_their_own_station(calibration, measurements))
     compensation = calibration.compensation
     scores = _judged(compensation, settled, compensation)
     return _together(np.arange(len(measurements)), scores, compensation.scatter)
+
+
+def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
+    """Return measurements of an instrument that has been moved in the base that the calibrated machine gives them."""
+    first, second = calibration.measurements.registration, measurements.registration
+    if first is None or second is None or not measurements.seen.all():
+        return measurements
+    difference = pose_difference(first.base, second.base)
+    if np.linalg.norm(difference[:3]) < _MOVED and np.linalg.norm(difference[3:]) < _MOVED:
+        return measurements
+    compensation = calibration.compensation
+    reached = compensation.poses(compensation.errors.robot.forward(measurements.commands), measurements.conditions)
+    points = reached.positions + np.einsum("nij,nj->ni", reached.rotations, measurements.points)
+    rotations = (None, None) if measurements.rotations is None else (measurements.rotations, reached.rotations)
+    found = register(measurements.positions, points, *rotations, eta=compensation.eta)
+    logger.warning(
+        "the validation was measured from another station, %.3g m away: the base is found from it alone, and what "
+        "moves everything alike is not judged",
+        float(np.linalg.norm(difference[:3])),
+    )
+    return replace(
+        measurements,
+        positions=found.positions(measurements.positions),
+        rotations=None if measurements.rotations is None else found.rotations(measurements.rotations),
+        registration=None,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,23 +2,90 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import likely_cause
-from pm3dof_pin.calibration.identification import PRIOR
-from pm3dof_pin.calibration.judging import HeldOut
+from pm3dof_pin.calibration.identification import PRIOR, UNKNOWN, Identification
+from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, held_out_errors
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.exceptions import CalibrationRefusedError, PM3DofError
+from pm3dof_pin.exceptions import (
+    CalibrationRefusedError,
+    ConvergenceError,
+    InvalidValueError,
+    PM3DofError,
+    UnreachablePoseError,
+)
 from pm3dof_pin.measuring.measurements import Measurements
+
+logger = logging.getLogger(__name__)
 
 STRAIN = 2.0
 """Identified parameters beyond this, root mean square in units of their standard deviations before the measurements,
 are not those of a machine that the tolerances are about."""
 
+_LOUD = 3.0  # noise factor
+_QUIET = 0.3  # of the noise
+_MISPLACED = 8.0  # standard deviations of a target or tool point
+_EXACT = 1e-10  # [m]
 _POSES = 50  # at which tolerances are judged
+
+
+def calibrate_and_object(
+    measurements: Measurements,
+    errors: GeometricErrors,
+    options: Options,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[Calibration, HeldOut | None, list[str]]:
+    """Calibrate a machine and judge the result: return it with its cross-validation and what speaks against it.
+
+    Args:
+        measurements: what was measured.
+        errors: the parameters, with their tolerances.
+        options: how to calibrate.
+        progress: called with the number of steps done and that of all.
+
+    Raises:
+        CalibrationRefusedError: nothing comes of these measurements.
+        MissingPackageError: a network is wanted and scikit-learn is not installed.
+    """
+    try:
+        calibration = calibrate(measurements, errors, options)
+        progress(1, 2)
+        held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
+        if held_out is not None:
+            calibration = calibration.with_scatter(held_out.scatter)
+    except (ConvergenceError, UnreachablePoseError, InvalidValueError) as error:
+        raise refusal([str(error)], measurements, errors, options.eta) from error
+    progress(2, 2)
+    reasons = objections(calibration, held_out)
+    if not reasons:
+        _warn_of_noise(calibration)
+    return calibration, held_out, reasons
+
+
+def _warn_of_noise(calibration: Calibration) -> None:
+    """Say where residuals are not those of the noise that the measurements are said to have."""
+    found = calibration.identification
+    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
+    rows = trusted[found.measurements.seen[trusted].any(axis=1)]
+    normal = np.where(found.measurements.seen[rows], found.normalized_residuals[rows], 0.0)
+    equations = float(found.measurements.seen[rows].sum())
+    freedom = max(equations - found.identifiability.rank - len(found.nuisances), 0.2 * equations)
+    size = float(np.sqrt(np.median(np.sum(normal**2, axis=1)) * len(rows) / freedom))
+    if found.noise_factor > _LOUD:
+        logger.warning(
+            "residuals are %.3g times the noise: effects that the parameters do not describe, rows of another state of "
+            "the machine, or sigmas that are too small",
+            found.noise_factor,
+        )
+    elif size < _QUIET:
+        logger.warning("residuals are %.2g times the noise: sigmas are larger than what was measured scatters", size)
 
 
 def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
@@ -33,9 +100,16 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     poses = int(found.measurements.pose_numbers.max()) + 1
     if poses < 2:
         reasons.append("one pose is measured, which says nothing of others")
-    unknowns, equations = found.rows.shape[2], int(found.measurements.seen.sum())
-    if calibration.options.identifies and equations < unknowns:
-        reasons.append(f"{len(found.measurements)} rows give {equations} equations for {unknowns} unknowns")
+    if calibration.options.identifies and (problem := _too_few(found)):
+        reasons.append(problem)
+    off = np.abs(found.nuisance_values) / (found.nuisances.scales * found.nuisances.sigmas)
+    points = np.concatenate([found.nuisances.columns("targets"), found.nuisances.columns("tool_point")])
+    if points.size and off[points].max() > _MISPLACED:
+        worst = points[off[points].argmax()]
+        reasons.append(
+            f"{found.nuisances.names[worst]} is {1e3 * found.nuisance_values[worst]:.3g} mm from where the file has it, "
+            f"{off[worst]:.3g} times as far as it is known"
+        )
     left = _misfit(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
     expected = _possible_error(errors, found.measurements, calibration.options.eta, prior)
@@ -49,7 +123,9 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             f"the parameters that fit best are {size * prior:.3g} tolerances (root mean square) from the description: "
             "another machine, or another frame"
         )
-    if held_out is not None:
+    if held_out is not None and not held_out.before.max() > _EXACT:
+        reasons.append("the machine is where the description has it to the last digit: poses planned, not measured")
+    elif held_out is not None:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))
         if after >= before:
             reasons.append(
@@ -57,6 +133,18 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
                 f"{1e6 * before:.1f} µm before"
             )
     return reasons
+
+
+def _too_few(found: Identification) -> str:
+    """Say that measurements are too few to contradict what is identified from them; nothing if they are not."""
+    measured = found.measurements
+    rows = np.unique(np.column_stack([measured.pose_numbers, measured.target_numbers]), axis=0, return_index=True)[1]
+    equations = int(measured.seen[rows].sum())
+    told = found.identifiability.rank + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
+    if equations > told:
+        return ""
+    unknowns = found.rows.shape[2]
+    return f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {told}: none is left over"
 
 
 def _misfit(calibration: Calibration) -> float:

@@ -74,13 +74,11 @@ def calibrate(
 ) -> None:
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
-    from pm3dof_pin.calibration.calibrate import calibrate as calibrated
-    from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors, validated_errors, workspace_errors
-    from pm3dof_pin.calibration.objections import objections, refusal
+    from pm3dof_pin.calibration.judging import validated_errors, workspace_errors
+    from pm3dof_pin.calibration.objections import calibrate_and_object, refusal
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.calibration.verdict import verdict
     from pm3dof_pin.description.robots import find_robot
-    from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
     from pm3dof_pin.figures.calibration_report import report_as_html
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
@@ -96,16 +94,9 @@ def calibrate(
         others = None if validation is None else read(validation)
         options = Options(method.value, seed, eta, prior, loss.value)
         with progress_bar("calibrating") as progress:
-            try:
-                calibration = calibrated(measurements, errors, options)
-                progress(1, 4)
-                held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
-                if held_out is not None:
-                    calibration = calibration.with_scatter(held_out.scatter)
-            except (ConvergenceError, UnreachablePoseError, InvalidValueError) as error:
-                raise refusal([str(error)], measurements, errors, eta) from error
-            progress(2, 4)
-            reasons = objections(calibration, held_out)
+            calibration, held_out, reasons = calibrate_and_object(
+                measurements, errors, options, lambda done, _: progress(done, 4)
+            )
             if reasons and not force:
                 raise refusal(reasons, measurements, errors, eta)
             judged = None if others is None else validated_errors(calibration, others)

@@ -131,7 +131,7 @@ def calibration_plan(
     from pm3dof_pin.errors.source_errors import ErrorSources
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import TARGET_RADIUS, TARGET_SIGMA, Instrument
-    from pm3dof_pin.measuring.measurement_file import read_commands, write_plan
+    from pm3dof_pin.measuring.plan_file import read_commands, write_plan
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):

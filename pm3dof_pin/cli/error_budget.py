@@ -45,7 +45,7 @@ def budget_of(
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map, budget_table
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
-    from pm3dof_pin.measuring.measurement_file import write_plan
+    from pm3dof_pin.measuring.plan_file import write_plan
 
     if isinstance(where, Poses):
         budget = error_budget(sources, where, eta=eta, names=names)

@@ -81,10 +81,18 @@ def tip_weights(eta: float = TIP_LENGTH) -> Array:
 
 def rotation_vector(rotation: ArrayLike) -> Array:
     """Return the rotation vectors of rotation matrices, without loss near 0 and pi, shape=(..., 3) [rad]."""
-    from scipy.spatial.transform import Rotation  # takes longer to load than all else that commands with one pose need
+    matrices = np.asarray(rotation, dtype=float).reshape(-1, 3, 3)
+    # sine and cosine of the angle lose nothing together, except the axis near pi
+    sines = 0.5 * np.stack([matrices[:, i, j] - matrices[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+    cosines = 0.5 * (matrices[:, 0, 0] + matrices[:, 1, 1] + matrices[:, 2, 2] - 1.0)
+    sizes = np.sqrt(np.einsum("ni,ni->n", sines, sines))
+    vectors = sines * (np.arctan2(sizes, cosines) / np.where(sizes > 0.0, sizes, 1.0))[:, None]
+    far = np.flatnonzero(cosines <= 0.0)
+    if far.size:
+        from scipy.spatial.transform import Rotation  # takes longer to load than all else that one pose needs
 
-    matrices = np.asarray(rotation, dtype=float)
-    return np.asarray(Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()).reshape(matrices.shape[:-1])
+        vectors[far] = Rotation.from_matrix(matrices[far]).as_rotvec()
+    return np.asarray(vectors.reshape(np.shape(rotation)[:-1]))
 
 
 def rotation_matrix(vector: ArrayLike) -> Array:

@@ -54,6 +54,8 @@ class Measurements:
         distances: the distance measured, NaN in rows without one, shape=(n,) [m]; None if there are none.
         origins: the fixed points, in the world, from which distances are, shape=(n, 3) [m].
         partners: the rows at whose points distances begin instead, shape=(n,); -1 for a fixed point.
+        spheres: number of the sphere whose surface was touched, its radius the distance, shape=(n,); -1 for none. Where
+            its centre is, in `origins`, is not known.
     """
 
     commands: Array
@@ -72,6 +74,7 @@ class Measurements:
     distances: Array | None = None
     origins: Array | None = None
     partners: Indices | None = None
+    spheres: Indices | None = None
 
     def __post_init__(self) -> None:
         """Check shapes, finite numbers and positive noise."""
@@ -145,6 +148,7 @@ class Measurements:
             "distances": np.where(lost, np.nan, distances),
             "origins": self.origins[chosen],
             "partners": np.where(lost, -1, partners),
+            "spheres": None if self.spheres is None else self.spheres[chosen],
         }
 
     @property
@@ -267,12 +271,17 @@ class Measurements:
             self,
             positions=self.positions @ turn.T + shift,
             rotations=None if self.rotations is None else turn @ self.rotations,
+            origins=None if self.origins is None else self.origins @ turn.T + shift,
             registration=registration,
         )
 
     def with_points(self, points: Array) -> Measurements:
         """Return them with the points seen elsewhere on the tool, shape=(n, 3) [m]."""
         return replace(self, points=points)
+
+    def with_origins(self, origins: Array) -> Measurements:
+        """Return them with distances from elsewhere, shape=(n, 3) [m]."""
+        return replace(self, origins=origins)
 
     def without_motions(self, poses: Poses, motions: Array) -> Measurements:
         """Return what would have been seen had the tool not made small motions.

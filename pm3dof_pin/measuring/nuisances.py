@@ -11,6 +11,7 @@ from which identification, rank, covariance and plan all start.
 frame         the instrument has a frame of its own                  6: where the base is in it, known only by the data
 targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
 tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
+spheres       surfaces of spheres were touched                       3 for each, its centre, known only by the data
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
@@ -156,6 +157,56 @@ class PointOffsets:
 
 
 @dataclass(frozen=True, eq=False)
+class SphereCentres:
+    """Where the centres of touched spheres are, beyond where the machine as described has them.
+
+    Attributes:
+        numbers: the spheres, shape=(k,).
+    """
+
+    numbers: Indices
+    kind = "spheres"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return tuple(f"sphere{k}.{axis}" for k in self.numbers for axis in _AXES)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return ("m",) * len(self.names)
+
+    @property
+    def scales(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.full(len(self.names), FRAME_SCALE[0])
+
+    @property
+    def sigmas(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.full(len(self.names), _FRAME_SIGMA)
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`: a centre elsewhere is the tool shifted the other way."""
+        motions = np.zeros((len(measurements), 6, len(self.numbers), 3))
+        motions[:, :3] = -np.eye(3)[:, None, :] * self._members(measurements)[:, None, :, None]
+        return motions.reshape(len(measurements), 6, -1)
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        if measurements.origins is None:
+            return measurements
+        return measurements.with_origins(measurements.origins + self._members(measurements) @ values.reshape(-1, 3))
+
+    def _members(self, measurements: Measurements) -> Array:
+        """Tell which sphere a row touches, 1 or 0, shape=(n, k)."""
+        if measurements.spheres is None:
+            return np.zeros((len(measurements), len(self.numbers)))
+        return np.asarray(measurements.spheres[:, None] == self.numbers, float)
+
+
+@dataclass(frozen=True, eq=False)
 class Drift:
     """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last.
 
@@ -271,6 +322,8 @@ class Nuisances:
         ):
             if len(chosen) and sigma > 0.0:
                 parts.append(PointOffsets(frozen(chosen), sigma, kind))
+        if measurements.spheres is not None:
+            parts.append(SphereCentres(np.setdiff1d(measurements.spheres, [-1])))
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
             parts.append(Drift(float(times.min()), float(np.ptp(times)), drive_units))

@@ -61,7 +61,7 @@ class Registration:
 
     def sigmas(self, seen: Array) -> Array:
         """Return standard deviations along (and about) the axes of the base, shape=(n, 3) or (n, 6)."""
-        triples = seen.reshape(len(seen), -1, 3)
+        triples = seen.reshape(len(seen), seen.shape[1] // 3, 3)
         return np.sqrt(triples**2 @ (self.rotation**2).T).reshape(seen.shape)
 
 
@@ -123,3 +123,23 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
     translation = goal - rotation @ centre
     left_over = seen @ rotation.T + translation - expected
     return Registration(rotation, translation, float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))))
+
+
+def fitted_sphere(points: Array, radii: Array) -> Array:
+    """Return the centre of a sphere on which points lie, shape=(3,) [m].
+
+    Linear in the centre and the square of its distance from the origin first, then by Gauss-Newton.
+
+    Args:
+        points: shape=(n, 3) [m].
+        radii: the distance of each from the centre, shape=(n,) [m].
+    """
+    middle = points.mean(axis=0)
+    seen = points - middle
+    rows = np.column_stack([2.0 * seen, -np.ones(len(seen))])
+    centre = np.linalg.lstsq(rows, np.sum(seen**2, axis=1) - radii**2, rcond=None)[0][:3]
+    for _ in range(_MAX_ROUNDS):
+        ways = seen - centre
+        sizes = np.maximum(np.linalg.norm(ways, axis=1), np.finfo(float).tiny)
+        centre = centre + np.linalg.lstsq(ways / sizes[:, None], sizes - radii, rcond=None)[0]
+    return np.asarray(centre + middle)

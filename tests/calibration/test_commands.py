@@ -78,6 +78,39 @@ def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -
     assert tips[1] < 1.05 * tips[0]
 
 
+def test_a_validation_from_another_station(place: Path, run: Run, answer: Answer) -> None:
+    """The tracker of `test_a_frame_of_the_instruments_own` has been moved a quarter of a turn and a metre."""
+
+    def moved(name: str, turn: Rotation, shift: list[float], out: str) -> None:
+        with (place / name).open() as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            x, y, z = turn.apply([float(row[k]) for k in ("x_m", "y_m", "z_m")]) + shift
+            seen = turn * Rotation.from_quat([float(row[k]) for k in ("qx", "qy", "qz", "qw")])
+            row |= dict(
+                zip(
+                    ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"),
+                    map(repr, map(float, (x, y, z, *seen.as_quat()))),
+                    strict=True,
+                )
+            )
+        with (place / out).open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+    answer("measure", "--out", "v.csv", "--poses", "12", "--seed", "6", "--machine", "2", cwd=place)
+    first, second = Rotation.from_rotvec([0.1, 0.2, 1.0]), Rotation.from_rotvec([0.0, 0.0, -0.6])
+    moved("m.csv", first, [2.0, 1.0, 0.3], "one.csv")
+    moved("v.csv", second, [1.0, 1.0, 0.3], "two.csv")
+    options = ("--method", "lm", "--own-frame", "--validation", "two.csv", "--out", "stations", "--json")
+    done = run("calibrate", "one.csv", *options, cwd=place)
+    assert done.returncode == 0, done.stderr
+    assert "from another station" in done.stderr
+    judged = json.loads(done.stdout)["validation"]
+    assert judged["tip_error_after_m"]["mean"] < 0.6 * judged["tip_error_before_m"]["mean"]
+
+
 def test_compensate(place: Path, answer: Answer) -> None:
     result = answer("compensate", "10", "-15", "0.5", "--calibration", "calibration", cwd=place)
     np.testing.assert_allclose(result["u_nominal_m"], [0.257110951586, 0.260246563859, 0.224483570293], atol=1e-12)

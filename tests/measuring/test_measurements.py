@@ -11,14 +11,11 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.command_columns import command_columns
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurement_file import (
-    command_columns,
-    read_commands,
-    read_measurements,
-    write_measurements,
-)
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.plan_file import read_commands
 
 HEADER = "u1_m,u2_m,u3_m,x_m,y_m,z_m,qw,qx,qy,qz"
 

@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.pose_error import quaternion
+from pm3dof_pin.errors.pose_error import quaternion, rotation_matrix
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.poses import Poses
@@ -159,5 +159,89 @@ def test_what_is_wrong_with_partial_rows_is_named(tripod_nominal: Poses, tmp_pat
     path.write_text(f"u1_m,u2_m,u3_m,z_m\n{u},{height}\n{u},\n")
     found = read_measurements(path, robot)
     assert (len(found), found.seen.tolist()) == (1, [[False, False, True]])
-    with pytest.raises(MeasurementError, match="its own frame"):
-        read_measurements(path, robot, own_frame=True)
+    four = "u1_m,u2_m,u3_m,distance_m,sphere\n" + 3 * f"{u},0.0127,1\n"
+    path.write_text(four)
+    with pytest.raises(MeasurementError, match="sphere 1 has 3 rows, expected 4"):
+        read_measurements(path, robot)
+
+
+def _touched(machine: Robot, robot: Robot, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands with which a tool without orientation touches a sphere: by Newton on the machine's own poses."""
+    rng = np.random.default_rng(7)
+    ways = rng.standard_normal((24, 3))
+    ways[:, 2] = np.abs(ways[:, 2])
+    ways *= radius / np.linalg.norm(ways, axis=1)[:, None]
+    commands = robot.solve(centre + ways).commands
+    return commands, np.linalg.norm(machine.forward(commands).positions - centre, axis=1)
+
+
+def test_a_sphere_tells_its_centre_and_the_machine(errors: GeometricErrors, tmp_path: Path) -> None:
+    """Two spheres lie a few millimetres from where anyone thinks: the machine comes out as from known centres."""
+    robot, truth = errors.robot, errors.sample(np.random.default_rng(4))
+    machine = errors.apply(truth)
+    centres = np.array([[0.05, 0.02, 0.03], [-0.06, -0.03, 0.05]])
+    rows = []
+    for number, centre in enumerate(centres):
+        # every touch has its own distance, as a scanning probe's deflection gives it
+        for u, distance in zip(*_touched(machine, robot, centre, 0.025), strict=True):
+            rows.append([*u.tolist(), distance, 1e-6, number])
+    path = tmp_path / "spheres.csv"
+    header = "u1_m,u2_m,u3_m,distance_m,sigma_distance_m,sphere"
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    found = identify(read_measurements(path, robot), errors, prior=3.0, loss="squares")
+    assert found.nuisances.names == tuple(f"sphere{k}.{axis}" for k in range(2) for axis in "xyz")
+    origins = found.settled.origins
+    assert origins is not None
+    sigmas = found.nuisance_sigmas.reshape(2, 3)
+    assert np.all(np.abs(origins[[0, -1]] - centres) < 4.0 * sigmas)
+    assert sigmas.max() < 3e-3
+    assert np.abs(found.values - truth).max() < 4.0 * found.sigmas.max()
+    again = read_measurements(write_measurements(found.measurements, robot, tmp_path / "b.csv"), robot)
+    assert again.spheres is not None
+    assert again.spheres.tolist() == [row[-1] for row in rows]
+
+
+def test_heights_above_a_bed_of_its_own(errors: GeometricErrors, tmp_path: Path) -> None:
+    """The bed is 2 mm low and tilted by 3 mrad: `own_frame` finds that, and the heights are the machine's again."""
+    robot, machine = errors.robot, errors.apply(errors.sample(np.random.default_rng(3)))
+    tilt, low = 3e-3, 2e-3
+    commands = robot.solve(BED).commands
+    seen = machine.forward(commands).positions
+    heights = np.cos(tilt) * seen[:, 2] + np.sin(tilt) * seen[:, 1] + low
+    rows = [f"{','.join(map(repr, u))},{z!r},1e-5" for u, z in zip(commands.tolist(), heights.tolist(), strict=True)]
+    path = tmp_path / "bed.csv"
+    path.write_text("\n".join(["u1_m,u2_m,u3_m,z_m,sigma_z_m", *rows]) + "\n")
+    found = identify(read_measurements(path, robot, own_frame=True), errors, loss="squares")
+    registration = found.measurements.registration
+    assert registration is not None
+    # up of the bed in the base's axes; end stops tilt it too, as far as their tolerances go
+    off = registration.rotation[:, 2] - [0.0, np.sin(tilt), np.cos(tilt)]
+    sigmas = found.nuisance_sigmas[[4, 3]]
+    assert np.all(np.abs(off[:2]) < 3.0 * sigmas)
+    assert sigmas.max() < 3e-3
+    assert np.abs(found.normalized_residuals[found.measurements.seen]).max() < 0.5
+
+
+def test_an_instruments_own_frame_and_distances_in_one_file(errors: GeometricErrors, tmp_path: Path) -> None:
+    """Positions of a tracker beside lengths of a step gauge and distances from a point that the tracker has seen."""
+    robot, truth = errors.robot, errors.sample(np.random.default_rng(5))
+    machine = errors.apply(truth)
+    commands, marks = robot.solve(np.add(BED, [0.0, 0.0, 0.05])).commands, robot.solve(ENDS).commands
+    turn, shift = rotation_matrix([0.3, -0.2, 1.1]), np.array([2.0, -1.0, 0.4])
+    seen = machine.forward(commands).positions @ turn.T + shift
+    ends = machine.forward(marks).positions
+    post = np.array([0.2, 0.1, 0.1])
+    rows = [[*u, *x, *[""] * 8] for u, x in zip(commands.tolist(), seen.tolist(), strict=True)]
+    rows.append([*marks[1].tolist(), *[""] * 3, np.linalg.norm(ends[1] - ends[0]), 1e-5, *marks[0].tolist(), *[""] * 3])
+    for u, end in zip(marks.tolist(), ends, strict=True):
+        rows.append([*u, *[""] * 3, np.linalg.norm(end - post), 1e-5, *[""] * 3, *(turn @ post + shift).tolist()])
+    header = "u1_m,u2_m,u3_m,x_m,y_m,z_m,distance_m,sigma_distance_m,from_u1_m,from_u2_m,from_u3_m,cx_m,cy_m,cz_m"
+    path = tmp_path / "mixed.csv"
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    measurements = read_measurements(path, robot, own_frame=True)
+    assert measurements.seen.sum() == 3 * len(BED) + 5
+    found = identify(measurements, errors, loss="squares")
+    assert np.abs(found.normalized_residuals[found.measurements.seen]).max() < 0.5
+    registration = found.measurements.registration
+    assert registration is not None
+    np.testing.assert_allclose(registration.rotation @ turn, np.eye(3), atol=3e-3)

@@ -1,0 +1,355 @@
+"""The usual mistakes in files of measurements, each with the file as it would be without it.
+
+Simple ones come first: what one word or one number repairs, then what takes a few numbers that are fitted (a frame, a
+tool point, the zero of a drive), then columns and rows that do not fit where all others do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pm3dof_pin.calibration.pseudo_error import seen_errors
+from pm3dof_pin.errors.command_correction import command_jacobians, command_scales, descend
+from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.registration import register
+from pm3dof_pin.typing import Array, Indices
+
+_MANY_DRIVES = 4  # more are not permuted in every way
+_SHIFTS = 20  # rows that poses may stand away from their commands
+_LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 25.4e-3, "feet": 0.3048}
+_LIKE = 0.1  # of the differences is left where a simpler form describes them
+_SAME = 1e-9
+_ANOTHER_SCALE = 3e-3
+_STEPS = 3  # times those of one descent
+_QUATERNION = "wxyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Mistake:
+    """A mistake that may have been made.
+
+    Attributes:
+        text: the mistake, in words.
+        without: the measurements without it.
+        nominal: poses of the robot as described at their commands; None where these are others than in the file.
+        free: whether the base has to be found anew.
+    """
+
+    text: str
+    without: Measurements
+    nominal: Poses | None
+    free: bool = False
+
+
+def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    """Give the usual mistakes, simple ones first.
+
+    Args:
+        measurements: rows at commands that the machine can take.
+        nominal: poses of the robot as described, one for each row.
+        eta: weight of the orientation [m/rad].
+    """
+    for unit, factor in _LENGTHS.items():
+        scaled = replace(measurements, positions=factor * measurements.positions)
+        yield Mistake(f"the positions are in {unit}", scaled, nominal)
+        if measurements.registration is None:
+            text = f"the positions are in {unit}, and in the instrument's own frame: --own-frame"
+            yield Mistake(text, scaled, nominal, free=True)
+    yield from _of_drives(measurements, nominal)
+    yield from _of_row_order(measurements, nominal)
+    yield from _of_axes(measurements, nominal)
+    yield from _of_quaternions(measurements, nominal)
+    yield from _of_scale(measurements, nominal)
+    if measurements.registration is None:
+        text = "the instrument's frame is not that of the base: --own-frame finds the base in it"
+        yield Mistake(text, measurements, nominal, free=True)
+        yield from _of_scale(measurements, nominal, free=True)
+    yield from _of_the_tool(measurements, nominal)
+    yield from _of_positions(measurements, nominal)
+    yield from _of_columns(measurements, nominal, eta)
+    yield from _of_zeros(measurements, nominal, eta)
+
+
+def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    robot = nominal.robot
+    drives, home = range(len(robot.commands)), robot.home.commands
+
+    def changed(order: tuple[int, ...], turned: tuple[int, ...]) -> Measurements:
+        # column k of the file holds what drive order[k] showed
+        commands = np.empty_like(measurements.commands)
+        commands[:, list(order)] = measurements.commands
+        commands[:, turned] = 2.0 * home[list(turned)] - commands[:, turned]
+        return replace(measurements, commands=commands)
+
+    every = tuple(drives)
+    sets = [chosen for size in range(1, len(drives) + 1) for chosen in itertools.combinations(drives, size)]
+    for chosen in sets if len(drives) <= _MANY_DRIVES else [*((k,) for k in drives), every]:
+        names = ", ".join(f"u{k + 1}" for k in chosen)
+        without = changed(every, tuple(chosen))
+        yield Mistake(f"the sign of {names} is that of the other direction", without, None)
+    without = replace(measurements, commands=-measurements.commands)
+    yield Mistake("the sign of all commands is that of the other direction", without, None)
+    for order in itertools.permutations(drives) if len(drives) <= _MANY_DRIVES else _orders(len(drives)):
+        if order == every:
+            continue
+        moved = ", ".join(f"u{k + 1} holds u{order[k] + 1}" for k in drives if order[k] != k)
+        yield Mistake(f"the drives' columns are permuted: {moved}", changed(order, ()), None)
+
+
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Give likely permutations of many columns: two exchanged, all moved round, backwards."""
+    for first, second in itertools.combinations(range(count), 2):
+        order = list(range(count))
+        order[first], order[second] = second, first
+        yield tuple(order)
+    for shift in range(1, count):
+        yield tuple(np.roll(np.arange(count), shift).tolist())
+    yield tuple(range(count))[::-1]
+
+
+def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    count = len(measurements)
+
+    def taken(rows: Indices) -> tuple[Measurements, Poses]:
+        return replace(measurements, commands=measurements.commands[rows]), nominal[rows]
+
+    for size in range(1, min(_SHIFTS, count - 1) + 1):
+        for shift in (size, -size):
+            ways = f"{size} row{'s' * (size > 1)} {'below' if shift > 0 else 'above'}"
+            yield Mistake(f"the poses stand {ways} their commands", *taken(np.roll(np.arange(count), shift)))
+    yield Mistake("the poses stand in the reverse order of their commands", *taken(np.arange(count)[::-1]))
+    nearest = _nearest_rows(measurements, nominal)
+    if np.array_equal(np.sort(nearest), np.arange(count)):
+        yield Mistake("the poses stand in another order than their commands", *taken(nearest))
+    for shift in (1, -1):
+        # commands that were not read again in time: of some rows those of a neighbour
+        neighbour = np.clip(np.arange(count) - shift, 0, count - 1)
+        mixed = np.where(nearest == neighbour, neighbour, np.arange(count))
+        moved = np.flatnonzero(mixed != np.arange(count))
+        if moved.size:
+            first = f"from line {measurements.lines[moved[0]]} on the" if np.ptp(moved) > 0.5 * moved.size else "the"
+            where = "below" if shift > 0 else "above"
+            text = f"{first} poses of {moved.size} rows stand 1 row {where} their commands: stale commands"
+            yield Mistake(text, *taken(mixed))
+
+
+def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:
+    """Return for each row the row at whose commands the robot as described is nearest to what was seen."""
+    expected = _expected(measurements, nominal)
+    seen = measurements.positions
+    squares = np.sum((seen[:, None] - expected) ** 2, axis=2)
+    if measurements.rotations is not None:
+        traces = np.einsum("nij,mij->nm", measurements.rotations, nominal.rotations)
+        size = np.mean(np.sum((expected - expected.mean(axis=0)) ** 2, axis=1))
+        squares = squares + size * (3.0 - traces)
+    return np.asarray(np.argmin(squares, axis=1))
+
+
+def _of_axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    """Axes swapped or mirrored: in the positions alone, in whole poses, as a frame of the other hand."""
+    rotations = measurements.rotations
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            axes = np.zeros((3, 3))
+            axes[range(3), order] = signs
+            if np.array_equal(axes, np.eye(3)):
+                continue
+            names = ", ".join(f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for k, sign in zip(order, signs, strict=True))
+            hand = "mirrored" if np.linalg.det(axes) < 0.0 else "swapped"
+            moved = replace(measurements, positions=measurements.positions @ axes.T)
+            if rotations is not None:
+                turned = axes @ rotations @ (axes.T if hand == "mirrored" else np.eye(3))
+                text = f"the axes of the poses are {hand}: x, y, z of the base are their {names}"
+                yield Mistake(text, replace(moved, rotations=turned), nominal)
+            what = "the axes of the positions" if rotations is None else "the axes of the positions alone"
+            yield Mistake(f"{what} are {hand}: x, y, z of the base are their {names}", moved, nominal)
+
+
+def _of_quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    if measurements.rotations is None:
+        return
+    inverse = np.swapaxes(measurements.rotations, 1, 2)
+    text = "the orientations are inverse, of the base in the tool's axes"
+    yield Mistake(text, replace(measurements, rotations=inverse), nominal)
+    positions = -np.einsum("nij,nj->ni", inverse, measurements.positions)
+    text = "the poses are inverse, those of the base in the tool's axes"
+    yield Mistake(text, replace(measurements, positions=positions, rotations=inverse), nominal)
+    numbers = quaternion(measurements.rotations)
+    for order in itertools.permutations(range(4)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            if order == (0, 1, 2, 3) and min(signs) > 0.0:
+                continue
+            read = rotation_of_quaternion(np.array([1.0, *signs]) * numbers[:, np.argsort(order)])
+            text = f"the quaternions hold their numbers in the order {', '.join(_QUATERNION[k] for k in order)}"
+            if order == (0, 1, 2, 3):
+                names = ", ".join(f"q{_QUATERNION[k + 1]}" for k in range(3) if signs[k] < 0.0)
+                text = f"the sign of {names} in the quaternions is the other one"
+            elif min(signs) < 0.0:
+                text += ", some with the other sign"
+            yield Mistake(text, replace(measurements, rotations=read), nominal)
+
+
+def _of_the_tool(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    seen = nominal.rotations if measurements.rotations is None else measurements.rotations
+    shift = np.median(
+        np.einsum("nji,nj->ni", seen, measurements.positions - nominal.positions) - measurements.points, axis=0
+    )
+    shifted = measurements.with_points(measurements.points + shift)
+    text = f"the point seen is about ({_in_millimetres(shift)}) mm from where it is said to be, in the tool's axes"
+    yield Mistake(text, shifted, nominal)
+    if measurements.points.any():
+        numbers = measurements.target_numbers
+        points = measurements.points[np.unique(numbers, return_index=True)[1]]
+        for order in itertools.permutations(range(len(points))) if len(points) <= _MANY_DRIVES else ():
+            if order != tuple(range(len(points))):
+                text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
+                yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
+        yield Mistake(
+            "the targets' points have the other sign", measurements.with_points(-measurements.points), nominal
+        )
+    if measurements.rotations is not None:
+        mean = (np.swapaxes(nominal.rotations, 1, 2) @ measurements.rotations).sum(axis=0)
+        left, _, right = np.linalg.svd(mean)
+        turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        turned = replace(measurements, rotations=measurements.rotations @ turn.T)
+        yield Mistake("the tool's axes are other ones", turned, nominal)
+        yield Mistake(
+            "the tool's axes are other ones, and the point seen is elsewhere",
+            replace(shifted, rotations=turned.rotations),
+            nominal,
+        )
+
+
+def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
+    expected, seen = _expected(measurements, nominal), measurements.positions
+    spreads = [np.sqrt(np.var(points, axis=0).sum()) for points in (expected, seen)]
+    sizes = [np.median(np.linalg.norm(points, axis=1)) for points in (expected, seen)]
+    for right, found in (spreads,) if free else (spreads, sizes):
+        if min(right, found) > 0.0 and abs(found / right - 1.0) > _ANOTHER_SCALE:
+            text = f"the positions have another scale: {found / right:.6g} times what they should be"
+            text += ", and are not in the base's frame" if free else ""
+            yield Mistake(text, replace(measurements, positions=seen * right / found), nominal, free)
+
+
+def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    """Another origin or other axes of the positions where orientations fit."""
+    expected, seen = _expected(measurements, nominal), measurements.positions
+    if measurements.rotations is None:
+        return
+    shift = np.median(expected - seen, axis=0)
+    text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away, the orientations are not"
+    yield Mistake(text, replace(measurements, positions=seen + shift), nominal)
+    with contextlib.suppress(InvalidValueError):  # positions on a line
+        moved = register(seen, expected).positions(seen)
+        text = "the positions are in another frame than the orientations"
+        yield Mistake(text, replace(measurements, positions=moved), nominal)
+
+
+def _of_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    """Give columns that do not fit where all others do."""
+    rotations, seen = measurements.rotations, measurements.seen
+    if seen[:, :3].all():
+        expected = _expected(measurements, nominal)
+        for k, name in enumerate(("x_m", "y_m", "z_m")):
+            column = measurements.positions[:, k]
+            others = {other: measurements.positions[:, j] for j, other in enumerate(("x_m", "y_m", "z_m")) if j != k}
+            text = f"{_how_wrong(name, column, expected[:, k], others)}, and all else fits"
+            yield Mistake(text, _unseen(measurements, [k]), nominal)
+    if rotations is not None and seen.all():
+        yield Mistake(
+            "the orientations do not fit the commands, and the positions do", _unseen(measurements, [3, 4, 5]), nominal
+        )
+        yield Mistake(
+            "the positions do not fit the commands, and the orientations do", _unseen(measurements, [0, 1, 2]), nominal
+        )
+    names = [f"u{k + 1}" for k in range(len(nominal.robot.commands))]
+    table = dict(zip(names, measurements.commands.T, strict=True))
+    for k, name in enumerate(names):
+        if (commands := _asked_for(measurements, nominal, [k], eta)) is not None:
+            others = {other: values for other, values in table.items() if other != name}
+            text = f"{_how_wrong(name, table[name], commands[:, k], others)}, and all else fits"
+            yield Mistake(text, replace(measurements, commands=commands), None)
+
+
+def _of_zeros(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    commands = _asked_for(measurements, nominal, list(range(len(nominal.robot.commands))), eta)
+    if commands is not None and np.isfinite(shifts := np.median(measurements.commands - commands, axis=0)).all():
+        text = f"the zeros of the drives are off by about ({_in_millimetres(shifts)}) mm or mrad"
+        yield Mistake(text, replace(measurements, commands=measurements.commands - shifts), None)
+
+
+def _asked_for(measurements: Measurements, nominal: Poses, drives: list[int], eta: float) -> Array | None:
+    """Return commands with which some drives explain what was seen best, shape=(n, number of commands).
+
+    None where the rows of a pose show too little to tell: for some drives each needs two equations more than unknowns.
+    """
+    numbers = measurements.visit_numbers
+    first = np.unique(numbers, return_index=True)[1]
+    spare = 0 if len(drives) == len(nominal.robot.commands) else 2
+    if measurements.seen.sum() < (len(drives) + spare) * len(first):
+        return None
+    weights, scales = tip_weights(eta), command_scales(nominal)
+
+    def residuals(poses: Poses) -> Array:
+        return seen_errors(measurements, poses, eta).errors
+
+    def step(poses: Poses) -> Array:
+        found = seen_errors(measurements, poses, eta)
+        control = found.shown @ (command_jacobians(poses) * scales * weights[:, None])[:, :, drives]
+        move = np.zeros((len(poses), len(scales)))
+        move[:, drives] = scales[drives] * np.einsum("nij,nj->ni", np.linalg.pinv(control, rcond=1e-3), found.errors)
+        return move
+
+    poses, commands = nominal[first], measurements.commands[first]
+    try:
+        for _ in range(_STEPS):
+            change, poses = descend(poses, commands, step, residuals, on_failure="nan")
+            commands = commands + change
+    except (PM3DofError, np.linalg.LinAlgError):
+        return None
+    return np.asarray(commands[numbers])
+
+
+def _how_wrong(name: str, column: Array, wanted: Array, others: dict[str, Array]) -> str:
+    """Say in words how a column differs from what it should be."""
+    if np.ptp(column) < _SAME:
+        return f"{name} is constant"
+    if same := next((other for other, values in others.items() if np.abs(column - values).max() < _SAME), None):
+        return f"{name} repeats {same}"
+    if not np.isfinite(wanted).all() or np.ptp(wanted) < _SAME:
+        return f"{name} is not that of these rows"
+    off = column - wanted
+    zero = np.median(off)
+    if np.median(np.abs(off - zero)) < _LIKE * abs(zero):
+        return f"{name} has another zero: it is {1e3 * zero:.4g} mm or mrad off"
+    for shift in range(-_SHIFTS, _SHIFTS + 1):
+        if shift and np.median(np.abs(column - np.roll(wanted, shift))) < _LIKE * np.median(np.abs(off)):
+            ways = f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'below' if shift > 0 else 'above'}"
+            return f"{name} stands {ways} the rows it belongs to"
+    slope, start = np.polyfit(wanted, column, 1)
+    if np.median(np.abs(column - slope * wanted - start)) < _LIKE * np.median(np.abs(off)):
+        return f"{name} is {slope:.5g} times what it should be: another unit, lead or sign"
+    return f"{name} is not that of these rows"
+
+
+def _expected(measurements: Measurements, nominal: Poses) -> Array:
+    """Return where the points seen are by the description, shape=(n, 3) [m]."""
+    return np.asarray(nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, measurements.points))
+
+
+def _unseen(measurements: Measurements, columns: list[int]) -> Measurements:
+    sigmas = measurements.sigmas.copy()
+    sigmas[:, columns] = np.inf
+    return replace(measurements, sigmas=sigmas)
+
+
+def _in_millimetres(values: Array) -> str:
+    return ", ".join(f"{1e3 * value:.3g}" for value in values)

@@ -1,0 +1,74 @@
+"""Columns of commands: their names, and whether a machine can have taken what stands in them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.csv_table import CsvTable
+from pm3dof_pin.typing import Array
+
+_CONDITIONS = ("temperature_", "load_")
+_BEYOND_LIMITS = 0.2  # of a joint's range
+
+
+def command_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the commands: u1_m, u2_m ... for drives that slide, u1_rad ... for those that turn."""
+    return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
+
+
+def approach_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the directions from which drives came: approach_u1, approach_u2 ..."""
+    return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
+
+
+def start_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the columns of the commands of the pose at which a distance begins: from_u1_m ..."""
+    return tuple(f"from_{name}" for name in command_columns(robot))
+
+
+def is_condition(column: str) -> bool:
+    """Tell whether a column is a temperature or a load."""
+    return column.startswith(_CONDITIONS)
+
+
+def conditions_of(table: CsvTable) -> dict[str, Array]:
+    """Return temperatures and loads by the name of their column, shape=(n,) each.
+
+    Raises:
+        MeasurementError: one is missing in a row.
+    """
+    found = {name: values for name, values in table.columns.items() if is_condition(name)}
+    for name, values in found.items():
+        if not np.isfinite(values).all():
+            raise MeasurementError(table.path, f"{name} is missing", table.lines_where(~np.isfinite(values)))
+    return found
+
+
+def commands_of(table: CsvTable, robot: Robot) -> Array:
+    """Return the commands, shape=(n, number of commands) [m, rad].
+
+    Raises:
+        MeasurementError: some are far outside the limits of the joints.
+    """
+    commands = table.matrix(command_columns(robot))
+    lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
+    slack = np.where(np.isfinite(upper - lower), _BEYOND_LIMITS * (upper - lower), 0.0)
+    for k, name in enumerate(command_columns(robot)):
+        unit = name.rsplit("_", 1)[1]
+
+        def within(values: Array, k: int = k) -> NDArray[np.bool_]:
+            inside: NDArray[np.bool_] = (values >= lower[k] - slack[k]) & (values <= upper[k] + slack[k])
+            return inside
+
+        bad = ~within(commands[:, k])
+        if not bad.any():
+            continue
+        factor, other = (1e-3, "millimetres") if unit == "m" else (np.pi / 180.0, "degrees")
+        problem = f"{name} is far outside the joint's limits {lower[k]:.6g} .. {upper[k]:.6g} {unit}"
+        if bad.mean() > 0.5 and np.mean(within(factor * commands[:, k])[bad]) > 0.5:
+            problem += f": these look like {other}"
+        raise MeasurementError(table.path, problem, table.lines_where(bad))
+    return commands

@@ -1,0 +1,147 @@
+"""A CSV file of numbers on its way to measurements: columns by name, the line of every row, what is odd about them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pm3dof_pin.exceptions import DescriptionError, MeasurementError, lines_in_words
+from pm3dof_pin.files import read_text
+from pm3dof_pin.typing import Array, Mask
+
+logger = logging.getLogger(__name__)
+
+
+class CsvTable:
+    """Columns of numbers with a header; an empty cell is NaN.
+
+    Attributes:
+        path: the file.
+        header: the names of the columns, in the order of the file.
+        lines: the line of each row.
+        columns: shape=(n,) each, by name.
+        warnings: what is odd about the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read a file.
+
+        Raises:
+            MeasurementError: it is unreadable, a column has no name or stands there twice, or a cell is no number.
+        """
+        self.path = path
+        self.warnings: list[str] = []
+        try:
+            reader = csv.reader(io.StringIO(read_text(path), newline=""))
+        except DescriptionError as error:
+            raise MeasurementError(path, error.expected) from error
+        self.lines: list[int] = []
+        rows = []
+        try:
+            self.header = [name.strip() for name in next(reader, [])]
+            self._check_header()
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                if len(cells) != len(self.header):
+                    problem = f"{len(cells)} cells, expected {len(self.header)} as in the header"
+                    raise MeasurementError(path, problem, [reader.line_num])
+                self.lines.append(reader.line_num)
+                rows.append([self._number(cell, name) for cell, name in zip(cells, self.header, strict=True)])
+        except csv.Error as error:
+            raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
+        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header))
+        self.columns = {name: table[:, k] for k, name in enumerate(self.header)}
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def get(self, name: str, value: float) -> Array:
+        """Return a column, or one that has a value in every row if there is none of this name."""
+        return self.columns.get(name, np.full(len(self), value))
+
+    def matrix(self, names: Sequence[str], missing: float | None = None) -> Array:
+        """Return columns side by side, shape=(n, len(names)); all of one value if the first one is missing."""
+        if missing is not None and names[0] not in self:
+            return np.full((len(self), len(names)), missing)
+        return np.column_stack([self.columns[name] for name in names])
+
+    def require(self, wanted: Sequence[str]) -> None:
+        """Check that columns are there.
+
+        Raises:
+            MeasurementError: some are missing.
+        """
+        missing = [name for name in wanted if name not in self.header]
+        if missing:
+            problem = (
+                f"no column {', '.join(missing)}; expected {','.join(wanted)}, the file has {','.join(self.header)}"
+            )
+            raise MeasurementError(self.path, problem, [1])
+
+    def keep(self, flags: Mask) -> None:
+        """Leave rows out, with a warning.
+
+        Raises:
+            MeasurementError: none is left.
+        """
+        if not flags.all():
+            self.warn("numbers are missing or not finite; left out", self.lines_where(~flags))
+        if not flags.any():
+            raise MeasurementError(self.path, "no complete row of numbers, expected one for each pose")
+        self.columns = {name: values[flags] for name, values in self.columns.items()}
+        self.lines = self.lines_where(flags)
+
+    def lines_where(self, flags: Any) -> list[int]:
+        """Return the lines of the rows that are flagged."""
+        return [self.lines[row] for row in np.flatnonzero(flags)]
+
+    def warn(self, text: str, lines: Sequence[int] = ()) -> None:
+        """Keep and log what is odd."""
+        self.warnings.append(f"{lines_in_words(lines)}{text}")
+        logger.warning("%s: %s", self.path, self.warnings[-1])
+
+    def _check_header(self) -> None:
+        header = self.header
+        if len(header) == 1 and (found := next((mark for mark in ";\t|" if mark in header[0]), "")):
+            problem = f"columns are separated by {found!r}, expected commas, and points in numbers"
+            raise MeasurementError(self.path, problem, [1])
+        if "" in header:
+            problem = f"column {header.index('') + 1} has no name: a comma at the end of the lines?"
+            raise MeasurementError(self.path, problem, [1])
+        if twice := sorted({name for name in header if header.count(name) > 1}):
+            raise MeasurementError(self.path, f"column {', '.join(twice)} stands there more than once", [1])
+
+    def _number(self, cell: str, column: str) -> float:
+        word = cell.strip()
+        try:
+            return float(word.replace("_", "no digit")) if word else np.nan
+        except ValueError as error:
+            problem = f"{column} is '{word}', expected a number"
+            raise MeasurementError(self.path, problem, [self.lines[-1]]) from error
+
+
+def columns_as_text(columns: Mapping[str, Array]) -> str:
+    """Return columns of numbers as CSV, every digit kept; NaN is an empty cell.
+
+    Args:
+        columns: by name, shape=(n,) each.
+    """
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    rows = np.column_stack(list(columns.values())).tolist()
+    writer.writerows(["" if number != number else repr(number) for number in row] for row in rows)
+    return text.getvalue()

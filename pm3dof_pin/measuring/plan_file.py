@@ -1,0 +1,77 @@
+"""Files of plans: commands to measure at, and where the tool should then be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pm3dof_pin.errors.pose_error import quaternion
+from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.command_columns import command_columns, commands_of, conditions_of
+from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
+from pm3dof_pin.typing import Array
+
+NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
+
+
+def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
+    """Write a plan of measurements as CSV, every digit kept: commands to drive to, and where the tool should then be.
+
+    The nominal pose is that of the robot as described; its columns are no measurement, and named so.
+
+    Args:
+        poses: poses of the robot as described.
+        path: file to write.
+        loads: loads to measure under, by the name of their column, shape=(n,) each.
+
+    Raises:
+        OutputError: the file cannot be written; nothing is left of it.
+    """
+    columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
+    seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
+    columns |= dict(zip(NOMINAL_COLUMNS, seen.T, strict=True)) | dict(loads or {})
+    return write_text_atomically(path, columns_as_text(columns))
+
+
+def read_commands(path: Path | str, robot: Robot) -> Array:
+    """Read the commands of a CSV file, such as a plan of measurements; its other columns are ignored.
+
+    Args:
+        path: the file, with the columns `u1_m,u2_m,u3_m` or what the robot's drives need.
+        robot: the robot.
+
+    Returns:
+        shape=(n, number of commands) [m, rad].
+
+    Raises:
+        MeasurementError: the file is unreadable, a column is missing, a cell is no number, or no row is left.
+    """
+    return commands_of(_table(path, robot), robot)
+
+
+def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
+    """Read a plan of measurements: the commands, and the temperatures and loads at which to measure if there are such.
+
+    Args:
+        path: the file.
+        robot: the robot.
+
+    Returns:
+        Commands, shape=(n, number of commands) [m, rad]; conditions by the name of their column, shape=(n,) each.
+
+    Raises:
+        MeasurementError: see :func:`read_commands`; or a temperature or load is missing in a row.
+    """
+    table = _table(path, robot)
+    return commands_of(table, robot), conditions_of(table)
+
+
+def _table(path: Path | str, robot: Robot) -> CsvTable:
+    table = CsvTable(Path(path))
+    table.require(command_columns(robot))
+    table.keep(np.asarray(np.isfinite(table.matrix(command_columns(robot))).all(axis=1)))
+    return table

@@ -1,0 +1,132 @@
+"""Whether measurements can be those of a machine: the mistakes that a look at its description tells."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pm3dof_pin.errors.pose_error import rotation_of_quaternion, rotation_vector
+from pm3dof_pin.exceptions import MeasurementError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.csv_table import CsvTable
+from pm3dof_pin.typing import Array
+
+POSITION_COLUMNS = ("x_m", "y_m", "z_m")
+QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+POINT_COLUMNS = ("px_m", "py_m", "pz_m")
+
+_SAME = 1e-9
+_FAR_OFF = 0.05  # of the way from the base to the tool: no tolerance explains that
+_FAR_POINTS = 30.0  # times the machine's size
+_TURNED = 0.1  # [rad], likewise
+_THOUSANDFOLD = 300.0
+_OWN_FRAME = "--own-frame finds the base of an instrument with a frame of its own"
+
+
+def warn_of_copies(table: CsvTable, places: Array) -> None:
+    """Look for rows that repeat others.
+
+    Args:
+        table: the file.
+        places: numbers in which rows of different poses, points or instruments differ, shape=(n, any).
+    """
+    rows = table.matrix(list(table.columns))
+    first: dict[bytes, int] = {}
+    copies = [
+        line for line, row in zip(table.lines, rows, strict=True) if first.setdefault(row.tobytes(), line) != line
+    ]
+    if copies:
+        table.warn("copies of earlier lines; they count as often as they stand there", copies)
+    distinct = len(np.unique(np.round(places / _SAME), axis=0))
+    if distinct < len(rows) - len(copies):
+        table.warn(f"{len(rows)} rows at {distinct} different commands: the others repeat one")
+
+
+def check_points(table: CsvTable, points: Array, size: float) -> None:
+    """Look for points in millimetres.
+
+    Args:
+        table: the file.
+        points: in the tool's axes, shape=(n, 3) [m].
+        size: of the machine [m].
+
+    Raises:
+        MeasurementError: they are nowhere near the tool.
+    """
+    off = np.median(np.linalg.norm(points, axis=1))
+    if off > _FAR_POINTS * size:
+        problem = f"{','.join(POINT_COLUMNS)} are {off:.3g} m (median) from the tool point: millimetres?"
+        raise MeasurementError(table.path, problem)
+
+
+def check_extent(table: CsvTable, expected: Array, positions: Array) -> None:
+    """Look for positions in millimetres, in a frame of which nothing is known.
+
+    Raises:
+        MeasurementError: they spread a thousand times as far as the machine moves.
+    """
+    seen, wanted = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (positions, expected))
+    if seen > _THOUSANDFOLD * wanted:
+        problem = "look like millimetres: they spread a thousand times as far as the machine moves"
+        raise MeasurementError(table.path, f"{','.join(POSITION_COLUMNS)} {problem}")
+
+
+def check_positions(table: CsvTable, expected: Array, positions: Array) -> bool:
+    """Look for positions where the machine cannot be, and tell whether most are where it can.
+
+    Raises:
+        MeasurementError: they are in millimetres.
+    """
+    size = max(float(np.median(np.linalg.norm(expected, axis=1))), 1e-3)
+    distances = np.linalg.norm(positions - expected, axis=1)
+    if np.median(np.linalg.norm(1e-3 * positions - expected, axis=1)) < _FAR_OFF * size:
+        problem = "look like millimetres: a thousandth of them is where the machine is"
+        raise MeasurementError(table.path, f"{','.join(POSITION_COLUMNS)} {problem}")
+    far = distances > _FAR_OFF * size
+    if far.mean() > 0.5:
+        table.warn(
+            f"positions are {np.median(distances):.3g} m (median) from where the machine is by its description: other "
+            f"axes, another zero of the commands or another tool point? {_OWN_FRAME}"
+        )
+        return False
+    if far.any():
+        lines = table.lines_where(far)
+        table.warn(f"positions are more than {_FAR_OFF * size:.2g} m from where the machine can be", lines)
+    return True
+
+
+def check_rotations(table: CsvTable, nominal: Poses, rotations: Array, *, refuse: bool) -> None:
+    """Look for the usual mistakes: another order of a quaternion's numbers, the inverse rotation, other axes.
+
+    Args:
+        table: the file.
+        nominal: where the machine is by its description.
+        rotations: what was seen, shape=(n, 3, 3).
+        refuse: whether all else fits; otherwise something else is wrong.
+
+    Raises:
+        MeasurementError: one of these mistakes explains them.
+    """
+
+    def angles(seen: Array) -> Array:
+        return np.asarray(np.linalg.norm(rotation_vector(np.swapaxes(nominal.rotations, 1, 2) @ seen), axis=1))
+
+    turned = angles(rotations)
+    if np.median(turned) <= _TURNED:
+        if (turned > _TURNED).any():
+            lines = table.lines_where(turned > _TURNED)
+            table.warn(f"orientations are more than {_TURNED:g} rad from where the machine can be", lines)
+        return
+    scalar_last = rotation_of_quaternion(np.roll(table.matrix(QUATERNION_COLUMNS), 1, axis=1))
+    for seen, problem in (
+        (scalar_last, "hold the numbers in the order x, y, z, w"),
+        (
+            np.swapaxes(rotations, 1, 2),
+            "are the inverse rotations, of the base in the tool's axes: expected those of the tool in the base",
+        ),
+    ):
+        if refuse and np.median(angles(seen)) < min(_TURNED, 0.1 * np.median(turned)):
+            raise MeasurementError(table.path, f"{','.join(QUATERNION_COLUMNS)} {problem}")
+    table.warn(
+        f"orientations are {np.median(turned):.3g} rad (median) from where the machine is by its description: "
+        f"other axes of the base or of the tool? {_OWN_FRAME}"
+    )

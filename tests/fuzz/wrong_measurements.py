@@ -1,0 +1,555 @@
+"""Wrong files of measurements: what people, spreadsheets and instruments make of a good one, and what comes of them.
+
+Each is a good file with one mistake. A calibration from it is refused with the cause, or goes through with a doubt
+that names it, or is as good as that from the good file: none is silently wrong.
+
+    python tests/fuzz/wrong_measurements.py [--robots pm3dof hexapod ...] [--only WORD] [--poses 40] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pm3dof_pin.calibration.calibrate import Options
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.calibration.objections import calibrate_and_object, refusal
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.command_columns import command_columns
+from pm3dof_pin.measuring.measurement_file import read_measurements
+
+MACHINES = Path(__file__).parents[1] / "machines"
+ROBOTS = {
+    "pm3dof": ("pm3dof", None),
+    "hexapod": ("hexapod", None),
+    "linear_delta": ("linear_delta", None),
+    "three_rps": ("three_rps", None),
+    "ur5": ("ur5", "tool0"),
+    "five_bar": (str(MACHINES / "five_bar"), None),
+}
+XYZ, QUATERNION = ("x_m", "y_m", "z_m"), ("qw", "qx", "qy", "qz")
+POSITION_SIGMA, ANGLE_SIGMA = 1e-5, 5e-5
+AS_GOOD = 2.0  # times the error of the calibration from the good file
+
+Table = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Good:
+    """A good file of measurements, and the machine that it is of."""
+
+    errors: GeometricErrors
+    machine: Robot
+    table: Table
+    other: Table
+    wanted: Poses
+
+    @classmethod
+    def of(cls, name: str, poses: int, seed: int = 0) -> Good:
+        """Measure a machine of a robot; another machine of the same kind measures `other`."""
+        robot, frame = ROBOTS[name]
+        rng = np.random.default_rng(seed)
+        errors = GeometricErrors.load(robot, tool_frame=frame)
+        if name == "five_bar":
+            from pm3dof_pin.cli.error_parameters import closing_errors
+
+            errors = closing_errors(errors, quiet=True)
+        sample = reachable_poses(errors.robot, poses, rng)
+        wanted = reachable_poses(errors.robot, 20, rng)
+        machines = [errors.apply(errors.sample(rng)) for _ in range(2)]
+        tables = [_table(machine, errors.robot, sample, rng) for machine in machines]
+        return cls(errors, machines[0], *tables, wanted)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Columns of the commands."""
+        return command_columns(self.errors.robot)
+
+    def missed(self, compensation: Compensation) -> float:
+        """Tip error of the true machine driven by a calibration, root mean square [m]; infinite if it cannot be."""
+        answer = compensation.compensate(self.wanted, on_failure="nan")
+        reached = self.machine.forward(answer.commands, guess=self.wanted.q, on_failure="nan")
+        off = tip_error(pose_difference(self.wanted.transforms, reached.transforms))
+        return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else np.inf
+
+
+def _table(machine: Robot, robot: Robot, sample: Poses, rng: np.random.Generator) -> Table:
+    reached = machine.forward(sample.commands, guess=sample.q)
+    count = len(sample)
+    turns = Rotation.from_rotvec(rng.normal(0.0, ANGLE_SIGMA, (count, 3))) * Rotation.from_matrix(reached.rotations)
+    x, y, z, w = turns.as_quat().T
+    table = dict(zip(command_columns(robot), sample.commands.T.copy(), strict=True))
+    table |= zip(XYZ, (reached.positions + rng.normal(0.0, POSITION_SIGMA, (count, 3))).T, strict=True)
+    table |= zip(QUATERNION, np.where(w < 0.0, -1.0, 1.0) * (w, x, y, z), strict=True)
+    for k, name in enumerate(("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")):
+        table[f"sigma_{name}"] = np.full(count, POSITION_SIGMA if k < 3 else ANGLE_SIGMA)
+    return table
+
+
+def as_text(table: Table, separator: str = ",") -> str:
+    """Return a table as CSV; NaN is an empty cell."""
+    rows = np.column_stack(list(table.values()))
+    lines = [separator.join("" if number != number else repr(float(number)) for number in row) for row in rows]
+    return "\n".join([separator.join(table), *lines]) + "\n"
+
+
+Spoil = Callable[[Good], Table | str]
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A mistake: what it does to a good file, and what has to be said of it; nothing if the result is right."""
+
+    spoil: Spoil
+    says: str = ""
+
+
+def _xyz(table: Table) -> np.ndarray:
+    return np.column_stack([table[name] for name in XYZ])
+
+
+def _turns(table: Table) -> Rotation:
+    w, x, y, z = (table[name] for name in QUATERNION)
+    return Rotation.from_quat(np.column_stack([x, y, z, w]))
+
+
+def _seen(table: Table, positions: np.ndarray | None = None, turns: Rotation | None = None) -> Table:
+    """Replace positions or orientations."""
+    found = dict(table)
+    if positions is not None:
+        found |= zip(XYZ, positions.T, strict=True)
+    if turns is not None:
+        x, y, z, w = turns.as_quat().T
+        found |= zip(QUATERNION, (w, x, y, z), strict=True)
+    return found
+
+
+def _renamed(table: Table, names: dict[str, str]) -> Table:
+    return {names.get(name, name): values for name, values in table.items()}
+
+
+def _commands(change: Callable[[np.ndarray, Good], np.ndarray]) -> Spoil:
+    def spoil(good: Good) -> Table:
+        commands = np.column_stack([good.table[name] for name in good.commands])
+        return {**good.table, **dict(zip(good.commands, change(commands, good).T, strict=True))}
+
+    return spoil
+
+
+def _negated(chosen: slice) -> Spoil:
+    """The counters of some drives count the other way, from home on."""
+
+    def change(commands: np.ndarray, good: Good) -> np.ndarray:
+        found, home = commands.copy(), good.errors.robot.home.commands
+        found[:, chosen] = 2.0 * home[chosen] - found[:, chosen]
+        return found
+
+    return _commands(change)
+
+
+def _frame(rotation: Rotation, shift: tuple[float, float, float]) -> Spoil:
+    def spoil(good: Good) -> Table:
+        return _seen(good.table, rotation.apply(_xyz(good.table)) + shift, rotation * _turns(good.table))
+
+    return spoil
+
+
+def _axes(axes: np.ndarray, *, turns: bool = True) -> Spoil:
+    def spoil(good: Good) -> Table:
+        turned = _turns(good.table).as_matrix()
+        turned = axes @ turned @ (axes.T if np.linalg.det(axes) < 0.0 else np.eye(3))
+        return _seen(good.table, _xyz(good.table) @ axes.T, Rotation.from_matrix(turned) if turns else None)
+
+    return spoil
+
+
+def _scaled(names: tuple[str, ...] | str, factor: float) -> Spoil:
+    def spoil(good: Good) -> Table:
+        chosen = good.commands if names == "commands" else names
+        return {name: values * factor if name in chosen else values for name, values in good.table.items()}
+
+    return spoil
+
+
+def _without(*names: str) -> Spoil:
+    return lambda good: {name: values for name, values in good.table.items() if name not in names}
+
+
+def _rows(order: Callable[[int], np.ndarray]) -> Spoil:
+    return lambda good: {name: values[order(len(values))] for name, values in good.table.items()}
+
+
+def _cell(column: str, row: int, text: str) -> Spoil:
+    def spoil(good: Good) -> str:
+        lines = [line.split(",") for line in as_text(good.table).splitlines()]
+        lines[row + 1][list(good.table).index(column)] = text
+        return "\n".join(map(",".join, lines)) + "\n"
+
+    return spoil
+
+
+def _with(name: str, values: Callable[[int], np.ndarray]) -> Spoil:
+    return lambda good: {**good.table, name: values(len(good.table["x_m"]))}
+
+
+def _mixed(part: float) -> Spoil:
+    """The last rows are those of another machine of the same kind."""
+
+    def spoil(good: Good) -> Table:
+        first = round((1.0 - part) * len(good.table["x_m"]))
+        return {name: np.concatenate([values[:first], good.other[name][first:]]) for name, values in good.table.items()}
+
+    return spoil
+
+
+def _shifted_tool(x: float, y: float, z: float) -> Spoil:
+    return lambda good: _seen(good.table, _xyz(good.table) + _turns(good.table).apply([x, y, z]))
+
+
+def _stale(part: float) -> Spoil:
+    """From some row on the commands are those of the row before."""
+
+    def change(commands: np.ndarray, good: Good) -> np.ndarray:
+        first = round((1.0 - part) * len(commands))
+        found = commands.copy()
+        found[first:] = commands[first - 1 : -1]
+        return found
+
+    return _commands(change)
+
+
+def _outliers(good: Good) -> Table:
+    rng, positions = np.random.default_rng(5), _xyz(good.table)
+    chosen = rng.permutation(len(positions))[: len(positions) // 10]
+    positions[chosen] += rng.normal(0.0, 2e-3, (len(chosen), 3))
+    return _seen(good.table, positions)
+
+
+def _targets(good: Good, factor: float = 1.0, order: tuple[int, ...] = (0, 1, 2)) -> Table:
+    """Three targets instead of a pose, their points in the file in other units or in another order."""
+    points = np.array([[0.1, 0.0, 0.02], [-0.04, 0.09, 0.0], [-0.06, -0.07, -0.03]])
+    positions, turns = _xyz(good.table), _turns(good.table)
+    count = len(positions)
+    seen = np.stack([positions + turns.apply(point) for point in points], axis=1).reshape(-1, 3)
+    table = {name: np.repeat(good.table[name], 3) for name in good.commands}
+    table |= zip(XYZ, seen.T, strict=True)
+    table |= zip(("px_m", "py_m", "pz_m"), factor * np.tile(points[list(order)], (count, 1)).T, strict=True)
+    return table | {f"sigma_{name}": np.full(3 * count, POSITION_SIGMA) for name in XYZ}
+
+
+def _euler(good: Good) -> Table:
+    angles = _turns(good.table).as_euler("xyz")
+    return {**good.table, "qw": np.zeros(len(angles)), **dict(zip(QUATERNION[1:], angles.T, strict=True))}
+
+
+def _nominal(good: Good) -> Table:
+    commands = np.column_stack([good.table[name] for name in good.commands])
+    robot = good.errors.robot
+    poses = robot.forward(commands)
+    return _seen(good.table, poses.positions, Rotation.from_matrix(poses.rotations))
+
+
+def _columns_of_another(good: Good) -> Table:
+    return {**good.table, "x_m": np.random.default_rng(1).permutation(good.other["x_m"])}
+
+
+MIRROR_Y = np.diag([1.0, -1.0, 1.0])
+SWAP_XY = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+SWAP_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+WRONG: dict[str, Wrong] = {
+    # the text
+    "semicolons": Wrong(lambda g: as_text(g.table, ";"), "separated by ';'"),
+    "tabs": Wrong(lambda g: as_text(g.table, "\t"), "separated by"),
+    "spaces": Wrong(lambda g: as_text(g.table, " "), "separated by|no column"),
+    "decimal commas": Wrong(lambda g: as_text(g.table, ";").replace(".", ","), "separated by ';'"),
+    "decimal commas alone": Wrong(lambda g: as_text(g.table).replace(".", ","), "cells, expected"),
+    "byte order mark": Wrong(lambda g: "\ufeff" + as_text(g.table)),
+    "CRLF": Wrong(lambda g: as_text(g.table).replace("\n", "\r\n")),
+    "CR": Wrong(lambda g: as_text(g.table).replace("\n", "\r")),
+    "empty lines": Wrong(lambda g: as_text(g.table).replace("\n", "\n\n")),
+    "trailing commas": Wrong(lambda g: as_text(g.table).replace("\n", ",\n"), "no name|without a name|empty"),
+    "quoted": Wrong(lambda g: re.sub(r"([^,\n]+)", r'"\1"', as_text(g.table))),
+    "spaces after commas": Wrong(lambda g: as_text(g.table).replace(",", ", ")),
+    "UTF-16": Wrong(lambda g: as_text(g.table).encode("utf-16").decode("latin-1"), "readable|UTF|no column"),
+    "empty": Wrong(lambda g: "", "no column|empty"),
+    "header alone": Wrong(lambda g: as_text(g.table).splitlines()[0] + "\n", "no complete row"),
+    "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
+    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header"),
+    "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
+    "millimetres in the header": Wrong(lambda g: as_text(g.table).replace("_m,", "_mm,"), "no column"),
+    "commands in another unit": Wrong(
+        lambda g: _renamed(g.table, {n: n.split("_")[0] for n in g.commands}), "no column u1"
+    ),
+    "a column twice": Wrong(lambda g: as_text(g.table).replace("y_m", "x_m", 1), "more than once|no column"),
+    "no z": Wrong(_without("z_m"), "no column z_m"),
+    "no qz": Wrong(_without("qz"), "no column qz"),
+    "no u1": Wrong(lambda g: {n: v for n, v in g.table.items() if n != g.commands[0]}, "no column u1"),
+    "one sigma": Wrong(_without("sigma_y_m"), "no column sigma_y_m"),
+    "a word": Wrong(_cell("x_m", 3, "lost"), r"line 5: x_m is 'lost'"),
+    "a unit": Wrong(_cell("x_m", 3, "0.2 m"), "x_m is '0.2 m'"),
+    "a cell too many": Wrong(_cell("x_m", 3, "0.2,0.3"), "line 5: .* cells, expected"),
+    "NaN": Wrong(_cell("x_m", 3, "nan"), "line 5: numbers are missing"),
+    "infinity": Wrong(_cell("x_m", 3, "inf"), "line 5: numbers are missing"),
+    "an empty cell": Wrong(_cell("x_m", 3, ""), "line 5: numbers are missing"),
+    "an underscore": Wrong(_cell("x_m", 3, "1_0"), "x_m is '1_0'"),
+    # the rows
+    "one row": Wrong(_rows(lambda n: np.arange(1)), "one pose"),
+    "one pose again and again": Wrong(_rows(lambda n: np.zeros(n, dtype=int)), "one pose"),
+    "fewer rows than unknowns": Wrong(_rows(lambda n: np.arange(2)), "unknowns"),
+    "two poses again and again": Wrong(_rows(lambda n: np.arange(n) % 2), "unknowns|poses"),
+    "backwards": Wrong(_rows(lambda n: np.arange(n)[::-1])),
+    "all rows twice": Wrong(_rows(lambda n: np.arange(2 * n) % n), "copies of earlier lines"),
+    "every tenth an outlier": Wrong(_outliers),
+    "half of another machine": Wrong(_mixed(0.5), "times the noise|noise factor"),
+    "a third of another machine": Wrong(_mixed(0.34), "times the noise|noise factor|outliers"),
+    # the drives
+    "two drives": Wrong(
+        _commands(lambda u, g: u[:, [1, 0, *range(2, u.shape[1])]]), "permuted: u1 holds u2|swapped|mirrored"
+    ),
+    "cyclic drives": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=1)), "permuted|turned"),
+    "backward drives": Wrong(_commands(lambda u, g: u[:, ::-1]), "permuted|swapped|mirrored"),
+    "one drive the other way": Wrong(_negated(slice(0, 1)), "u1|zero"),
+    "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|counts"),
+    "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|counts"),
+    "one row below": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=0)), "1 row above"),
+    "one row above": Wrong(_commands(lambda u, g: np.roll(u, -1, axis=0)), "1 row below"),
+    "seven rows below": Wrong(_commands(lambda u, g: np.roll(u, 7, axis=0)), "7 rows above"),
+    "poses backwards": Wrong(_commands(lambda u, g: u[::-1]), "reverse|backwards|order"),
+    "poses in another order": Wrong(_commands(lambda u, g: np.random.default_rng(2).permutation(u)), "order|belong"),
+    "half stale": Wrong(_stale(0.5), "stale|row above|from line"),
+    "three quarters stale": Wrong(_stale(0.75), "stale|row above|from line"),
+    "one drive a row off": Wrong(_commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1"),
+    "one drive constant": Wrong(
+        _commands(lambda u, g: np.column_stack([np.full(len(u), u[:, 0].mean()), u[:, 1:]])), "u1"
+    ),
+    "one drive twice": Wrong(_commands(lambda u, g: np.column_stack([u[:, 1], u[:, 1:]])), "u1"),
+    "a drive's zero": Wrong(
+        _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)), "zero of u1|u1 .* off|limits"
+    ),
+    "a drive's lead": Wrong(
+        _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)), "u1|times the noise"
+    ),
+    "all drives' zeros": Wrong(_commands(lambda u, g: u + 0.01), "zero|off|frame|origin|positions|limits"),
+    "relative commands": Wrong(_commands(lambda u, g: u - u[0]), "limits|zero|off|frame|scale"),
+    "commands a thousandfold": Wrong(_scaled("commands", 1000.0), "limits"),
+    "commands in degrees": Wrong(_scaled("commands", 180.0 / np.pi), "limits"),
+    "commands in inches": Wrong(_scaled("commands", 1.0 / 25.4e-3), "limits"),
+    # positions and orientations
+    "x and y": Wrong(_axes(SWAP_XY), "mirrored|permuted"),
+    "x and y of the positions": Wrong(_axes(SWAP_XY, turns=False), "mirrored|swapped"),
+    "y and z of the positions": Wrong(_axes(SWAP_YZ, turns=False), "mirrored|swapped"),
+    "y mirrored": Wrong(_axes(MIRROR_Y), "mirrored|permuted"),
+    "left-handed, cyclic": Wrong(_axes(-np.roll(np.eye(3), 1, axis=0)), "mirrored|--own-frame|permuted"),
+    "x of the positions mirrored": Wrong(_axes(np.diag([-1.0, 1.0, 1.0]), turns=False), "mirrored"),
+    "x, y turned half": Wrong(_axes(np.diag([-1.0, -1.0, 1.0])), "--own-frame|swapped"),
+    "a frame": Wrong(_frame(Rotation.from_rotvec([0.4, -0.7, 1.9]), (3.0, -1.5, 0.8)), "--own-frame"),
+    "a frame a little off": Wrong(_frame(Rotation.from_rotvec([0.02, 0.0, 0.0]), (0.002, 0.0, 0.0)), "--own-frame"),
+    "a frame shifted": Wrong(_frame(Rotation.identity(), (0.0, 0.0, 0.05)), "--own-frame"),
+    "a frame turned in the positions alone": Wrong(
+        lambda g: _seen(g.table, Rotation.from_rotvec([0.0, 0.0, 0.3]).apply(_xyz(g.table))), "positions|frame"
+    ),
+    "relative to the first pose": Wrong(
+        lambda g: _seen(
+            g.table,
+            _turns(g.table)[0].inv().apply(_xyz(g.table) - _xyz(g.table)[0]),
+            _turns(g.table)[0].inv() * _turns(g.table),
+        ),
+        "--own-frame",
+    ),
+    "positions relative to the first": Wrong(
+        lambda g: _seen(g.table, _xyz(g.table) - _xyz(g.table)[0]), "positions are|--own-frame|shifted"
+    ),
+    "millimetres": Wrong(_scaled(XYZ, 1e3), "millimetres"),
+    "inches": Wrong(_scaled(XYZ, 1.0 / 25.4e-3), "inches"),
+    "centimetres": Wrong(_scaled(XYZ, 1e2), "centimetres"),
+    "feet": Wrong(_scaled(XYZ, 1.0 / 0.3048), "feet"),
+    "micrometres": Wrong(_scaled(XYZ, 1e6), "micrometres"),
+    "x in millimetres": Wrong(_scaled(("x_m",), 1e3), "x_m"),
+    "scale of one per cent": Wrong(_scaled(XYZ, 1.01), "scale|times"),
+    "quaternions x, y, z, w": Wrong(
+        lambda g: {**g.table, **dict(zip(QUATERNION, [g.table[n] for n in ("qx", "qy", "qz", "qw")], strict=True))},
+        "order x, y, z, w",
+    ),
+    "quaternions z, y, x, w": Wrong(
+        lambda g: {**g.table, **dict(zip(QUATERNION, [g.table[n] for n in QUATERNION[::-1]], strict=True))}, "order"
+    ),
+    "quaternions conjugate": Wrong(lambda g: _seen(g.table, turns=_turns(g.table).inv()), "inverse"),
+    "quaternions negated": Wrong(_scaled(QUATERNION, -1.0)),
+    "one sign of the quaternions": Wrong(_scaled(("qx",), -1.0), "orientations|quaternion|sign|qx"),
+    "quaternions of any length": Wrong(_scaled(QUATERNION, 1.5), "no rotation"),
+    "Euler angles": Wrong(_euler, "no rotation"),
+    "another tool": Wrong(
+        lambda g: _seen(g.table, turns=_turns(g.table) * Rotation.from_rotvec([0.0, 0.0, np.pi / 2.0])), "tool's axes"
+    ),
+    "another tool, a little": Wrong(
+        lambda g: _seen(g.table, turns=_turns(g.table) * Rotation.from_rotvec([0.05, 0.0, 0.0])), "tool's axes"
+    ),
+    "tool point": Wrong(_shifted_tool(0.03, 0.0, 0.0), "point seen"),
+    "tool point along its axis": Wrong(_shifted_tool(0.0, 0.0, 0.15), "point seen|--own-frame"),
+    "tool point, a little": Wrong(_shifted_tool(0.003, -0.002, 0.0), "point seen"),
+    "pose of the base in the tool": Wrong(
+        lambda g: _seen(g.table, -_turns(g.table).inv().apply(_xyz(g.table)), _turns(g.table).inv()), "inverse"
+    ),
+    "x constant": Wrong(lambda g: {**g.table, "x_m": np.full(len(g.table["x_m"]), g.table["x_m"][0])}, "x_m"),
+    "z constant": Wrong(lambda g: {**g.table, "z_m": np.full(len(g.table["z_m"]), g.table["z_m"][0])}, "z_m"),
+    "x twice": Wrong(lambda g: {**g.table, "y_m": g.table["x_m"]}, "y_m|x_m"),
+    "x of other rows": Wrong(_columns_of_another, "x_m"),
+    "rounded to a millimetre": Wrong(
+        lambda g: _seen(g.table, np.round(_xyz(g.table), 3)), "times the noise|noise factor|rounded|digits"
+    ),
+    "rounded orientations": Wrong(
+        lambda g: {n: np.round(v, 3) if n in QUATERNION else v for n, v in g.table.items()},
+        "times the noise|noise factor|rounded|digits",
+    ),
+    "the plan instead of measurements": Wrong(_nominal, "description"),
+    "targets in millimetres": Wrong(lambda g: _targets(g, 1e3), "p[xyz]_m"),
+    "targets exchanged": Wrong(lambda g: _targets(g, order=(1, 0, 2)), "target"),
+    "targets on the other side": Wrong(lambda g: _targets(g, -1.0), "target|points|point seen|tool"),
+    "targets": Wrong(lambda g: _targets(g)),
+    # noise, time, loads
+    "sigmas in millimetres": Wrong(
+        _scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e3), "sigma_x_m .* a great deal|sigma"
+    ),
+    "sigmas in micrometres": Wrong(_scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e6), "sigma_x_m"),
+    "sigmas in degrees": Wrong(
+        _scaled(("sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"), 180.0 / np.pi), "sigma_rx_rad|sigmas are larger"
+    ),
+    "sigmas a hundredth": Wrong(
+        lambda g: {n: v / 100.0 if n.startswith("sigma") else v for n, v in g.table.items()}, "times the noise"
+    ),
+    "sigma negative": Wrong(_scaled(("sigma_x_m",), -1.0), "not positive"),
+    "sigma zero": Wrong(_scaled(("sigma_x_m",), 0.0), "not positive"),
+    "sigmas of positions for angles": Wrong(
+        lambda g: {n: np.full_like(v, 1e-3) if n.startswith("sigma_r") else v for n, v in g.table.items()}
+    ),
+    "time stands still": Wrong(_with("time_s", np.zeros), "time_s"),
+    "time runs backwards": Wrong(_with("time_s", lambda n: -60.0 * np.arange(n))),
+    "time at random": Wrong(_with("time_s", lambda n: np.random.default_rng(3).permutation(60.0 * np.arange(n)))),
+    "time missing": Wrong(_with("time_s", lambda n: np.where(np.arange(n) == 4, np.nan, np.arange(n))), "line 6"),
+    "approach of no drive": Wrong(_with("aproach_u1", np.ones), "aproach_u1.* not used|no column"),
+    "approach of one drive": Wrong(_with("approach_u1", np.ones), "no column approach_u2|time"),
+    "approach of any size": Wrong(
+        lambda g: {
+            **g.table,
+            **{f"approach_u{k + 1}": np.full(len(g.table["x_m"]), 0.5) for k in range(len(g.commands))},
+        },
+        "directions",
+    ),
+    "an unknown column": Wrong(_with("operator", np.ones), "operator are not used|not used"),
+    "a temperature missing": Wrong(
+        _with("temperature_air_K", lambda n: np.where(np.arange(n) == 4, np.nan, 293.0)), "line 6"
+    ),
+}
+
+
+REFUSED_BY_THE_READER = (
+    "semicolons", "tabs", "spaces", "decimal commas", "decimal commas alone", "trailing commas", "UTF-16", "empty",
+    "header alone", "no header", "a comment", "upper case", "millimetres in the header", "commands in another unit",
+    "a column twice", "no z", "no qz", "no u1", "one sigma", "a word", "a unit", "a cell too many", "an underscore",
+    "commands a thousandfold", "commands in degrees", "commands in inches", "millimetres", "quaternions x, y, z, w",
+    "quaternions conjugate", "quaternions of any length", "Euler angles", "targets in millimetres", "sigma negative",
+    "sigma zero", "approach of one drive", "approach of any size",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a file: "refused", "doubted" or "accepted", what was said, and how good the result is [m]."""
+
+    kind: str
+    words: str
+    missed: float = np.nan
+
+
+@contextmanager
+def _messages() -> Iterator[list[str]]:
+    found: list[str] = []
+
+    class Keep(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            found.append(record.getMessage())
+
+    handler, logger = Keep(logging.WARNING), logging.getLogger("pm3dof_pin")
+    logger.addHandler(handler)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+
+
+def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -> Outcome:
+    """Calibrate from a spoilt file, as the command does."""
+    path = folder / "spoilt.csv"
+    text = spoilt if isinstance(spoilt, str) else as_text(spoilt)
+    path.write_text(text, encoding="utf-8", newline="")
+    with _messages() as said:
+        try:
+            measurements = read_measurements(path, good.errors.robot, target_sigma=1e-3)
+            options = Options(method)
+            calibration, _, reasons = calibrate_and_object(measurements, good.errors, options)
+            if reasons:
+                raise refusal(reasons, measurements, good.errors, options.eta)
+        except PM3DofError as error:
+            return Outcome("refused", str(error))
+    return Outcome("doubted" if said else "accepted", " | ".join(said), good.missed(calibration.compensation))
+
+
+def verdict(wrong: Wrong, found: Outcome, best: float) -> str:
+    """Return "" if a file came out as it should, otherwise what is wrong with that."""
+    if wrong.says and re.search(wrong.says, found.words):
+        return ""
+    if found.kind == "refused":
+        return "refused without the cause" if wrong.says else "refused though right"
+    if found.missed <= AS_GOOD * best:
+        return ""
+    return f"{found.kind}, {1e6 * found.missed:.0f} um instead of {1e6 * best:.0f}"
+
+
+def main() -> int:
+    """Try every mistake on every robot."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS), choices=list(ROBOTS))
+    parser.add_argument("--only", default="", help="mistakes whose name has this")
+    parser.add_argument("--poses", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--verbose", action="store_true")
+    arguments = parser.parse_args()
+    bad = tried = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for robot in arguments.robots:
+            good = Good.of(robot, arguments.poses, arguments.seed)
+            best = outcome(good, good.table, Path(folder)).missed
+            for name, wrong in WRONG.items():
+                if arguments.only not in name:
+                    continue
+                start = time.process_time()
+                found = outcome(good, wrong.spoil(good), Path(folder))
+                problem = verdict(wrong, found, best)
+                tried += 1
+                bad += bool(problem)
+                if problem or arguments.verbose:
+                    took = time.process_time() - start
+                    print(f"{robot}: {name}: {problem or found.kind} ({took:.1f} s): {found.words[-600:]}", flush=True)
+    print(f"{bad} of {tried} files came out wrong")
+    return bool(bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
