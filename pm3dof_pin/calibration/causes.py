@@ -8,11 +8,12 @@ that was made, and of several that explain as much the simplest.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.mistakes import usual_mistakes
+from pm3dof_pin.calibration.mistakes import Mistake, usual_mistakes, wrong_columns
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
@@ -21,7 +22,8 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
 
 _EXPLAINS = 0.25  # of what did not fit is left, at most
-_AS_WELL = 2.0  # times what the best explanation leaves: a simpler one is taken
+_AS_WELL = 4.0  # times what the best explanation leaves: a simpler one is taken
+_MUCH = 4.0  # times better a single column has to explain it than what concerns all
 _FEWEST = 4  # poses: with fewer nearly any mistake explains all
 _MOST = 300  # rows looked at
 _CAN_BE_TAKEN = 0.9  # of the commands, at least
@@ -65,19 +67,32 @@ def likely_cause(
     before = _misfit(measurements, nominal, eta, own_frame)
     if before <= least or len(measurements.visits) < _FEWEST:
         return None
-    found: list[Cause] = []
-    for mistake in usual_mistakes(measurements, nominal, eta):
-        try:
-            without, poses = mistake.without, mistake.nominal
-            if poses is None:
-                without, poses = _at_nominal(without, robot)
-            after = _misfit(without, poses, eta, own_frame or mistake.free)
-        except PM3DofError:
-            continue
-        if after < _EXPLAINS * before:
-            found.append(Cause(mistake.text, before, after))
-    best = min((cause.after for cause in found), default=0.0)
-    return next((cause for cause in found if cause.after <= _AS_WELL * best), None)
+
+    def explanations(mistakes: Iterable[Mistake]) -> list[Cause]:
+        found = []
+        for mistake in mistakes:
+            try:
+                without, poses = mistake.without, mistake.nominal
+                if poses is None:
+                    without, poses = _at_nominal(without, robot)
+                after = _misfit(without, poses, eta, own_frame or mistake.free)
+            except PM3DofError:
+                continue
+            if after < _EXPLAINS * before:
+                found.append(Cause(mistake.text, before, after))
+        return found
+
+    whole = _simplest(explanations(usual_mistakes(measurements, nominal, eta)))
+    if whole is not None and whole.after <= least:
+        return whole
+    column = _simplest(explanations(wrong_columns(measurements, nominal, eta)))
+    return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
+
+
+def _simplest(causes: list[Cause]) -> Cause | None:
+    """Return the first of those that explain about as much as the best."""
+    best = min((cause.after for cause in causes), default=0.0)
+    return next((cause for cause in causes if cause.after <= _AS_WELL * best), None)
 
 
 def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements, Poses]:

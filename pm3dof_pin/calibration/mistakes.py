@@ -74,7 +74,6 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
         yield from _of_scale(measurements, nominal, free=True)
     yield from _of_the_tool(measurements, nominal)
     yield from _of_positions(measurements, nominal)
-    yield from _of_columns(measurements, nominal, eta)
     yield from _of_zeros(measurements, nominal, eta)
 
 
@@ -253,8 +252,14 @@ def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
         yield Mistake(text, replace(measurements, positions=moved), nominal)
 
 
-def _of_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Give columns that do not fit where all others do."""
+def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    """Give columns that do not fit where all others do: what is left without them explains itself too easily.
+
+    Args:
+        measurements: rows at commands that the machine can take.
+        nominal: poses of the robot as described, one for each row.
+        eta: weight of the orientation [m/rad].
+    """
     rotations, seen = measurements.rotations, measurements.seen
     if seen[:, :3].all():
         expected = _expected(measurements, nominal)

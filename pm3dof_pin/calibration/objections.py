@@ -107,8 +107,8 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
     if points.size and off[points].max() > _MISPLACED:
         worst = points[off[points].argmax()]
         reasons.append(
-            f"{found.nuisances.names[worst]} is {1e3 * found.nuisance_values[worst]:.3g} mm from where the file has it, "
-            f"{off[worst]:.3g} times as far as it is known"
+            f"{found.nuisances.names[worst]} is {1e3 * found.nuisance_values[worst]:.3g} mm from where the file "
+            f"has it, {off[worst]:.3g} times as far as it is known"
         )
     left = _misfit(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
@@ -144,7 +144,10 @@ def _too_few(found: Identification) -> str:
     if equations > told:
         return ""
     unknowns = found.rows.shape[2]
-    return f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {told}: none is left over"
+    return (
+        f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {told}: none is "
+        "left over"
+    )
 
 
 def _misfit(calibration: Calibration) -> float:

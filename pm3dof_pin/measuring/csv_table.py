@@ -29,11 +29,16 @@ class CsvTable:
         warnings: what is odd about the file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, needed: Sequence[str]) -> None:
         """Read a file.
 
+        Args:
+            path: the file.
+            needed: columns without which nothing else is worth reading.
+
         Raises:
-            MeasurementError: it is unreadable, a column has no name or stands there twice, or a cell is no number.
+            MeasurementError: it is unreadable, a column has no name, stands there twice or is missing, or a cell is no
+                number.
         """
         self.path = path
         self.warnings: list[str] = []
@@ -46,6 +51,7 @@ class CsvTable:
         try:
             self.header = [name.strip() for name in next(reader, [])]
             self._check_header()
+            self.require(needed)
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
@@ -115,7 +121,7 @@ class CsvTable:
 
     def _check_header(self) -> None:
         header = self.header
-        if len(header) == 1 and (found := next((mark for mark in ";\t|" if mark in header[0]), "")):
+        if len(header) == 1 and (found := next((mark for mark in ";\t| " if mark in header[0]), "")):
             problem = f"columns are separated by {found!r}, expected commas, and points in numbers"
             raise MeasurementError(self.path, problem, [1])
         if "" in header:

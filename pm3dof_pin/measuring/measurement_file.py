@@ -137,7 +137,7 @@ class _Reader:
     def __init__(self, path: Path, robot: Robot) -> None:
         self._path, self._robot = path, robot
         self._own = command_columns(robot)
-        self._table = CsvTable(path)
+        self._table = CsvTable(path, self._own)
         self._check_header()
         self._seen, whole = self._settle_what_was_measured()
         whole &= np.isfinite(self._table.matrix(self._needed())).all(axis=1)

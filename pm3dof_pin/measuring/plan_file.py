@@ -71,7 +71,6 @@ def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
 
 
 def _table(path: Path | str, robot: Robot) -> CsvTable:
-    table = CsvTable(Path(path))
-    table.require(command_columns(robot))
+    table = CsvTable(Path(path), command_columns(robot))
     table.keep(np.asarray(np.isfinite(table.matrix(command_columns(robot))).all(axis=1)))
     return table
