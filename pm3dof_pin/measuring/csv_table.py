@@ -50,8 +50,7 @@ class CsvTable:
         rows = []
         try:
             self.header = [name.strip() for name in next(reader, [])]
-            self._check_header()
-            self.require(needed)
+            self._check_header(needed)
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
@@ -119,7 +118,7 @@ class CsvTable:
         self.warnings.append(f"{lines_in_words(lines)}{text}")
         logger.warning("%s: %s", self.path, self.warnings[-1])
 
-    def _check_header(self) -> None:
+    def _check_header(self, needed: Sequence[str]) -> None:
         header = self.header
         if len(header) == 1 and (found := next((mark for mark in ";\t| " if mark in header[0]), "")):
             problem = f"columns are separated by {found!r}, expected commas, and points in numbers"
@@ -127,6 +126,7 @@ class CsvTable:
         if "" in header:
             problem = f"column {header.index('') + 1} has no name: a comma at the end of the lines?"
             raise MeasurementError(self.path, problem, [1])
+        self.require(needed)
         if twice := sorted({name for name in header if header.count(name) > 1}):
             raise MeasurementError(self.path, f"column {', '.join(twice)} stands there more than once", [1])
 
