@@ -291,7 +291,7 @@ WRONG: dict[str, Wrong] = {
     "empty": Wrong(lambda g: "", "no column|empty"),
     "header alone": Wrong(lambda g: as_text(g.table).splitlines()[0] + "\n", "no complete row"),
     "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
-    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header"),
+    "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header|line 1"),
     "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
     "millimetres in the header": Wrong(lambda g: as_text(g.table).replace("_m,", "_mm,"), "no column"),
     "commands in another unit": Wrong(
