@@ -22,9 +22,6 @@ MOST_BYTES = 64 * 2**20
 def read_bytes(path: Path | str) -> bytes:
     """Read an ordinary file of moderate size: no device or pipe, which may give bytes for ever, or none.
 
-    Args:
-        path: the file.
-
     Raises:
         DescriptionError: it is unreadable, no ordinary file, or too large.
     """
@@ -56,11 +53,8 @@ def read_text(path: Path | str) -> str:
 def write_atomically(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; on leaving the block without an error it takes the place of `path`.
 
-    The temporary file keeps the suffix of `path`, so that writers which look at it work. An interrupted or failed block
-    leaves `path` as it was.
-
-    Args:
-        path: file to write; missing parent folders are made.
+    The temporary file keeps the suffix of `path`, so that writers which look at it work; missing parent folders are
+    made. An interrupted or failed block leaves `path` as it was.
 
     Raises:
         OutputError: the folder or file cannot be written.
@@ -85,18 +79,7 @@ def write_atomically(path: Path | str) -> Iterator[Path]:
 
 
 def write_text_atomically(path: Path | str, text: str) -> Path:
-    """Write UTF-8 text whole or not at all.
-
-    Args:
-        path: file to write.
-        text: its contents.
-
-    Returns:
-        The path written.
-
-    Raises:
-        OutputError: the folder or file cannot be written.
-    """
+    """Write UTF-8 text as :func:`write_atomically`, whole or not at all, and return the path."""
     with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(path)
@@ -106,10 +89,8 @@ def write_text_atomically(path: Path | str, text: str) -> Path:
 def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
     """Yield an empty folder beside `path`; on leaving the block without an error it takes the place of `path`.
 
-    Args:
-        path: folder to write; missing parent folders are made. A folder that is there already gives way only if it is
-            empty or holds the file `marker`: if it is an older one of its kind.
-        marker: name of a file that tells the kind.
+    A folder that is there already gives way only if it is empty or holds the file `marker`: if it is an older one of
+    its kind.
 
     Raises:
         OutputError: the folder cannot be written, or something else is in its place.

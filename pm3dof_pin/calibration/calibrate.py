@@ -33,22 +33,16 @@ LEAST_POSES = 4
 
 @dataclass(frozen=True)
 class Options:
-    """How to calibrate.
+    """How to calibrate."""
 
-    Attributes:
-        method: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both.
-        seed: of networks and folds.
-        eta: weight of the orientation in the tip error [m/rad].
-        prior: standard deviation of the parameters beforehand, in units of their tolerances; None for what makes the
-            measurements most likely, from 1 to 3.
-        loss: of the identification.
-    """
-
+    #: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both
     method: Method = "lm+gp"
-    seed: int = 0
-    eta: float = TIP_LENGTH
+    seed: int = 0  #: of networks and folds
+    eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
+    #: standard deviation of the parameters beforehand, in units of their tolerances; None for what makes the
+    #: measurements most likely, from 1 to 3
     prior: float | None = None
-    loss: Loss = "tukey"
+    loss: Loss = "tukey"  #: of the identification
 
     def __post_init__(self) -> None:
         """Check the method."""
@@ -68,19 +62,13 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated machine.
+    """A calibrated machine."""
 
-    Attributes:
-        options: how it was calibrated, with the prior that was taken.
-        measurements: what was measured.
-        identification: the parameters identified; by the methods without parameters for finding outliers only.
-        compensation: what to command the machine by.
-    """
-
-    options: Options
-    measurements: Measurements
+    options: Options  #: how it was calibrated, with the prior that was taken
+    measurements: Measurements  #: what was measured
+    #: the parameters identified; by the methods without parameters for finding outliers only
     identification: Identification
-    compensation: Compensation
+    compensation: Compensation  #: what to command the machine by
 
     def with_scatter(self, scatter: Scatter) -> Calibration:
         """Return it with what a cross-validation says is left of errors."""

@@ -47,46 +47,33 @@ _CHUNK = 4096  # poses at a time, so that memory does not grow with their number
 
 @dataclass(frozen=True, eq=False)
 class Compensated:
-    """Corrected commands. NaN throughout at a pose for which there are none.
+    """Corrected commands. NaN throughout at a pose for which there are none."""
 
-    Attributes:
-        commands: what to command, shape=(n, number of commands) [m, rad].
-        nominal_commands: what the description alone would command, shape as above [m, rad].
-        deviations: predicted pseudo-error of the nominal machine at the nominal commands, shape as above [m, rad].
-        predicted_error: tip error to be expected with the corrected commands, root mean square, shape=(n,) [m]: what
-            the calibrated model says no command corrects, and the uncertainty of all that is predicted.
-        error_bound: tip error that is not exceeded with the probability :data:`COVERAGE`, shape=(n,) [m].
-    """
-
-    commands: Array
-    nominal_commands: Array
-    deviations: Array
+    commands: Array  #: what to command, shape=(n, number of commands) [m, rad]
+    nominal_commands: Array  #: what the description alone would command, shape as above [m, rad]
+    deviations: Array  #: predicted pseudo-error of the nominal machine at the nominal commands, shape as above [m, rad]
+    #: tip error to be expected with the corrected commands, root mean square, shape=(n,) [m]: what the calibrated model
+    #: says no command corrects, and the uncertainty of all that is predicted
     predicted_error: Array
-    error_bound: Array
+    error_bound: Array  #: tip error that is not exceeded with the probability :data:`COVERAGE`, shape=(n,) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """What is known of a machine, in a form to command it by.
+    """What is known of a machine, in a form to command it by."""
 
-    Attributes:
-        errors: the geometric parameters, with the robot as described.
-        values: identified parameters, shape=(number of parameters,) [m, rad]; None for the nominal model.
-        covariance: theirs; None for the nominal model. With twelve rows more, those of the base and of the tool as the
-            measurements define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`.
-        learned: pseudo-error on top of that model; None for none.
-        eta: weight of the orientation in the tip error [m/rad].
-        scatter: what was left in the measurements beside all this and beside their noise.
-        stiffness: by spring, how many times stiffer it was found than described, and the standard deviation of the
-            logarithm of that; springs not named are as described.
-    """
-
-    errors: GeometricErrors
+    errors: GeometricErrors  #: the geometric parameters, with the robot as described
+    #: identified parameters, shape=(number of parameters,) [m, rad]; None for the nominal model
     values: Array | None = None
+    #: theirs; None for the nominal model. With twelve rows more, those of the base and of the tool as the measurements
+    #: define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`
     covariance: Array | None = None
-    learned: LearnedPart | None = None
-    eta: float = TIP_LENGTH
+    learned: LearnedPart | None = None  #: pseudo-error on top of that model; None for none
+    eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
+    #: what was left in the measurements beside all this and beside their noise
     scatter: Scatter = field(default_factory=Scatter)
+    #: by spring, how many times stiffer it was found than described, and the standard deviation of the logarithm of
+    #: that; springs not named are as described
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property

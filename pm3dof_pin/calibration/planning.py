@@ -77,22 +77,15 @@ _SHUFFLES = 20
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Poses to be measured.
+    """Poses to be measured."""
 
-    Attributes:
-        strategy: how they were chosen.
-        indices: which of the candidates they are, shape=(n,).
-        poses: the poses, of the robot as described.
-        predicted_tip_rms: tip error that is left after calibration with them, root mean square over the test poses, as
-            far as the parameters describe the machine [m].
-        identifiability: what they identify.
-    """
-
-    strategy: Strategy
-    indices: Indices
-    poses: Poses
+    strategy: Strategy  #: how they were chosen
+    indices: Indices  #: which of the candidates they are, shape=(n,)
+    poses: Poses  #: the poses, of the robot as described
+    #: tip error that is left after calibration with them, root mean square over the test poses, as far as the
+    #: parameters describe the machine [m]
     predicted_tip_rms: float
-    identifiability: Identifiability
+    identifiability: Identifiability  #: what they identify
 
     @property
     def observability(self) -> ObservabilityIndices:

@@ -32,17 +32,11 @@ _SHOWN = 1e-4  # of the best seen direction of a pose: one that is 100 times as 
 
 @dataclass(frozen=True, eq=False)
 class SeenErrors:
-    """Errors of poses against a model, as far as measurements show them, in tip-weighted components.
+    """Errors of poses against a model, as far as measurements show them, in tip-weighted components."""
 
-    Attributes:
-        errors: e, 0 along directions that are not shown, shape=(visits, 6) [m].
-        covariances: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2].
-        shown: projections on the directions that are shown, shape=(visits, 6, 6).
-    """
-
-    errors: Array
-    covariances: Array
-    shown: Array
+    errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
+    covariances: Array  #: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2]
+    shown: Array  #: projections on the directions that are shown, shape=(visits, 6, 6)
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
@@ -66,23 +60,14 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
 
 @dataclass(frozen=True, eq=False)
 class PseudoErrors:
-    """Pseudo-errors found from measurements against a model of the machine, one for each visit.
+    """Pseudo-errors found from measurements against a model of the machine, one for each visit."""
 
-    Attributes:
-        deviations: du, shape=(visits, number of commands) [m, rad].
-        covariances: of du, from the measurements' noise, shape=(visits, number of commands, same).
-        at_commands: what is seen of the tip-weighted error of the model at the commands.
-        left: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m].
-        control: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands).
-        seen: errors at the deviated commands with their noise.
-    """
-
-    deviations: Array
-    covariances: Array
-    at_commands: SeenErrors
-    left: Array
-    control: Array
-    seen: SeenErrors
+    deviations: Array  #: du, shape=(visits, number of commands) [m, rad]
+    covariances: Array  #: of du, from the measurements' noise, shape=(visits, number of commands, same)
+    at_commands: SeenErrors  #: what is seen of the tip-weighted error of the model at the commands
+    left: Array  #: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m]
+    control: Array  #: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands)
+    seen: SeenErrors  #: errors at the deviated commands with their noise
 
     @property
     def before(self) -> Array:

@@ -61,20 +61,10 @@ def write_calibration(
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
 ) -> Path:
-    """Write a calibration, whole or not at all; an older one in its place is replaced.
+    """Write a calibration of a robot, by name or path, in place of an older one, whole or not at all.
 
-    Args:
-        calibration: what to write.
-        robot: name or path of the robot as described.
-        directory: folder to write.
-        held_out: how good it is on measurements it has not seen.
-        report: HTML page to go with it.
-        validation: how good it is on another file of measurements.
-        objections: what speaks against it, should it be written all the same.
-        judgement: what to expect of the machine.
-
-    Returns:
-        The folder.
+    What speaks for and against it goes with it: errors held out or of other measurements, a report, objections, the
+    verdict. Returns the folder.
 
     Raises:
         OutputError: the folder cannot be written, or something that is no calibration is there.

@@ -27,17 +27,12 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Variances of tip errors that nothing known explains.
+    """Variances of tip errors that nothing known explains."""
 
-    Attributes:
-        everywhere: a, of each direction of the tip-weighted error [m^2].
-        drives: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none.
-        tip_error: what both amount to, root mean square over the poses that they were found at [m].
-    """
-
-    everywhere: float = 0.0
+    everywhere: float = 0.0  #: a, of each direction of the tip-weighted error [m^2]
+    #: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none
     drives: Array = field(default_factory=lambda: np.zeros(0))
-    tip_error: float = 0.0
+    tip_error: float = 0.0  #: what both amount to, root mean square over the poses that they were found at [m]
 
     def covariances(self, control: Array) -> Array:
         """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].

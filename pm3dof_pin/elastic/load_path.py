@@ -141,12 +141,7 @@ class LoadPath:
         return find_equilibrium(start, tolerance=self._tolerance, max_steps=self._max_steps)
 
     def begin(self, state: LoadedState, typical_factor: float) -> PathPoint:
-        """Return the beginning of the path, at factor 0, in the direction of growing load.
-
-        Args:
-            state: equilibrium under the permanent loads.
-            typical_factor: factor to measure others on.
-        """
+        """Return the beginning of the path, at factor 0, in the direction of growing load, by a typical factor."""
         self._typical_factor = typical_factor
         self._typical_strain = float(np.linalg.norm(state.force(self.growing))) * typical_factor or 1.0
         towards = np.zeros(len(state.motions.whitened) + len(self.rest.constraint_jacobian.T) + 1)

@@ -32,19 +32,12 @@ _RIGID = 1e-12  # part of the greatest principal compliance below which a direct
 
 @dataclass(frozen=True)
 class ElasticQuantity:
-    """A quantity of the elastic behaviour of a frame.
+    """A quantity of the elastic behaviour of a frame."""
 
-    Attributes:
-        name: its name.
-        shape: shape of its value.
-        traced: from roots to numbers of that shape.
-        computed: from the careful report of one pose to its value.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    traced: Callable[[Roots], Objects]
-    computed: Callable[[CartesianCompliance], Array]
+    name: str  #: its name
+    shape: tuple[int, ...]  #: shape of its value
+    traced: Callable[[Roots], Objects]  #: from roots to numbers of that shape
+    computed: Callable[[CartesianCompliance], Array]  #: from the careful report of one pose to its value
 
 
 def _matrix(columns: Objects) -> Objects:

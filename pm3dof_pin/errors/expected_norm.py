@@ -11,18 +11,11 @@ _EXPONENTS = np.arange(-72.0, 72.25, 0.5)  # the integrand falls as exp(-|y| / 2
 
 
 def expected_norm(mean: ArrayLike, covariance: ArrayLike) -> Array:
-    """Return E |x| of x normal with a mean and a covariance, which may be singular, shape=(...).
+    """Return E |x| of x normal with a mean, shape=(..., k), and a covariance, which may be singular, shape=(...).
 
     With Q = |x|^2 and L(t) = E exp(-t Q) = prod_i (1 + 2 s_i t)^(-1/2) exp(-t m_i^2 / (1 + 2 s_i t)), s_i the
-    eigenvalues and m_i the mean along their axes,
-
-        E sqrt(Q) = 1 / (2 sqrt(pi)) * integral over t from 0 to infinity of (1 - L(t)) t^(-3/2) dt,
-
-    by the trapezoidal rule in ln t, which converges exponentially.
-
-    Args:
-        mean: shape=(..., k).
-        covariance: symmetric, positive semidefinite, shape=(..., k, k).
+    eigenvalues and m_i the mean along their axes, E sqrt(Q) = 1 / (2 sqrt(pi)) * integral over t from 0 to infinity of
+    (1 - L(t)) t^(-3/2) dt, by the trapezoidal rule in ln t, which converges exponentially.
     """
     m, c = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
     spread, axes = np.linalg.eigh(c)

@@ -33,15 +33,10 @@ _PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to fin
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of the tool's pose, [position; rotation vector] in world axes, at n poses.
+    """Derivatives of the tool's pose, [position; rotation vector] in world axes, at n poses."""
 
-    Attributes:
-        errors: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1].
-        commands: by the commands, shape=(n, 6, number of commands).
-    """
-
-    errors: Array
-    commands: Array
+    errors: Array  #: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1]
+    commands: Array  #: by the commands, shape=(n, 6, number of commands)
 
 
 def sensitivities(

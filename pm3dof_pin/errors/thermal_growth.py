@@ -128,18 +128,11 @@ def displacement_errors(robot: Robot, places: Iterable[str], group: str) -> tupl
 
 
 def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, float] | None = None) -> Array:
-    """Return how the end of a member moves when it bends, to first order.
+    """Return how the end of a member moves when it bends, to first order, in the axes of the place where it ends.
 
     The warmer side lies in one of two directions across the member: that of the axis of its body which is most across
-    it, made square to it, and that at right angles to both.
-
-    Args:
-        robot: the robot.
-        place: joint or frame at which the member ends.
-        along: from its beginning to its end, axes of its body [m]; from the joint before by default.
-
-    Returns:
-        [translation; rotation vector] in the axes of the place for each direction, shape=(6, 2) [m^2, m].
+    it, made square to it, and that at right angles to both. For each, [translation; rotation vector], shape=(6, 2)
+    [m^2, m]. The member lies `along` [m], in the axes of its body; from the joint before by default.
 
     Raises:
         InvalidValueError: the member has no length.

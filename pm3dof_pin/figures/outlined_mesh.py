@@ -72,14 +72,7 @@ class OutlinedMesh:
 
 
 def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: Any) -> None:
-    """Draw where limits end a map, and where the grid ends it.
-
-    Args:
-        axes: where to draw.
-        mesh: of the map.
-        units: of both coordinates.
-        changes: of the styles of both lines.
-    """
+    """Draw where limits end a map, and where the grid ends it, in styles that may be changed."""
     for lines, style in ((mesh.limit_lines, LIMIT_LINE), (joined(mesh.end_lines), END_LINE)):
         pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
         collected = {f"{name}s": value for name, value in (style | changes).items()}

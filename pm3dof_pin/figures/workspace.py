@@ -215,16 +215,8 @@ def _cut(
 ) -> tuple[Array, NDArray[np.intp]]:
     """Cut cells in which one limit takes over from another along the edge of the body where it does so.
 
-    Args:
-        sheet: what is drawn.
-        lower: the section below the cells.
-        upper: the section above them.
-        corners: of the cells, going round, shape=(n, 4, 3).
-        owners: numbers of the limits at the corners, shape=(n, 4).
-        rays: number of the first ray of each cell, shape=(n,).
-
-    Returns:
-        Parts of the cells, shape=(m, 4, 3), and the number of the limit of each.
+    Cells lie between two sections, corners going round, shape=(n, 4, 3), with the numbers of their limits and the first
+    ray of each. Returns parts of the cells, shape=(m, 4, 3), and the number of the limit of each.
     """
     following = (rays + 1) % len(lower.azimuths)
     step = lower.azimuths[1] - lower.azimuths[0]

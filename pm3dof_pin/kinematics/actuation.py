@@ -60,12 +60,10 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
 
 
 def tool_motions(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:
-    """Compute the tool's twists in the platform's :func:`independent_motions`.
+    """Compute the tool's twists [v; omega], world axes, shape=(6, p), in the platform's :func:`independent_motions`.
 
-    Args and errors are those of :func:`independent_motions`.
-
-    Returns:
-        Twists [v; omega], world axes, shape=(6, p): the tool's twist is this times the rates of the motions.
+    The tool's twist is this times the rates of the motions. Arguments and errors are those of
+    :func:`independent_motions`.
     """
     return frozen(configuration.tool_jacobian @ independent_motions(configuration, tolerance=tolerance))
 

@@ -52,9 +52,6 @@ class ProgramSource:
     Its variants (robots with errors, recalibrated ones) use them with their own geometry and limits as parameters.
     Where a variant has another number than the robot in the place of a constant, a second program is made in which all
     of the geometry are parameters; it serves all further variants.
-
-    Args:
-        robot: the robot.
     """
 
     def __init__(self, robot: Robot) -> None:

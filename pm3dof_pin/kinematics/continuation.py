@@ -55,28 +55,18 @@ _REGULAR = 1e-3  # regularity of a configuration away from singular ones
 
 
 class Solution(NamedTuple):
-    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none.
+    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none."""
 
-    Attributes:
-        q: joint configurations, shape=(n, nq) [m, rad].
-        residual: greatest closure error, shape=(n,) [m, rad]; None if it is not known.
-        broken_limits: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k.
-        transforms: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after
-            a march.
-    """
-
-    q: Matrix
-    residual: Vector | None = None
+    q: Matrix  #: joint configurations, shape=(n, nq) [m, rad]
+    residual: Vector | None = None  #: greatest closure error, shape=(n,) [m, rad]; None if it is not known
+    #: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k
     broken_limits: NDArray[np.uint32] | None = None
+    #: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after a march
     transforms: Array | None = None
 
 
 class Continuation:
     """Poses of a robot at values of some coordinates, by continuation from home.
-
-    Args:
-        robot: the robot.
-        coordinates: the coordinates that are given.
 
     Raises:
         ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
@@ -352,13 +342,7 @@ class Continuation:
         return missing
 
     def _check(self, q: Matrix, values: Matrix | None = None, *, placed: bool = True) -> Solution:
-        """Check configurations.
-
-        Args:
-            q: the configurations; what is not solved becomes NaN in a copy.
-            values: of the coordinates, to check that the tool is there.
-            placed: whether placements of the tool are wanted.
-        """
+        """Check configurations, whether the tool is at its values too; what is not solved becomes NaN in a copy."""
         n, program = len(q), self._checks.compiled.program
         residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
         transforms = np.empty((n, 4, 4)) if placed and "transform" in program.outputs else None

@@ -22,17 +22,11 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PoseValues:
-    """Values at many poses.
+    """Values at many poses."""
 
-    Attributes:
-        values: shape=(..., *shape of one value); NaN where it failed.
-        redone: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...).
-        failed: poses that have no value, shape=(...).
-    """
-
-    values: Array
-    redone: Mask
-    failed: Mask
+    values: Array  #: shape=(..., *shape of one value); NaN where it failed
+    redone: Mask  #: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...)
+    failed: Mask  #: poses that have no value, shape=(...)
 
 
 def evaluate_at(
@@ -46,18 +40,11 @@ def evaluate_at(
     on_failure: OnFailure,
     engine: Engine,
 ) -> PoseValues:
-    """Compute something at many poses.
+    """Compute something, named for the log, at many poses or configurations q, shape=(..., nq).
 
-    Args:
-        robot: the robot.
-        poses: solved poses, or configurations q, shape=(..., nq) [m, rad].
-        name: what is computed, for the log.
-        shape: shape of one value.
-        program: from configurations, shape=(n, nq), to values, shape=(n, size), and where nothing is in doubt,
-            shape=(n,); raises ProgramError where there is no program.
-        careful: from one configuration, shape=(nq,), to its value.
-        on_failure: "raise" what `careful` raises, or "nan" to mark such poses, and those that are not solved.
-        engine: "program", or "pinocchio" for `careful` at every pose.
+    `program` goes from configurations, shape=(n, nq), to values, shape=(n, size), and where nothing is in doubt,
+    shape=(n,); it raises ProgramError where there is none. `careful` goes from one configuration to its value of the
+    given shape, and decides where the program does not.
 
     Raises:
         InvalidValueError: `poses` has another shape.

@@ -22,10 +22,6 @@ class LoopKinematics(threading.local):
     method starts from q, runs each step that its result depends on, and returns fresh arrays: nothing is remembered
     between two calls, and no other code touches the work space. (The bindings hand out a matrix of one column as a
     vector, hence the reshaping.)
-
-    Args:
-        model: the tree.
-        constraint_models: point or frame anchors of Pinocchio, in the order of their rows.
     """
 
     def __init__(

@@ -77,7 +77,7 @@ class Mechanism:
         closures: loop closures between frames of the model; none for a serial robot.
         actuated_joints: driven joints, each with a single degree of freedom. If none are named, a mechanism without
             closures has all its single-DoF joints driven, one with closures none.
-        tool_frame: frame meant by "the tool"; where it is needed and not named, an error says so.
+        tool_frame: frame meant by "the tool"; operations that need it raise if it is None.
         motion_coordinates: joints, each with a single degree of freedom, whose rates are the platform's independent
             motions.
         springs: raw spring entries of the description, not yet parsed.
@@ -94,29 +94,16 @@ class Mechanism:
         files: the files that it was read from, if any.
 
     Attributes:
-        name: name of the robot.
-        model: Pinocchio's model. Treat it as read-only.
-        closures: the loop closures.
-        actuated_joints: names of the driven joints, in the order of u.
-        passive_joints: names of all other joints, in the model's order.
-        tool_frame: name of the tool frame, or None.
-        motion_coordinates: names of the joints that are the motion coordinates; may be empty.
-        springs: raw spring entries of the description, not yet parsed.
-        commands: what the counters of the drives show, in the order of the actuated joints.
+        model: Pinocchio's model, to be treated as read-only; other arguments are attributes by their names too.
         declared_coordinates: the coordinates that the description declares; may be empty.
-        limit_groups: all limits by kind.
-        tool_motions: components of the tool's twist that count as its motion.
-        actuated_indices: indices of the driven joints' rates in v, shape=(number of driven joints,).
-        passive_indices: indices of all other rates in v.
-        lower_limits: least value of each entry of q, shape=(nq,) [m, rad]; -inf where there is none.
-        upper_limits: greatest value of each entry of q, shape=(nq,) [m, rad]; inf where there is none.
+        passive_joints: names of all joints that are not actuated, in the model's order.
+        actuated_indices, passive_indices: of driven joints' rates in v, shape=(number of driven joints,); all other.
+        lower_limits, upper_limits: of each entry of q, shape=(nq,) [m, rad]; infinite where there is none.
         q_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
         named_configurations: joint configurations by name, each of shape=(nq,).
-        characteristic_length: see the argument [m].
         velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
             shape=(nv,).
         closure_scale: the same for the entries of the closure error, shape=(m,).
-        files: the files that it was read from, or None.
         loop_kinematics: the mechanism's work space, one for each thread.
 
     Raises:

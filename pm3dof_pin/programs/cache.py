@@ -37,11 +37,9 @@ _known: dict[str, llvm.Compiled | ProgramError] = {}
 
 
 def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
-    """Return the compiled program of a key: from memory, as kept, or made now; where there is none, remember that.
+    """Return the compiled program of a :func:`stored` key: from memory, as kept, or made now.
 
-    Args:
-        key: see :func:`stored`.
-        make: traces the program.
+    That there is none is remembered too.
 
     Raises:
         ProgramError: `make` raises it, or LLVM does not compile the program.

@@ -78,24 +78,18 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
 
     Closures, and the tool's equations, that determine their joints are solved one after the other; those that do not,
     and share joints, are solved together. Overconstrained systems are solved as least squares; of joints whose motions
-    are redundant, some are left at rest, chosen at the samples. Convergence is quadratic where the loops can be closed.
+    are redundant, some are left at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is
+    quadratic where the loops can be closed.
 
     Inputs: q; `margin` and `jump`, 1 and 0 at first; the coordinates of the held joints and the targets of the tool, in
-    the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin`
-    and `jump`; and `residual`. The first three are the state of an iteration.
+    the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin` and
+    `jump`; and `residual`. The first three are the state of an iteration.
 
-    - `margin`: how far q is from a singular configuration before the step, and in which assembly mode. In (0, 1) it is
-      the least determinant or pivot of the systems, as a part of what is usual at the samples. 2 c less than that, c
-      positive, it tells by the bits of c which systems' determinants have another sign than at the first sample: a
-      singular configuration lies between. See :func:`regularity_and_mode`.
-    - `jump`: the one before plus the longest move of a joint in this step [rad, characteristic lengths].
-    - `residual`: the largest error before the step [m, rad].
-
-    Args:
-        mechanism: the mechanism.
-        task: what is given.
-        samples: closed configurations, shape=(s, nq), see :class:`Tree`.
-        dense: see :mod:`pm3dof_pin.programs.geometry`.
+    `margin` is how far q is from a singular configuration before the step, and in which assembly mode. In (0, 1) it is
+    the least determinant or pivot of the systems, as a part of what is usual at the samples. 2 c less than that, c
+    positive, it tells by the bits of c which systems' determinants have another sign than at the first sample: a
+    singular configuration lies between, see :func:`regularity_and_mode`. `jump` is the one before plus the longest move
+    of a joint in this step [rad, characteristic lengths], `residual` the largest error before the step [m, rad].
 
     Raises:
         ProgramError: the model has a joint of a type for which there is no program.

@@ -35,31 +35,23 @@ _POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors l
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Under which conditions commands are carried out.
+    """Under which conditions commands are carried out."""
 
-    Attributes:
-        temperature_rises: of each screw over the temperature at which the machine is as described, one number, or
-            shape=(n, number of actuated joints) [K].
-        wrenches: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default.
-        hours: since the machine was as described, one number, or shape=(n,) [h].
-    """
-
+    #: of each screw over the temperature at which the machine is as described, one number, or shape=(n, number of
+    #: actuated joints) [K]
     temperature_rises: ArrayLike = 0.0
+    #: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default
     wrenches: ArrayLike | None = None
-    hours: ArrayLike = 0.0
+    hours: ArrayLike = 0.0  #: since the machine was as described, one number, or shape=(n,) [h]
 
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """How fast a machine changes.
+    """How fast a machine changes."""
 
-    Attributes:
-        zeros: of the drives' joints, which stand too far by so much more each hour, shape=(actuated joints,) [m/h,
-            rad/h].
-        warming: of screws and members, where the machine has thermal errors, beside its measured temperatures [K/h].
-    """
-
+    #: of the drives' joints, which stand too far by so much more each hour, shape=(actuated joints,) [m/h, rad/h]
     zeros: ArrayLike
+    #: of screws and members, where the machine has thermal errors, beside its measured temperatures [K/h]
     warming: float = 0.0
 
 

@@ -131,13 +131,7 @@ class World:
         instrument: Instrument | None = None,
         given: Mapping[str, Array] | None = None,
     ) -> Measurements:
-        """Measure the machine at commands, each at its own temperature and load.
-
-        Args:
-            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
-            generator: source of the random numbers.
-            instrument: what it is measured with.
-            given: temperatures and loads that are not drawn, by the name of their column, shape=(n,) each.
+        """Measure the machine at commands [m, rad], each at its own temperature and load, drawn or given by column.
 
         Raises:
             InvalidValueError: wrenches are given, and the machine has no springs.
