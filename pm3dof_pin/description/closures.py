@@ -27,7 +27,7 @@ class LoopClosure:
 
     frame_a: str  #: frame at the end of one branch
     frame_b: str  #: frame at the end of the other
-    type: ClosureType  #: "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld)
+    type: ClosureType  # "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld)
     swing_limit: float | None = None  #: greatest angle between the z axes of the two frames [rad], or None
 
 

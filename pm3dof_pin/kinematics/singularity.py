@@ -20,9 +20,9 @@ SingularityType = Literal["constraint", "parallel", "serial", "passive"]
 class Singularity:
     """One way in which a configuration is singular."""
 
-    #: "constraint": the loop closures lose rank and the mechanism gains degrees of freedom. "parallel": the tool can
-    #: move with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it loses a
-    #: degree of freedom. "passive": passive joints can move with both at rest
+    # "constraint": the loop closures lose rank and the mechanism gains degrees of freedom. "parallel": the tool can
+    # move with the actuated joints at rest. "serial": actuated joints can move with the tool at rest, and it loses a
+    # degree of freedom. "passive": passive joints can move with both at rest
     type: SingularityType
     measure: float  #: smallest scaled singular value of the matrix that loses rank
     motions: Matrix  #: these motions as velocities, shape=(nv, k), each of length 1 in scaled numbers
@@ -33,7 +33,7 @@ class Singularity:
 class SingularityDistance:
     """How far a configuration is from one type of singularity."""
 
-    type: SingularityType  #: see :class:`Singularity`
+    type: SingularityType  # see :class:`Singularity`
     measure: float  #: the singular value that comes down to zero there, in scaled numbers
     #: the motion that is nearest to being lost or gained there, as velocities, shape=(nv,), of length 1 in scaled
     #: numbers
