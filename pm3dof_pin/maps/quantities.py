@@ -34,6 +34,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.kinematics.singularity import singularity_distances
+from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.typing import Array, Engine
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -331,12 +332,7 @@ def _drive_inertia(evaluation: Evaluation) -> Array:
 )
 def _singularity_distance(evaluation: Evaluation) -> Array:
     mapped = evaluation.mapped
-
-    def measures(q: Array) -> Array:
-        found = singularity_distances(mapped.robot.configuration(q), generic=mapped.usual_mobility)
-        return np.array([distance.measure for distance in found])
-
-    return evaluation.at_each((len(mapped.singularity_types),), measures)
+    return singularity_measures(mapped.robot, evaluation.poses, mapped.usual_mobility, **evaluation.batch)
 
 
 @quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")

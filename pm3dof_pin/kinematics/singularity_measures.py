@@ -1,0 +1,117 @@
+"""How far many poses are from each type of singularity: scaled Jacobians from a program, decomposed by LAPACK."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.exceptions import ConvergenceError, ProgramError
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.kinematics.mobility import Mobility
+from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.singularity import singularity_distances
+from pm3dof_pin.programs import cache, geometry
+from pm3dof_pin.programs.closed_motions import constraint_rows
+from pm3dof_pin.programs.graph import Graph, Scalar, maximum
+from pm3dof_pin.programs.llvm import Compiled
+from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.program import Program
+from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
+from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure
+
+_AT_ONCE = 4096  # poses whose decompositions are in memory at a time
+
+
+def singularity_measures(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    generic: Mobility,
+    *,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> Array:
+    """Measure how far many poses are from each type of singularity.
+
+    Args:
+        robot: the robot.
+        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        generic: mobility at a generic configuration, see :func:`~pm3dof_pin.kinematics.singularity.singularities`.
+        on_failure: "raise", or "nan" to mark poses that are not solved.
+        engine: "program"; or "pinocchio" for Pinocchio's Jacobians, pose by pose.
+        threads: the number of processors by default. The result does not depend on it.
+
+    Returns:
+        The measures of :func:`~pm3dof_pin.kinematics.singularity.singularity_distances`, in its order, shape=(..., k).
+
+    Raises:
+        PM3DofError: see there.
+    """
+    decisions = (generic.constraint_rank, generic.actuator_rank, generic.tool_rank, generic.idle_rank)
+    ranks = [decision.rank for decision in decisions]
+
+    def program(q: Matrix) -> tuple[Array, Mask]:
+        compiled = _compiled(robot)
+        values, sound = np.empty((len(q), 4)), np.empty(len(q), dtype=bool)
+        for first in range(0, len(q), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            values[part], sound[part] = _measured(robot, compiled, q[part], ranks, threads)
+        return values[:, np.array(ranks) > 0], sound
+
+    return evaluate_at(
+        robot,
+        poses,
+        "distances from singularities",
+        (sum(rank > 0 for rank in ranks),),
+        program=program,
+        careful=lambda q: [d.measure for d in singularity_distances(robot.configuration(q), generic=generic)],
+        on_failure=on_failure,
+        engine=engine,
+    ).values
+
+
+def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], threads: int | None) -> tuple[Array, Mask]:
+    """Return the measures at poses whose closures have their usual rank, shape=(n, 4), and which these are."""
+    groups = compiled.program.split(compiled(q, geometry.values(robot, compiled.program.parameters), threads=threads))
+    closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # and no NaN
+    rows, tool = (np.where(closed[:, None, None], groups[name], 0.0) for name in ("closures", "tool"))
+    _, sizes, directions = np.linalg.svd(rows)
+    count = (sizes > RANK_TOLERANCE * sizes.max(axis=1, initial=0.0, keepdims=True)).sum(axis=1)
+    free = np.swapaxes(directions[:, ranks[0] :], 1, 2)
+    rates = free[:, robot.actuated_indices]
+    motions = tool @ free
+    seen = (rates, motions, np.concatenate([rates, motions], axis=1))
+    values = [sizes, *(np.linalg.svd(matrix, compute_uv=False) for matrix in seen)]
+    least = [
+        v[:, rank - 1] if 0 < rank <= v.shape[1] else np.zeros(len(q)) for v, rank in zip(values, ranks, strict=True)
+    ]
+    return np.stack(least, axis=1), closed & (count == ranks[0])
+
+
+def _compiled(robot: Robot) -> Compiled:
+    """Return the program of the scaled Jacobians of closures and tool, and of the closure error."""
+
+    def trace() -> Program:
+        try:
+            poses = samples_near(robot, robot.home.q)
+        except ConvergenceError as error:
+            raise ProgramError(str(error)) from error
+        verify(robot, poses)
+        tree, unit = Tree(Graph(), robot, poses), robot.characteristic_length
+        residual: Scalar = 0.0
+        for index in range(len(robot.closures)):
+            residual = maximum(residual, closure_equations(tree, index).residual)
+        jacobian = tree.jacobian(robot.model.frames[robot.tool_frame_id].name)
+        jacobian[:3] = jacobian[:3] * (1.0 / unit)
+        jacobian[:, tree.slides] = jacobian[:, tree.slides] * unit
+        tool = jacobian[[TOOL_COMPONENTS.index(name) for name in robot.tool_motions]]
+        outputs = {"closures": constraint_rows(tree, unit), "tool": tool, "residual": residual}
+        return tree.graph.program("jacobians", outputs)
+
+    own = ("jacobians", robot.tool_motions, robot.characteristic_length)
+    return cache.known(repr((*own, geometry.structure(robot), geometry.pattern(robot))), trace)
