@@ -30,7 +30,7 @@ def closed_motions(
     tree: Tree, driven: Sequence[int], passive: Sequence[int], unit: float, doubt: Doubt
 ) -> _ClosedMotions:
     """Record the motions of a mechanism, by a unit of length [m]; joints neither driven nor passive are locked."""
-    rows = _constraint_rows(tree, unit)
+    rows = constraint_rows(tree, unit)
     count, nv = len(passive), rows.shape[1]
     result = eliminate(rows[:, [*passive, *driven]], range(count), doubt)
     columns = list(result.columns)
@@ -47,7 +47,7 @@ def closed_motions(
     return _ClosedMotions(motions[:, idle:], motions[:, :idle], relations)
 
 
-def _constraint_rows(tree: Tree, unit: float) -> Objects:
+def constraint_rows(tree: Tree, unit: float) -> Objects:
     """Return the constraint Jacobian, velocities of slides and of points in units of length, shape=(m, nv)."""
     rows = []
     for index in range(len(tree.mechanism.closures)):
