@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from pm3dof_pin.calibration.planning import STRATEGY_OF_METHOD
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import energy, pose_difference, tip_error
 from pm3dof_pin.figures.section_map import section_map
-from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.maps.error_section import error_section
+from pm3dof_pin.figures.style import FORMATS, save_pictures
+from pm3dof_pin.maps.error_section import error_outline, error_section
 from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.worlds import World
@@ -29,14 +30,22 @@ RESULTS = Path(__file__).resolve().parents[1] / "results"
 TESTS = 60
 
 
-def main(out: Path = RESULTS, method: str = "lm+gp", poses: int = 20, points: int = 41, seed: int = 1) -> None:
+def main(
+    out: Path = RESULTS,
+    method: str = "lm+gp",
+    poses: int = 20,
+    points: int = 41,
+    seed: int = 1,
+    formats: Sequence[str] = ("png",),
+) -> None:
     if "nn" in method and find_spec("sklearn") is None:
         sys.exit("networks are trained with scikit-learn: pip install 'pm3dof-pin[learning]', or another --method")
     errors = pm.GeometricErrors.load("pm3dof")
     grid = section_grid(errors.robot, points=points)
     assert grid is not None
     section, _ = error_section(errors, grid)
-    print(save_figure(section_map(section, "tip_rms"), out / "section_8_3_error_map.png"))
+    figure = section_map(section, "tip_rms", error_outline(errors, grid, section))
+    print(*save_pictures(figure, out / "section_8_3_error_map", formats), sep="\n")
     print(write_csv(section, out / "section_8_3_error_map.csv"))
 
     generator = np.random.default_rng(seed)
@@ -67,4 +76,5 @@ if __name__ == "__main__":
     parser.add_argument("--poses", type=int, default=20, help="number of poses measured")
     parser.add_argument("--points", type=int, default=41, help="of the error map, along each tilt")
     parser.add_argument("--seed", type=int, default=1, help="of the machine")
+    parser.add_argument("--format", dest="formats", nargs="+", choices=FORMATS, default=["png"], help="of the picture")
     main(**vars(parser.parse_args()))
