@@ -168,7 +168,7 @@ def _sheet(
         same_unit=units[0] == units[1],
         title=f"{title}{separator}{section_of}" if stands else title,
         # the title has the words too, so long ones are left out here
-        label=in_brackets(words if len(words) <= _LONGEST_LABEL or not unit else "", unit).strip(),
+        label=in_brackets(words if len(words) <= _LONGEST_LABEL else "", unit).strip(),
     )
 
 

@@ -71,7 +71,11 @@ class _Sheet:
         self.units = space.units
         self.labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units, strict=True)]
         self.same_unit = space.units[0] == space.units[1]
-        self.styles = limit_styles(space.limits)
+        # where several limits bind the first is shown; those that are shown have colours of their own
+        flags = np.concatenate([section.limits for section in workspace.sections])
+        lowest = np.log2((flags & -flags.astype(np.int64))[flags > 0]).astype(int)
+        self.shown_limits = [space.limits[k] for k in np.unique(lowest)]
+        self.styles = limit_styles([*self.shown_limits, *(n for n in space.limits if n not in self.shown_limits)])
         self.printed_label = "" if printed is None else printed.label
         self.printed = None
         if printed is not None:
@@ -303,6 +307,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
             level = float(drawn(section.level, sheet.units[2]))
             text = f"{level:.3f}" if sheet.units[2] == "m" else f"{level:.1f}"
+            text = text.replace("-", "\N{MINUS SIGN}")
             axes.text(x, y, text, fontsize=6.5, ha="center", va="center", bbox=box)
     if sheet.workspace.space.stacked:
         axes.text(0.02, 0.98, f"on the lines: {sheet.labels[2]}", fontsize=7.0, va="top", transform=axes.transAxes)
@@ -348,8 +353,7 @@ def _rectangle(across: Array, up: Array) -> Rectangle:
 
 
 def _add_legend(figure: Figure, sheet: _Sheet) -> None:
-    binding = [name for name, share in sheet.workspace.limit_shares.items() if share > 0.0]
-    handles: list[Any] = [Patch(color=sheet.styles[name][0], label=sheet.styles[name][1]) for name in binding]
+    handles: list[Any] = [Patch(color=sheet.styles[k][0], label=sheet.styles[k][1]) for k in sheet.shown_limits]
     if sheet.printed is not None:
         handles.append(Line2D([], [], color=INK, linestyle=(0, (4, 3)), linewidth=0.9, label=sheet.printed_label))
     figure.legend(handles=handles, loc="lower left", ncols=min(3, max(1, len(handles))))
