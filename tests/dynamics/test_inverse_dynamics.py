@@ -10,7 +10,15 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.dynamics import holding_forces, inverse_dynamics, loop_motion, manifold_mass_matrix, mass_matrix
+from pm3dof_pin.description.closures import LoopClosure
+from pm3dof_pin.dynamics import (
+    drive_mass_matrix,
+    holding_forces,
+    inverse_dynamics,
+    loop_motion,
+    manifold_mass_matrix,
+    mass_matrix,
+)
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import independent_motions
 from pm3dof_pin.kinematics.robot import Robot
@@ -186,3 +194,49 @@ def test_arguments_of_a_wrong_shape_are_refused(tilted: Configuration) -> None:
         inverse_dynamics(tilted, [1.0, 2.0, 3.0], [np.nan, 0.0, 0.0])
     with pytest.raises(InvalidValueError, match="motions"):
         manifold_mass_matrix(tilted, np.ones((5, 2)))
+
+
+def test_acceleration_of_two_wrists_that_hold_one_body() -> None:
+    """Three turns each about other axes in turn, closed by a whole frame: second differences of the joints."""
+    model = pin.Model()
+    for wrist, turns in {"a": "XYZ", "b": "ZXY"}.items():
+        parent = 0
+        for axis in turns:
+            parent = model.addJoint(parent, getattr(pin, f"JointModelR{axis}")(), pin.SE3.Identity(), f"{wrist}{axis}")
+        placement = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.4])), np.array([0.1, 0.2, 0.3]))
+        model.addFrame(pin.Frame(f"hand_{wrist}", parent, placement, pin.FrameType.OP_FRAME))
+    robot = Robot(
+        model, [LoopClosure("hand_a", "hand_b", "6d")], actuated_joints=["aX", "aY", "aZ"], tool_frame="hand_a"
+    )
+    start, rates, accelerations = np.array([0.4, -0.3, 0.6]), np.array([0.7, 0.5, -0.9]), np.array([0.2, -0.4, 0.3])
+    step = 1e-4
+    times = step * np.array([-1.0, 0.0, 1.0])[:, None]
+    q = robot.forward(start + rates * times + 0.5 * accelerations * times**2, engine="pinocchio").q
+    motion = loop_motion(robot.configuration(q[1]), rates, accelerations)
+    np.testing.assert_allclose(motion.velocity, (q[2] - q[0]) / (2.0 * step), atol=1e-6)
+    np.testing.assert_allclose(motion.acceleration, (q[2] - 2.0 * q[1] + q[0]) / step**2, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["pm3dof", "hexapod", "linear_delta"])
+def test_the_mass_that_drives_feel_by_differences_of_poses(name: str) -> None:
+    """Kinetic energy of the whole tree at the joint rates that the drives' travels lead to."""
+    robot = Robot.load(name)
+    scales = np.array([command.scale for command in robot.command_coordinates])
+    home, count, step = robot.home.commands, len(scales), 1e-5
+    near = robot.forward(
+        np.concatenate([home + sign * step * np.diag(scales) for sign in (1.0, -1.0)]),
+        guess=robot.home,
+        engine="pinocchio",
+    ).q
+    rates = (near[:count] - near[count:]).T / (2.0 * step)
+    mass = pin.crba(robot.model, robot.model.createData(), np.array(robot.home.q))
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    expected = rates.T @ mass @ rates
+    np.testing.assert_allclose(drive_mass_matrix(robot.home), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_drives_that_leave_the_tool_free_feel_no_mass() -> None:
+    robot = Robot.load("hexapod")
+    lame = robot.replace(actuated_joints=robot.actuated_joints[:5], commands=(), coordinates=(), motion_coordinates=())
+    with pytest.raises(SingularConfigurationError, match="the tool can move with the actuated joints at rest"):
+        drive_mass_matrix(lame.home)

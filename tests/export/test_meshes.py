@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from pm3dof_pin.description.own_files import package_of
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.formats import export_robot
 
@@ -83,3 +84,11 @@ def test_a_folder_that_is_named_is_one_of_ours(folder: Path, tmp_path: Path) -> 
     urdf = _write(folder / "urdf" / "arm.urdf", ROBOT.format("keys.stl"))
     export_robot(urdf, "urdf", tmp_path / "out", package_paths=[tmp_path / "private"])
     assert (tmp_path / "out" / "meshes" / "keys.stl").is_file()
+
+
+def test_a_package_is_not_looked_for_without_end(tmp_path: Path) -> None:
+    """Or a package.xml far above, in somebody's home, would make everything below it one's own."""
+    (tmp_path / "package.xml").touch()
+    near, far = tmp_path / "a" / "b" / "c" / "urdf", tmp_path / "a" / "b" / "c" / "d" / "e" / "urdf"
+    assert package_of(near / "arm.urdf") == tmp_path
+    assert package_of(far / "arm.urdf") == far.parent

@@ -261,3 +261,17 @@ def _random_loop(rng: np.random.Generator, kind: str) -> tuple[Robot, np.ndarray
     mechanism = Robot(model, [closure])
     assert mechanism.configuration(solution).closure_residual < 1e-14
     return mechanism, solution
+
+
+def test_a_whole_orientation_is_found_where_its_angles_are_singular() -> None:
+    """R = Rx Ry Rz with ry a right angle: only rx + rz shows."""
+    model = pin.Model()
+    parent = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "float")
+    model.addFrame(pin.Frame("tool", parent, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    robot = Robot(model, tool_frame="tool")
+    angles = {"rx": 0.3, "ry": np.pi / 2.0, "rz": 0.2}
+    found = assemble(robot, robot.home, tool=angles)
+    assert found.converged
+    assert found.steps < 20
+    turns = [pin.utils.rotate(axis, angle) for axis, angle in zip("xyz", angles.values(), strict=True)]
+    np.testing.assert_allclose(found.configuration.tool_placement.rotation, turns[0] @ turns[1] @ turns[2], atol=1e-9)

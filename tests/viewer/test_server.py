@@ -111,6 +111,7 @@ def test_the_page_and_nothing_else(viewer: Viewer) -> None:
     assert viewer.start() == url
     with urllib.request.urlopen(url) as answer:
         assert answer.headers["Cache-Control"] == "no-store"
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
         assert 'data-socket="yes"' in answer.read().decode()
     with pytest.raises(urllib.error.HTTPError, match="404") as error, urllib.request.urlopen(f"{url}etc/passwd"):
         pass
