@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import http.client
 import logging
@@ -11,8 +12,10 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tornado.websocket import websocket_connect
 
 from pm3dof_pin.exceptions import ServerError
 from pm3dof_pin.kinematics.robot import Robot
@@ -134,6 +137,22 @@ def test_other_sites_cannot_listen_in(viewer: Viewer, origin: str | None, status
         connection.request("GET", "/socket", headers=headers)
         with connection.getresponse() as answer:
             assert answer.status == status
+
+
+def test_a_change_reaches_an_open_page(viewer: Viewer) -> None:
+    url = viewer.start()
+
+    async def messages() -> tuple[Any, Any]:
+        page = await websocket_connect(f"ws://127.0.0.1:{port_of(url)}/socket")
+        whole = await asyncio.wait_for(page.read_message(), 10.0)
+        viewer.set_title("another title")  # from a thread that is not the server's
+        change = await asyncio.wait_for(page.read_message(), 10.0)
+        page.close()
+        return whole, change
+
+    whole, change = asyncio.run(messages())
+    assert "another title" not in str(whole)
+    assert "another title" in str(change)
 
 
 @pytest.mark.parametrize(
