@@ -6,6 +6,7 @@ import math
 
 import yaml
 
+from pm3dof_pin.description.xml_file import comment_text
 from pm3dof_pin.export.plain_urdf import urdf_text
 from pm3dof_pin.export.robot_document import RobotDocument
 
@@ -26,7 +27,10 @@ def gepetto_files(robot: RobotDocument) -> dict[str, str]:
         "joint_type": [],
     }
     lines = [f"{key}: {_flow(value)}\n" for key, value in content.items()]
-    return {"robot.urdf": urdf_text(robot), "robot.yaml": _BANNER.format(name=robot.name) + "".join(lines)}
+    return {
+        "robot.urdf": urdf_text(robot),
+        "robot.yaml": _BANNER.format(name=comment_text(robot.name)) + "".join(lines),
+    }
 
 
 def _flow(value: object) -> str:
