@@ -15,7 +15,7 @@ import trimesh
 import yaml
 import yourdfpy
 
-from pm3dof_pin.cli.export import Format
+from pm3dof_pin.cli.export import _Format
 from pm3dof_pin.description.robots import find_robot, robots_directory
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, PM3DofError, UnknownRobotError
 from pm3dof_pin.export.description import description_files, same_but_rounding
@@ -248,7 +248,7 @@ def test_joints_without_limits_have_none_elsewhere(tmp_path: Path, limit: str) -
 
 
 def test_the_command_knows_all_formats() -> None:
-    assert tuple(Format) == FORMATS
+    assert tuple(_Format) == FORMATS
 
 
 def test_the_command_writes_and_says_what(run: Run, four_bar: Path, tmp_path: Path) -> None:
