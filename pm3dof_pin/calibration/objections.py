@@ -19,6 +19,7 @@ from pm3dof_pin.exceptions import (
     ConvergenceError,
     InvalidValueError,
     PM3DofError,
+    SingularConfigurationError,
     UnreachablePoseError,
 )
 from pm3dof_pin.measuring.measurements import Measurements
@@ -60,7 +61,7 @@ def calibrate_and_object(
         held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
         if held_out is not None:
             calibration = calibration.with_scatter(held_out.scatter)
-    except (ConvergenceError, UnreachablePoseError, InvalidValueError) as error:
+    except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
         raise refusal([str(error)], measurements, errors, options.eta) from error
     progress(2, 2)
     reasons = objections(calibration, held_out)

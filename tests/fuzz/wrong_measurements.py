@@ -353,8 +353,8 @@ WRONG: dict[str, Wrong] = {
     "commands in inches": Wrong(_scaled("commands", 1.0 / 25.4e-3), "limits"),
     # positions and orientations
     "x and y": Wrong(_axes(SWAP_XY), "mirrored|permuted"),
-    "x and y of the positions": Wrong(_axes(SWAP_XY, turns=False), "mirrored|swapped"),
-    "y and z of the positions": Wrong(_axes(SWAP_YZ, turns=False), "mirrored|swapped"),
+    "x and y of the positions": Wrong(_axes(SWAP_XY, turns=False), "mirrored|swapped|another frame"),
+    "y and z of the positions": Wrong(_axes(SWAP_YZ, turns=False), "mirrored|swapped|another frame"),
     "y mirrored": Wrong(_axes(MIRROR_Y), "mirrored|permuted"),
     "left-handed, cyclic": Wrong(_axes(-np.roll(np.eye(3), 1, axis=0)), "mirrored|--own-frame|permuted"),
     "x of the positions mirrored": Wrong(_axes(np.diag([-1.0, 1.0, 1.0]), turns=False), "mirrored"),
