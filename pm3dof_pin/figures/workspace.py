@@ -30,6 +30,7 @@ _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
 _HALVINGS = 14
+_NEAR = 0.3  # of a radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +237,10 @@ def _cut(
         part = 0.5 * (low + high)
         _, limit = _boundary(sheet, *(first + part * (last - first)))
         low, high = np.where(limit == own, part, low), np.where(limit == own, high, part)
-    _, azimuth, level = first + low * (last - first)
-    radius, _ = _boundary(sheet, *(first + low * (last - first)))
+    chord, azimuth, level = first + low * (last - first)
+    radius, _ = _boundary(sheet, chord, azimuth, level)
+    # far from the chord another part of the set was met, which too few sections do not show
+    radius = np.where(np.abs(radius - chord) < _NEAR * chord, radius, chord)
     edge = np.full(corners.shape, np.nan)
     edge[crossed] = sheet.placed(radius, azimuth, level)
     parts: list[Array] = []
@@ -258,8 +261,9 @@ def _cut(
 def _boundary(sheet: _Sheet, radius: Array, azimuth: Array, level: Array) -> tuple[Array, NDArray[np.intp]]:
     """Return the radius of the reachable set near given ones, by bisection, and the limit that is broken beyond."""
     space = sheet.workspace.space
-    inner, outer = np.maximum(radius - space.ray_step, 0.0), radius + space.ray_step
-    for _ in range(_HALVINGS):
+    # the sections are star-shaped, so that a ray leaves them once
+    inner, outer = np.zeros(radius.shape), np.minimum(2.0 * radius + space.ray_step, space.reach)
+    for _ in range(_HALVINGS + 8):
         middle = 0.5 * (inner + outer)
         keeps = space.within(space.points(middle, azimuth), level)
         inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
