@@ -30,7 +30,7 @@ _CAN_BE_TAKEN = 0.9  # of the commands, at least
 
 
 @dataclass(frozen=True)
-class Cause:
+class _Cause:
     """A mistake that explains why measurements do not fit.
 
     Attributes:
@@ -49,7 +49,7 @@ class Cause:
 
 def likely_cause(
     measurements: Measurements, robot: Robot, eta: float = TIP_LENGTH, *, least: float = 0.0
-) -> Cause | None:
+) -> _Cause | None:
     """Find the mistake that explains best why measurements do not fit a robot; None if none of the usual ones does.
 
     Args:
@@ -68,7 +68,7 @@ def likely_cause(
     if before <= least or len(measurements.visits) < _FEWEST:
         return None
 
-    def explanations(mistakes: Iterable[Mistake]) -> list[Cause]:
+    def explanations(mistakes: Iterable[Mistake]) -> list[_Cause]:
         found = []
         for mistake in mistakes:
             try:
@@ -79,7 +79,7 @@ def likely_cause(
             except PM3DofError:
                 continue
             if after < _EXPLAINS * before:
-                found.append(Cause(mistake.text, before, after))
+                found.append(_Cause(mistake.text, before, after))
         return found
 
     whole = _simplest(explanations(usual_mistakes(measurements, nominal, eta)))
@@ -89,7 +89,7 @@ def likely_cause(
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
 
 
-def _simplest(causes: list[Cause]) -> Cause | None:
+def _simplest(causes: list[_Cause]) -> _Cause | None:
     """Return the first of those that explain about as much as the best."""
     best = min((cause.after for cause in causes), default=0.0)
     return next((cause for cause in causes if cause.after <= _AS_WELL * best), None)

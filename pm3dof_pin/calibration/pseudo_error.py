@@ -31,7 +31,7 @@ _SHOWN = 1e-4  # of the best seen direction of a pose: one that is 100 times as 
 
 
 @dataclass(frozen=True, eq=False)
-class SeenErrors:
+class _SeenErrors:
     """Errors of poses against a model, as far as measurements show them, in tip-weighted components."""
 
     errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
@@ -39,7 +39,7 @@ class SeenErrors:
     shown: Array  #: projections on the directions that are shown, shape=(visits, 6, 6)
 
 
-def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> SeenErrors:
+def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> _SeenErrors:
     """Put the rows of each visit together, against the model's poses; eta weighs the orientation [m/rad]."""
     visits, count = measurements.visit_numbers, len(poses)
     at_rows, weights = poses[visits], tip_weights(eta)
@@ -55,19 +55,19 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
     transposed = np.swapaxes(axes, 1, 2)
     covariances = (axes * inverse[:, None, :]) @ transposed
     shown = (axes * known[:, None, :]) @ transposed
-    return SeenErrors(np.einsum("nij,nj->ni", covariances, pull), covariances, shown)
+    return _SeenErrors(np.einsum("nij,nj->ni", covariances, pull), covariances, shown)
 
 
 @dataclass(frozen=True, eq=False)
-class PseudoErrors:
+class _PseudoErrors:
     """Pseudo-errors found from measurements against a model of the machine, one for each visit."""
 
     deviations: Array  #: du, shape=(visits, number of commands) [m, rad]
     covariances: Array  #: of du, from the measurements' noise, shape=(visits, number of commands, same)
-    at_commands: SeenErrors  #: what is seen of the tip-weighted error of the model at the commands
+    at_commands: _SeenErrors  #: what is seen of the tip-weighted error of the model at the commands
     left: Array  #: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m]
     control: Array  #: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands)
-    seen: SeenErrors  #: errors at the deviated commands with their noise
+    seen: _SeenErrors  #: errors at the deviated commands with their noise
 
     @property
     def before(self) -> Array:
@@ -87,7 +87,7 @@ def control_inverse(control: Array, seen: float = SEEN) -> Array:
 
 def pseudo_errors(
     measurements: Measurements, model: Poses, eta: float = TIP_LENGTH, *, seen: float = SEEN
-) -> PseudoErrors:
+) -> _PseudoErrors:
     """Find the deviations of the commands that explain measurements, by inverting a model's kinematics at the visits.
 
     Raises:
@@ -99,7 +99,7 @@ def pseudo_errors(
     def residuals(poses: Poses) -> Array:
         return seen_errors(measurements, poses, eta).errors
 
-    def control(poses: Poses, found: SeenErrors) -> Array:
+    def control(poses: Poses, found: _SeenErrors) -> Array:
         return np.asarray(found.shown @ weighted_control(poses, eta))
 
     def step(poses: Poses) -> Array:
@@ -112,4 +112,4 @@ def pseudo_errors(
     gain = scales[:, None] * control_inverse(reached, seen)
     covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
     at_commands = seen_errors(measurements, model, eta)
-    return PseudoErrors(deviations, covariances, at_commands, found.errors, reached, found)
+    return _PseudoErrors(deviations, covariances, at_commands, found.errors, reached, found)

@@ -13,7 +13,7 @@ from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_nu
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.progress import progress_bar
-from pm3dof_pin.cli.table import robot_of_engine, rows_as_data, rows_as_lines
+from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -196,7 +196,7 @@ def _map_of_chapter(
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
-    tripod, machine = which.tripod(), robot_of_engine(engine, which)
+    tripod, machine = which.tripod(), which.load() if engine is EngineName.PINOCCHIO else None
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []

@@ -11,7 +11,6 @@ from pm3dof_pin.cli.output import print_result, table_lines
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.table_8_3 import TableRow
-    from pm3dof_pin.kinematics.robot import Robot
 
 
 def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = EngineName.PROGRAM) -> None:
@@ -19,13 +18,9 @@ def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption
     from pm3dof_pin.chapter import table_8_3 as table
 
     which = MachineOptions(config=config)
-    rows = table.table_8_3(which.tripod(), robot=robot_of_engine(engine, which))
+    robot = which.load() if engine is EngineName.PINOCCHIO else None
+    rows = table.table_8_3(which.tripod(), robot=robot)
     print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
-
-
-def robot_of_engine(engine: EngineName, which: MachineOptions) -> Robot | None:
-    """Return the chapter's machine on Pinocchio for `--engine pinocchio`, and None for the closed form."""
-    return which.load() if engine is EngineName.PINOCCHIO else None
 
 
 def rows_as_data(rows: Sequence[TableRow]) -> list[dict[str, Any]]:

@@ -58,7 +58,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class PathPoint:
+class _PathPoint:
     """One equilibrium on the path."""
 
     factor: float  #: what the growing loads are multiplied by
@@ -78,7 +78,7 @@ class PathPoint:
         """Whether the equilibrium resists every motion."""
         return self.state.least_eigenvalue > 0.0
 
-    def reversed(self) -> PathPoint:
+    def reversed(self) -> _PathPoint:
         """Return the same point, with the path followed the other way."""
         return replace(self, direction=-self.direction)
 
@@ -87,8 +87,8 @@ class PathPoint:
 class PathStep:
     """One step along the path."""
 
-    start: PathPoint  #: where it began
-    end: PathPoint  #: where it ended
+    start: _PathPoint  #: where it began
+    end: _PathPoint  #: where it ended
     length: float  #: how long it is
     bifurcation: bool  #: whether two paths meet within it
 
@@ -140,13 +140,13 @@ class LoadPath:
         start = LoadedState(self._model, self.rest, self._applied(factor), guess)
         return find_equilibrium(start, tolerance=self._tolerance, max_steps=self._max_steps)
 
-    def begin(self, state: LoadedState, typical_factor: float) -> PathPoint:
+    def begin(self, state: LoadedState, typical_factor: float) -> _PathPoint:
         """Return the beginning of the path, at factor 0, in the direction of growing load, by a typical factor."""
         self._typical_factor = typical_factor
         self._typical_strain = float(np.linalg.norm(state.force(self.growing))) * typical_factor or 1.0
         towards = np.zeros(len(state.motions.whitened) + len(self.rest.constraint_jacobian.T) + 1)
         towards[-1] = 1.0
-        return PathPoint(0.0, state, self._direction(state, towards), 0)
+        return _PathPoint(0.0, state, self._direction(state, towards), 0)
 
     def settle(self) -> tuple[LoadedState, int]:
         """Find where the mechanism stands under the full growing loads, and the corrections of the last step.
@@ -209,7 +209,7 @@ class LoadPath:
         state, _ = path.settle()
         return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
 
-    def straight(self, point: PathPoint, length: float) -> PathPoint:
+    def straight(self, point: _PathPoint, length: float) -> _PathPoint:
         """Go on along the path by a length, straight on at bifurcations, and round limit points.
 
         Raises:
@@ -220,7 +220,7 @@ class LoadPath:
             _log.warning("bifurcation at a factor of %.6g, branch followed: straight on", step.start.factor)
         return step.end
 
-    def advance(self, point: PathPoint, length: float) -> PathStep:
+    def advance(self, point: _PathPoint, length: float) -> PathStep:
         """Go on along the path by a length, or less where the path bends or branches.
 
         Raises:
@@ -248,11 +248,11 @@ class LoadPath:
             point, "it runs into a singular configuration, a dead point of its passive joints" if nearly else ""
         )
 
-    def point_at(self, point: PathPoint, length: float) -> PathPoint | None:
+    def point_at(self, point: _PathPoint, length: float) -> _PathPoint | None:
         """Return the point of the path at a distance from another; None if not found, or if the path turns sharply."""
         return self._corrected(point, length, None)
 
-    def follow(self, point: PathPoint, factor: float) -> PathPoint:
+    def follow(self, point: _PathPoint, factor: float) -> _PathPoint:
         """Follow the path to a factor. Where it stops being stable at a bifurcation, a stable branch is taken.
 
         Raises:
@@ -283,7 +283,7 @@ class LoadPath:
             point, length = step.end, _GROWTH * step.length
         self._give_up(point, f"after {_MOST_POINTS} points a factor of {factor:.6g} is still not reached")
 
-    def critical_point(self, step: PathStep) -> PathPoint:
+    def critical_point(self, step: PathStep) -> _PathPoint:
         """Return the point within a step where an eigenvalue of the tangent changes its sign.
 
         The bracket closes in from the nearest point found so far, so that every search begins next to the path.
@@ -291,7 +291,7 @@ class LoadPath:
         near, far, width = step.start, step.end, step.length
         index = min(near.state.instability, far.state.instability)
 
-        def value(point: PathPoint) -> float:
+        def value(point: _PathPoint) -> float:
             return float(point.state.eigenvalues[index])
 
         best = min(near, far, key=lambda point: abs(value(point)))
@@ -310,7 +310,7 @@ class LoadPath:
             best = min(best, found, key=lambda point: abs(value(point)))
         return best
 
-    def _past_bifurcation(self, step: PathStep, *, grows: bool) -> PathPoint:
+    def _past_bifurcation(self, step: PathStep, *, grows: bool) -> _PathPoint:
         """Go on past a bifurcation: on a stable branch if the path was stable, else straight on."""
         if not step.start.stable:
             _log.warning("bifurcation at a factor of %.6g, branch followed: straight on, unstable", step.start.factor)
@@ -340,12 +340,12 @@ class LoadPath:
         name = mechanism.model.names[1 + int(np.searchsorted(np.cumsum(joints), most, side="right"))]
         return f"with '{name}' {'growing' if velocity[most] > 0.0 else 'falling'}"
 
-    def _give_up(self, point: PathPoint, why: str) -> NoReturn:
+    def _give_up(self, point: _PathPoint, why: str) -> NoReturn:
         residual = float(np.abs(point.state.unbalanced).max(initial=0.0))
         task = f"the load path beyond a factor of {point.factor:.8g}"
         raise ConvergenceError(task, residual, "N or N m", point.steps, why)
 
-    def _corrected(self, point: PathPoint, length: float, target: float | None) -> PathPoint | None:
+    def _corrected(self, point: _PathPoint, length: float, target: float | None) -> _PathPoint | None:
         """Go along the path's direction and come back to the path: the shortest way, or at a factor if one is given."""
         y, rise = self._split(point.state, length * point.direction)
         factor, velocity = point.factor + rise, point.state.bearing_motions @ y
@@ -369,7 +369,7 @@ class LoadPath:
                     state, factor = closer, factor + rise
                 direction = self._direction(state, point.direction)
                 turned = direction @ point.direction < _SHARPEST_TURN
-                return None if turned else PathPoint(factor, state, direction, count + 1)
+                return None if turned else _PathPoint(factor, state, direction, count + 1)
             state, factor = closer, factor + rise
         return None
 
@@ -404,13 +404,13 @@ class LoadPath:
         return np.append(state.invariant(nearest[:-1]), nearest[-1])
 
 
-def _one_piece(start: PathPoint, end: PathPoint) -> bool:
+def _one_piece(start: _PathPoint, end: _PathPoint) -> bool:
     """Tell whether nothing happens between two points of a path, or one limit point."""
     changed = abs(end.state.instability - start.state.instability)
     return changed == (end.load_grows != start.load_grows)
 
 
-def _crossing(start: PathPoint, end: PathPoint) -> float:
+def _crossing(start: _PathPoint, end: _PathPoint) -> float:
     """Estimate where between two points an eigenvalue vanishes, as a part of their distance."""
     index = min(start.state.instability, end.state.instability)
     near, far = float(start.state.eigenvalues[index]), float(end.state.eigenvalues[index])

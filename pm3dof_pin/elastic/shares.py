@@ -18,7 +18,7 @@ from pm3dof_pin.typing import Array
 
 
 @dataclass(frozen=True)
-class SpringShare:
+class _SpringShare:
     """One spring's part in the deflection under a load."""
 
     spring: str  #: its name
@@ -41,7 +41,7 @@ def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
     return total
 
 
-def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -> list[SpringShare]:
+def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -> list[_SpringShare]:
     """Return the springs of one pose in the order of their :func:`shares`: the first is the critical component.
 
     Raises:
@@ -50,7 +50,7 @@ def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -
     parts = _energies(contributions, wrench)
     size = float(np.linalg.norm(np.asarray(wrench, dtype=float)))
     order = np.argsort(-parts, kind="stable")
-    return [SpringShare(names[j], float(parts[j] / parts.sum()), float(parts[j]) / size) for j in order]
+    return [_SpringShare(names[j], float(parts[j] / parts.sum()), float(parts[j]) / size) for j in order]
 
 
 def stiffness_derivatives(contributions: ArrayLike, stiffnesses: ArrayLike) -> Array:

@@ -13,7 +13,7 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
 from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.rays import Index, explored
-from pm3dof_pin.maps.workspace_section import WorkspaceSection, boundary_points, limit_shares, workspace_sections
+from pm3dof_pin.maps.workspace_section import WorkspaceSection, limit_shares, workspace_sections
 from pm3dof_pin.typing import Array, Mask
 
 LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
@@ -69,7 +69,7 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
     if stack.ndim != 1 or len(stack) < _LEAST_LEVELS or not np.all(np.isfinite(stack)) or np.any(np.diff(stack) <= 0.0):
         raise InvalidValueError("levels", levels, "at least two finite numbers in growing order")
     sections = tuple(workspace_sections(space, stack, directions))
-    boundary = np.concatenate([boundary_points(section) for section in sections])
+    boundary = np.concatenate([section.polar_points for section in sections])
     if len(boundary) == 0:
         name, unit = space.names[2], space.units[2]
         place = f"{name} = {stack[0]:g} {unit} and {stack[-1]:g} {unit}"

@@ -55,6 +55,11 @@ class WorkspaceSection:
         return self.space.points(self.radii, self.azimuths[self.rays])
 
     @property
+    def polar_points(self) -> Array:
+        """(radius, azimuth, level) of the boundary points, shape=(m, 3)."""
+        return np.stack([self.radii, self.azimuths[self.rays], np.full(len(self.rays), self.level)], axis=-1)
+
+    @property
     def area(self) -> float:
         """Area of the section in the plane of both coordinates, in the product of their units."""
         signed = np.where(self.leaving, 0.5, -0.5) * self.radii**2
@@ -93,11 +98,6 @@ def workspace_sections(
     return _with_ranges(space, sections, 2.0 * np.pi / directions) if ranges else sections
 
 
-def boundary_points(section: WorkspaceSection) -> Array:
-    """Return (radius, azimuth, level) of the boundary points, shape=(m, 3)."""
-    return np.stack([section.radii, section.azimuths[section.rays], np.full(len(section.rays), section.level)], axis=-1)
-
-
 def limit_shares(space: LimitSpace, limits: Flags) -> dict[str, float]:
     """Return the share of each limit in sums of limits, shape=(m,); where several bind, each counts in equal parts."""
     bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(space.limits))], axis=-1)
@@ -110,6 +110,6 @@ def _with_ranges(space: LimitSpace, sections: list[WorkspaceSection], half_width
     filled = [section for section in sections if not section.empty]
     if not filled:
         return sections
-    starts = np.stack([sampled_extremes(boundary_points(section)) for section in filled])
+    starts = np.stack([sampled_extremes(section.polar_points) for section in filled])
     ranges = iter(extreme_values(space, refined_extremes(space, starts, window(half_width))))
     return [section if section.empty else replace(section, ranges=next(ranges)) for section in sections]

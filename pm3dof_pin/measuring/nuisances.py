@@ -86,7 +86,7 @@ class Nuisance(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class InstrumentFrame:
+class _InstrumentFrame:
     """Where the base is, beyond the registration: a twist in the base's axes."""
 
     kind = "frame"
@@ -105,7 +105,7 @@ class InstrumentFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class PointOffsets:
+class _PointOffsets:
     """Where points sit on the tool, beyond what the measurements say, in the tool's axes.
 
     Attributes:
@@ -157,7 +157,7 @@ class PointOffsets:
 
 
 @dataclass(frozen=True, eq=False)
-class SphereCentres:
+class _SphereCentres:
     """Where the centres of touched spheres are, beyond where the machine as described has them.
 
     Attributes:
@@ -230,7 +230,7 @@ class Drift:
     @property
     def units(self) -> tuple[str, ...]:
         """See :class:`Nuisance`."""
-        return (*InstrumentFrame.units, *self.drive_units)
+        return (*_InstrumentFrame.units, *self.drive_units)
 
     @property
     def scales(self) -> Array:
@@ -257,7 +257,7 @@ class Drift:
 
 
 @dataclass(frozen=True, eq=False)
-class Hysteresis:
+class _Hysteresis:
     """By how much each drive stands elsewhere when it comes from below, less when it comes from above.
 
     Attributes:
@@ -313,7 +313,7 @@ class Nuisances:
         """Return what measurements depend on, as they say themselves; drives have units "m" or "rad" each."""
         parts: list[Nuisance] = []
         if measurements.registration is not None:
-            parts.append(InstrumentFrame())
+            parts.append(_InstrumentFrame())
         points = measurements.points[np.unique(measurements.target_numbers, return_index=True)[1]]
         off = points.any(axis=1)
         for kind, chosen, sigma in (
@@ -321,14 +321,14 @@ class Nuisances:
             ("tool_point", points[~off], measurements.tool_point_sigma),
         ):
             if len(chosen) and sigma > 0.0:
-                parts.append(PointOffsets(frozen(chosen), sigma, kind))
+                parts.append(_PointOffsets(frozen(chosen), sigma, kind))
         if measurements.spheres is not None:
-            parts.append(SphereCentres(np.setdiff1d(measurements.spheres, [-1])))
+            parts.append(_SphereCentres(np.setdiff1d(measurements.spheres, [-1])))
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
             parts.append(Drift(float(times.min()), float(np.ptp(times)), drive_units))
         if measurements.approaches is not None and measurements.approaches.any():
-            parts.append(Hysteresis(drive_units))
+            parts.append(_Hysteresis(drive_units))
         return cls(tuple(parts))
 
     def __len__(self) -> int:
@@ -349,7 +349,7 @@ class Nuisances:
         frame, targets = self.columns("frame"), self.columns("targets")
         found[np.arange(len(frame)), frame] = 1.0
         for part in self.parts:
-            if isinstance(part, PointOffsets) and (part.kind == "targets" or not targets.size):
+            if isinstance(part, _PointOffsets) and (part.kind == "targets" or not targets.size):
                 rows = np.concatenate([np.hstack([np.eye(3), -_cross(point)]) for point in part.points])
                 found[6:, self.columns(part.kind)] = np.linalg.pinv(rows)
         return found

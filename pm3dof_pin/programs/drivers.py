@@ -36,26 +36,11 @@ def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str 
     text.prepare()
     text.straight_line()
     text.evaluate()
-    if can_iterate(program):
+    if program.can_iterate:
         text.iterate()
-    if can_march(program):
+    if program.can_march:
         text.march()
     return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
-
-
-def state_size(program: Program) -> int:
-    """Return the number of outputs before the last one, the residual."""
-    return len(program.results) - 1
-
-
-def can_iterate(program: Program) -> bool:
-    """Whether the outputs can be the next values of the first inputs, and a residual."""
-    return 1 <= state_size(program) <= len(program.inputs)
-
-
-def can_march(program: Program) -> bool:
-    """Whether the program closes loops, its state being q, `margin` and `jump`."""
-    return can_iterate(program) and tuple(program.outputs) == ("q", "margin", "jump", "residual")
 
 
 class _Drivers(StraightLine):
@@ -75,7 +60,7 @@ class _Drivers(StraightLine):
 
     def iterate(self) -> None:
         """Emit the loop over blocks of poses, and in it the loop over steps."""
-        n = state_size(self.program)
+        n = self.program.state_size
         self.begin_function("iterate", _ROWS, _STEPS)
         tolerance = self.spread("%tolerance")
         self.begin_blocks("done")
@@ -89,7 +74,7 @@ class _Drivers(StraightLine):
 
     def steps(self, before: str, tolerance: str) -> None:
         """Emit the loop over steps of a block, entered from the label `before`, and the label `done` after it."""
-        n = state_size(self.program)
+        n = self.program.state_size
         self.label("step")
         zeros = "zeroinitializer"
         everywhere = f"<{', '.join(['i1 true'] * self.lanes)}>"
@@ -117,7 +102,7 @@ class _Drivers(StraightLine):
 
     def march(self) -> None:
         """Emit the loop over blocks of lines, the loop along them, and in it the loop over steps."""
-        n = state_size(self.program)
+        n = self.program.state_size
         size, lanes = n - 2, self.lanes
         names = ("current", *(f"previous_{back}" for back in range(1, HISTORY + 1)))
         self.begin_function("march", _LINES, _STEPS, _MARCH, **dict.fromkeys(names, size))

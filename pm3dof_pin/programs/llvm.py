@@ -107,8 +107,8 @@ class Compiled:
             number = ctypes.c_double
             steps = (*common, number, size)
             march = (*steps, size, size, size, size, pointer, number, number, number)
-            self._iterate = self._function("iterate", *steps) if drivers.can_iterate(program) else None
-            self._march = self._function("march", *march) if drivers.can_march(program) else None
+            self._iterate = self._function("iterate", *steps) if program.can_iterate else None
+            self._march = self._function("march", *march) if program.can_march else None
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -179,7 +179,7 @@ class Compiled:
             raise InvalidValueError("outputs", self.program.outputs, "a new value of the first inputs, then a residual")
         if max_steps < 1:
             raise InvalidValueError("max_steps", max_steps, "at least 1")
-        n = drivers.state_size(self.program)
+        n = self.program.state_size
         rows = _rows("inputs", inputs, len(self.program.inputs))
         results = np.empty((len(rows), n + 2))
         self._run(self._iterate, rows, parameters, results, threads, tolerance, max_steps)
@@ -229,7 +229,7 @@ class Compiled:
         shares = np.ascontiguousarray(shares, dtype=np.float64)
         known = m - len(shares)
         expected = (n, m, len(program.inputs) - nq - 2), (m - known, drivers.HISTORY)
-        if nq != drivers.state_size(program) - 2 or (given.shape, shares.shape) != expected or known < 1:
+        if nq != program.state_size - 2 or (given.shape, shares.shape) != expected or known < 1:
             raise InvalidValueError(
                 "lines", f"arrays of shape {lines.shape}, {given.shape}, {shares.shape}", f"{expected}"
             )

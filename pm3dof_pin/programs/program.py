@@ -152,6 +152,21 @@ class Program:
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
 
+    @property
+    def state_size(self) -> int:
+        """Number of outputs before the last one, the residual of an iteration."""
+        return len(self.results) - 1
+
+    @property
+    def can_iterate(self) -> bool:
+        """Whether the outputs can be the next values of the first inputs, and a residual."""
+        return 1 <= self.state_size <= len(self.inputs)
+
+    @property
+    def can_march(self) -> bool:
+        """Whether the program closes loops, its state being q, `margin` and `jump`."""
+        return self.can_iterate and tuple(self.outputs) == ("q", "margin", "jump", "residual")
+
     def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> NDArray[np.float64]:
         """Run the program at n poses with NumPy, operation by operation: slow, and the reference for the printers."""
         rows = np.asarray(inputs, dtype=float)

@@ -79,11 +79,6 @@ class DrawnEllipsoid:
         return objects.transform(self.axes * np.maximum(lengths, _LEAST * lengths.max()), self.position)
 
 
-def usual_others(of: EllipsoidMatrix) -> OtherMotions:
-    """Return what makes an ellipsoid show a block of K or C itself: held for a stiffness, free for a compliance."""
-    return "held" if of == "stiffness" else "free"
-
-
 def block(
     stiffness: ArrayLike | None, compliance: ArrayLike | None, kind: Motion, of: EllipsoidMatrix, others: OtherMotions
 ) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,12 +59,6 @@ def _power(number: float) -> int:
     if not 0.0 < size < math.inf:
         return 0
     return min(9, max(-9, 3 * math.floor(math.log10(size * 1.0005) / 3)))
-
-
-def outside_limits(broken: Iterable[str]) -> list[str]:
-    """Return what the page says of joints outside their ranges, each described; nothing if there is none."""
-    listed = list(broken)
-    return ["Out of reach within the limits of the joints:", *listed] if listed else []
 
 
 def scale_text(scale: float, length: float, unit: str, what: str) -> str:

@@ -22,7 +22,7 @@ from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
-from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, outside_limits, scale_text
+from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
@@ -176,7 +176,7 @@ class Viewer(ShownScene):
             FrameNotFoundError: the model has no such frame.
             DescriptionError: no frame is given, and the mechanism has no tool frame.
         """
-        others = others or ellipsoids.usual_others(of)
+        others = others or ("held" if of == "stiffness" else "free")  # which shows a block of K or C itself
         block = ellipsoids.block(stiffness, compliance, kind, of, others)
         unit = UNITS[of, kind]
         if scale is None:
@@ -632,7 +632,8 @@ class Viewer(ShownScene):
 
     def _note(self, configuration: Configuration) -> tuple[list[str], list[str]]:
         """Return what is said of a configuration, and which limits it breaks."""
-        warnings = outside_limits(map(str, broken_limits(self.mechanism, configuration)))
+        broken = list(map(str, broken_limits(self.mechanism, configuration)))
+        warnings = ["Out of reach within the limits of the joints:", *broken] if broken else []
         lines = []
         at = self.mechanism.at([configuration.q])[0]
         for entry, values in zip(self._sets, (at.coordinates, at.commands), strict=False):

@@ -376,7 +376,7 @@ const pm3dof = (() => {
     return [];
   }
 
-  // As outside_limits does in pm3dof_pin/viewer/panel.py.
+  // As Viewer._note does in pm3dof_pin/viewer/viewer.py.
   function outsideLimits(broken) {
     return broken.length ? ["Out of reach within the limits of the joints:", ...broken] : [];
   }
