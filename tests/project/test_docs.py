@@ -29,6 +29,7 @@ from typing import Any
 import pytest
 
 from pm3dof_pin.cli.stiffness_map import PICTURES
+from pm3dof_pin.figures import style
 
 ROOT = Path(__file__).parents[2]
 DOCS = [page for page in sorted((ROOT / "docs").rglob("*.md")) if not {"_build", "generated"} & {*page.parts}]
@@ -142,8 +143,10 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
             _compare(page, block, block.text, printed)
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 @pytest.mark.parametrize("page", _with("console"))
 def test_console_examples(page: Path, run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(style, "DPI", 40)  # other tests look at pictures
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
     for block in _blocks(page):
