@@ -31,17 +31,11 @@ _CAN_BE_TAKEN = 0.9  # of the commands, at least
 
 @dataclass(frozen=True)
 class _Cause:
-    """A mistake that explains why measurements do not fit.
+    """A mistake that explains why measurements do not fit."""
 
-    Attributes:
-        text: the mistake, and what to do about it.
-        before: tip error of the machine as described, median [m].
-        after: the same without the mistake [m].
-    """
-
-    text: str
-    before: float
-    after: float
+    text: str  #: the mistake, and what to do about it
+    before: float  #: tip error of the machine as described, median [m]
+    after: float  #: the same without the mistake [m]
 
     def __str__(self) -> str:
         return f"{self.text}; that explains all but {1e3 * self.after:.3g} mm of {1e3 * self.before:.3g} mm"

@@ -58,51 +58,33 @@ UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that say
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What measurements say about the parameters.
+    """What measurements say about the parameters."""
 
-    Attributes:
-        errors: the parameters.
-        values: p, shape=(number of parameters,) [m, rad].
-        nuisances: what the measurements depend on besides.
-        nuisance_values: y, shape=(number of nuisance parameters,) [m, rad]; 0 for a frame, which has become part of the
-            registration of `measurements`.
-        joint_covariance: of p, the logarithms of stiffness and y together, given noise and prior; the noise is what the
-            residuals show where that is more than the sigmas say.
-        prior: k, standard deviation before the measurements in units of the tolerances; infinite for none.
-        measurements: what was measured, in the axes of the base as identified.
-        settled: the same without what the nuisance parameters explain.
-        poses: the calibrated machine's at the commands.
-        residuals: settled measurements minus calibrated machine, shape=(n, rows) [m, rad].
-        weights: what robust weighting left of each measurement, 0 to 1, shape=(n,).
-        noise_factor: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the
-            covariance.
-        outliers: rows whose residual is no noise.
-        rows: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
-            parameters).
-        steps: Gauss-Newton steps taken.
-        elastic: the deflections under known wrenches; without unknowns where there were none.
-        stiffness_logarithms: ln of how many times stiffer each spring is than described, shape=(springs,).
-        stiffness_sigmas: standard deviation of each, shape=(springs,).
-    """
-
-    errors: GeometricErrors
-    values: Array
-    nuisances: Nuisances
+    errors: GeometricErrors  #: the parameters
+    values: Array  #: p, shape=(number of parameters,) [m, rad]
+    nuisances: Nuisances  #: what the measurements depend on besides
+    #: y, shape=(number of nuisance parameters,) [m, rad]; 0 for a frame, which has become part of the registration of
+    #: `measurements`
     nuisance_values: Array
+    #: of p, the logarithms of stiffness and y together, given noise and prior; the noise is what the residuals show
+    #: where that is more than the sigmas say
     joint_covariance: Array
-    prior: float
-    measurements: Measurements
-    settled: Measurements
-    poses: Poses
-    residuals: Array
-    weights: Array
+    prior: float  #: k, standard deviation before the measurements in units of the tolerances; infinite for none
+    measurements: Measurements  #: what was measured, in the axes of the base as identified
+    settled: Measurements  #: the same without what the nuisance parameters explain
+    poses: Poses  #: the calibrated machine's at the commands
+    residuals: Array  #: settled measurements minus calibrated machine, shape=(n, rows) [m, rad]
+    weights: Array  #: what robust weighting left of each measurement, 0 to 1, shape=(n,)
+    #: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the covariance
     noise_factor: float
-    outliers: tuple[int, ...]
+    outliers: tuple[int, ...]  #: rows whose residual is no noise
+    #: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
+    #: parameters)
     rows: Array
-    steps: int
-    elastic: ElasticTerm
-    stiffness_logarithms: Array
-    stiffness_sigmas: Array
+    steps: int  #: Gauss-Newton steps taken
+    elastic: ElasticTerm  #: the deflections under known wrenches; without unknowns where there were none
+    stiffness_logarithms: Array  #: ln of how many times stiffer each spring is than described, shape=(springs,)
+    stiffness_sigmas: Array  #: standard deviation of each, shape=(springs,)
 
     @property
     def stiffness(self) -> dict[str, tuple[float, float]]:
@@ -173,11 +155,7 @@ class Identification:
         return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
 
     def settle(self, measurements: Measurements) -> Measurements:
-        """Return other measurements of the same session in this base, without what the nuisance parameters explain.
-
-        Args:
-            measurements: rows as they were read, in the axes of the registration that was identified from.
-        """
+        """Return other measurements of the session in this base, without what the nuisance parameters explain."""
         if measurements.registration is not None and self.measurements.registration is not None:
             measurements = measurements.registered_as(self.measurements.registration)
         poses = _poses_at(
@@ -280,12 +258,7 @@ def identify(
 
 
 def drive_motions(poses: Poses, commands: Array | None = None) -> Array:
-    """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands).
-
-    Args:
-        poses: of the machine.
-        commands: the tool's motion by the commands, if it is known already.
-    """
+    """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands)."""
     by_commands = command_jacobians(poses) if commands is None else commands
     return np.asarray(by_commands * np.abs(command_scales(poses)))
 

@@ -34,19 +34,13 @@ _QUATERNION = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """A mistake that may have been made.
+    """A mistake that may have been made."""
 
-    Attributes:
-        text: the mistake, in words.
-        without: the measurements without it.
-        nominal: poses of the robot as described at their commands; None where these are others than in the file.
-        free: whether the base has to be found anew.
-    """
-
-    text: str
-    without: Measurements
+    text: str  #: the mistake, in words
+    without: Measurements  #: the measurements without it
+    #: poses of the robot as described at their commands; None where these are others than in the file
     nominal: Poses | None
-    free: bool = False
+    free: bool = False  #: whether the base has to be found anew
 
 
 def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:

@@ -159,14 +159,10 @@ class LoadedState:
         return residual
 
     def invariant(self, coordinates: Vector) -> Vector:
-        """Express a sum of bearing motions in a way that does not depend on the basis, to compare it with others.
+        """Express a sum of bearing motions, shape=(k,), independently of the basis, to compare it with others.
 
-        Args:
-            coordinates: shape=(k,).
-
-        Returns:
-            Strains in units of the springs, then motions with the springs at rest in scaled numbers; as long as the
-            argument, shape=(s + nv,).
+        Strains in units of the springs, then motions with the springs at rest in scaled numbers, shape=(s + nv,); as
+        long as the argument.
         """
         count = self.motions.elastic.shape[1]
         combination = self._combinations[0] @ coordinates

@@ -448,14 +448,7 @@ class _SourcesAtPoses:
 
 
 def numbers_of(robot: Robot) -> SourceNumbers:
-    """Return the numbers of a robot's sources, out of its error file; the defaults where there is none.
-
-    Args:
-        robot: the robot.
-
-    Raises:
-        DescriptionError: the file is unreadable or not of its form.
-    """
+    """Return the numbers of a robot's sources, of its error file, or the defaults; DescriptionError if it is bad."""
     if robot.files is None or not robot.files.errors.is_file():
         return SourceNumbers()
     return read_error_file(robot.files.errors).sources

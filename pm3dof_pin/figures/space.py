@@ -25,15 +25,7 @@ def flat_quadrilaterals(lines: Array) -> Array:
 
 
 def divided_triangles(triangles: Array, least: int) -> Array:
-    """Divide flat triangles, each into as many equal ones, until there are enough of them.
-
-    Args:
-        triangles: shape=(n, 3, k).
-        least: number of triangles wanted.
-
-    Returns:
-        shape=(n m^2, 3, k).
-    """
+    """Divide flat triangles, shape=(n, 3, k), each into as many equal ones, until there are enough, (n m^2, 3, k)."""
     parts = max(1, math.ceil(math.sqrt(least / max(1, len(triangles)))))
     corners = [
         corner

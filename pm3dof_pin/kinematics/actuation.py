@@ -69,13 +69,10 @@ def tool_motions(configuration: Configuration, *, tolerance: float = RANK_TOLERA
 
 
 def actuation_jacobian(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:
-    """Compute the actuated joints' rates in the platform's :func:`independent_motions`.
+    """Compute the actuated joints' rates, over those of the motions, in the :func:`independent_motions`.
 
-    Args and errors are those of :func:`independent_motions`.
-
-    Returns:
-        du over the rates of the motions, shape=(number of actuated joints, p). For the tripod this is J_t, (8.9) of
-        D. Zhang, Parallel Robotic Machine Tools (2010).
+    Shape=(number of actuated joints, p). For the tripod this is J_t, (8.9) of D. Zhang, Parallel Robotic Machine Tools
+    (2010). Arguments and errors are those of :func:`independent_motions`.
     """
     motions = independent_motions(configuration, tolerance=tolerance)
     return frozen(motions[configuration.mechanism.actuated_indices])

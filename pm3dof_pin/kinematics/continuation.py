@@ -303,15 +303,7 @@ class Continuation:
     def _newton(
         self, q: Matrix, numbers: Matrix, jump: float, regular: float, modes: Vector | float
     ) -> tuple[Matrix, Mask]:
-        """Close the loops; return q, and which poses are accepted.
-
-        Args:
-            q: where to start, shape=(n, nq).
-            numbers: the coordinates as the program takes them, shape=(n, number of coordinates).
-            jump: the greatest way of a joint that is accepted [rad, characteristic lengths].
-            regular: the least regularity that is accepted.
-            modes: the assembly mode that is accepted.
-        """
+        """Close the loops; return q, and which poses are accepted, by a joint's longest way, regularity and mode."""
         nq = self._nq
         states, residuals, _ = self._step.iterate(self._inputs(q, numbers), _NEARLY_CLOSED, _STEPS)
         regularity, found_modes = regularity_and_mode(states[:, nq])

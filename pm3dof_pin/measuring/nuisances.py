@@ -106,17 +106,11 @@ class _InstrumentFrame:
 
 @dataclass(frozen=True, eq=False)
 class _PointOffsets:
-    """Where points sit on the tool, beyond what the measurements say, in the tool's axes.
+    """Where points sit on the tool, beyond what the measurements say, in the tool's axes."""
 
-    Attributes:
-        points: the points, shape=(k, 3) [m].
-        sigma: how well they are known [m].
-        kind: "targets" or "tool_point".
-    """
-
-    points: Array
-    sigma: float
-    kind: str
+    points: Array  #: the points, shape=(k, 3) [m]
+    sigma: float  #: how well they are known [m]
+    kind: str  #: "targets" or "tool_point"
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -158,13 +152,9 @@ class _PointOffsets:
 
 @dataclass(frozen=True, eq=False)
 class _SphereCentres:
-    """Where the centres of touched spheres are, beyond where the machine as described has them.
+    """Where the centres of touched spheres are, beyond where the machine as described has them."""
 
-    Attributes:
-        numbers: the spheres, shape=(k,).
-    """
-
-    numbers: Indices
+    numbers: Indices  #: the spheres, shape=(k,)
     kind = "spheres"
 
     @cached_property
@@ -208,17 +198,11 @@ class _SphereCentres:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last.
+    """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last."""
 
-    Attributes:
-        start: time of the first row [s].
-        duration: to the last [s].
-        drive_units: "m" or "rad" of each drive's joint.
-    """
-
-    start: float
-    duration: float
-    drive_units: tuple[str, ...]
+    start: float  #: time of the first row [s]
+    duration: float  #: to the last [s]
+    drive_units: tuple[str, ...]  #: "m" or "rad" of each drive's joint
     kind = "drift"
 
     @cached_property
@@ -258,13 +242,9 @@ class Drift:
 
 @dataclass(frozen=True, eq=False)
 class _Hysteresis:
-    """By how much each drive stands elsewhere when it comes from below, less when it comes from above.
+    """By how much each drive stands elsewhere when it comes from below, less when it comes from above."""
 
-    Attributes:
-        drive_units: "m" or "rad" of each drive's joint.
-    """
-
-    drive_units: tuple[str, ...]
+    drive_units: tuple[str, ...]  #: "m" or "rad" of each drive's joint
     kind = "hysteresis"
 
     @cached_property

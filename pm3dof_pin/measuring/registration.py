@@ -26,17 +26,11 @@ _ON_A_LINE = 1e-6  # of the greatest extent
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """From the axes of an instrument to those of the base.
+    """From the axes of an instrument to those of the base."""
 
-    Attributes:
-        rotation: R, shape=(3, 3).
-        translation: t, shape=(3,) [m].
-        residual: what is left of the positions, root mean square over the rows that agree [m].
-    """
-
-    rotation: Array
-    translation: Array
-    residual: float
+    rotation: Array  #: R, shape=(3, 3)
+    translation: Array  #: t, shape=(3,) [m]
+    residual: float  #: what is left of the positions, root mean square over the rows that agree [m]
 
     @property
     def base(self) -> Array:
