@@ -46,11 +46,7 @@ def likely_cause(
 ) -> _Cause | None:
     """Find the mistake that explains best why measurements do not fit a robot; None if none of the usual ones does.
 
-    Args:
-        measurements: as they were read.
-        robot: the robot as described.
-        eta: weight of the orientation [m/rad].
-        least: tip error that needs no mistake to explain it [m].
+    A tip error of `least` [m] needs no mistake to explain it. eta weighs the orientation [m/rad].
 
     Raises:
         PM3DofError: the commands cannot be taken, or no base can be found.

@@ -169,11 +169,8 @@ def prior_from_data(found: Identification) -> float:
     """Return k, how many tolerances parameters are off in the mean, as the measurements that tell them have it.
 
     The k under which the measurements are most likely (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g with x
-    the parameters in tolerances and g the number of them that are told. The tolerances' own word, k = 1, counts as
-    much as some parameters that are told. At most that of the identification.
-
-    Args:
-        found: parameters identified with a generous prior.
+    the parameters in tolerances, identified with a generous prior, and g the number of them that are told. The
+    tolerances' own word, k = 1, counts as much as some parameters that are told. At most that of the identification.
     """
     count = len(found.errors)
     measuring = found.rows[:, :, count:]

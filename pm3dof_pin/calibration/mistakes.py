@@ -44,13 +44,7 @@ class Mistake:
 
 
 def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Give the usual mistakes, simple ones first.
-
-    Args:
-        measurements: rows at commands that the machine can take.
-        nominal: poses of the robot as described, one for each row.
-        eta: weight of the orientation [m/rad].
-    """
+    """Give the usual mistakes in rows, simple ones first, against nominal poses; eta weighs the orientation [m/rad]."""
     for unit, factor in _LENGTHS.items():
         scaled = replace(measurements, positions=factor * measurements.positions)
         yield Mistake(f"the positions are in {unit}", scaled, nominal)
@@ -247,13 +241,7 @@ def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
 
 
 def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Give columns that do not fit where all others do: what is left without them explains itself too easily.
-
-    Args:
-        measurements: rows at commands that the machine can take.
-        nominal: poses of the robot as described, one for each row.
-        eta: weight of the orientation [m/rad].
-    """
+    """Give columns that do not fit where all others do: what is left without them explains itself too easily."""
     rotations, seen = measurements.rotations, measurements.seen
     if seen[:, :3].all():
         expected = _expected(measurements, nominal)

@@ -30,11 +30,7 @@ class CsvTable:
     """
 
     def __init__(self, path: Path, needed: Sequence[str]) -> None:
-        """Read a file.
-
-        Args:
-            path: the file.
-            needed: columns without which nothing else is worth reading.
+        """Read a file with some columns without which nothing else is worth reading.
 
         Raises:
             MeasurementError: it is unreadable, a column has no name, stands there twice or is missing, or a cell is no

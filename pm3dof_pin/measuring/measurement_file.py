@@ -50,16 +50,7 @@ _LEAST_OF_A_SPHERE = 4  # rows
 
 
 def write_measurements(measurements: Measurements, robot: Robot, path: Path | str) -> Path:
-    """Write measurements as CSV, whole or not at all, every digit kept.
-
-    Args:
-        measurements: what to write.
-        robot: the robot, for the names of the columns.
-        path: file to write.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write measurements as CSV, whole or not at all, every digit kept; OutputError where that fails."""
     columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
     columns |= zip(POSITION_COLUMNS, measurements.positions.T, strict=True)
     if measurements.rotations is not None:

@@ -19,14 +19,9 @@ NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw"
 
 
 def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
-    """Write a plan of measurements as CSV, every digit kept: commands to drive to, and where the tool should then be.
+    """Write a plan as CSV, every digit kept: commands to drive to, loads by column, and where the tool should then be.
 
     The nominal pose is that of the robot as described; its columns are no measurement, and named so.
-
-    Args:
-        poses: poses of the robot as described.
-        path: file to write.
-        loads: loads to measure under, by the name of their column, shape=(n,) each.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
@@ -38,14 +33,7 @@ def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None
 
 
 def read_commands(path: Path | str, robot: Robot) -> Array:
-    """Read the commands of a CSV file, such as a plan of measurements; its other columns are ignored.
-
-    Args:
-        path: the file, with the columns `u1_m,u2_m,u3_m` or what the robot's drives need.
-        robot: the robot.
-
-    Returns:
-        shape=(n, number of commands) [m, rad].
+    """Read the commands, shape=(n, number of commands) [m, rad], of a CSV file with other columns, such as a plan.
 
     Raises:
         MeasurementError: the file is unreadable, a column is missing, a cell is no number, or no row is left.
@@ -54,14 +42,7 @@ def read_commands(path: Path | str, robot: Robot) -> Array:
 
 
 def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
-    """Read a plan of measurements: the commands, and the temperatures and loads at which to measure if there are such.
-
-    Args:
-        path: the file.
-        robot: the robot.
-
-    Returns:
-        Commands, shape=(n, number of commands) [m, rad]; conditions by the name of their column, shape=(n,) each.
+    """Read a plan: commands as :func:`read_commands`, and temperatures and loads, shape=(n,), by column.
 
     Raises:
         MeasurementError: see :func:`read_commands`; or a temperature or load is missing in a row.

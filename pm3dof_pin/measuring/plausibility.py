@@ -23,12 +23,7 @@ _OWN_FRAME = "--own-frame finds the base of an instrument with a frame of its ow
 
 
 def warn_of_copies(table: CsvTable, places: Array) -> None:
-    """Look for rows that repeat others.
-
-    Args:
-        table: the file.
-        places: numbers in which rows of different poses, points or instruments differ, shape=(n, any).
-    """
+    """Warn of rows that repeat others, by numbers in which rows of different poses, points or instruments differ."""
     rows = table.matrix(list(table.columns))
     first: dict[bytes, int] = {}
     copies = [
@@ -42,16 +37,7 @@ def warn_of_copies(table: CsvTable, places: Array) -> None:
 
 
 def check_points(table: CsvTable, points: Array, size: float) -> None:
-    """Look for points in millimetres.
-
-    Args:
-        table: the file.
-        points: in the tool's axes, shape=(n, 3) [m].
-        size: of the machine [m].
-
-    Raises:
-        MeasurementError: they are nowhere near the tool.
-    """
+    """Refuse points in the tool's axes, shape=(n, 3) [m], that seem to be in millimetres for the machine's size [m]."""
     off = np.median(np.linalg.norm(points, axis=1))
     if off > _FAR_POINTS * size:
         problem = f"{','.join(POINT_COLUMNS)} are {off:.3g} m (median) from the tool point: millimetres?"
@@ -97,14 +83,10 @@ def check_positions(table: CsvTable, expected: Array, positions: Array) -> bool:
 def check_rotations(table: CsvTable, nominal: Poses, rotations: Array, *, refuse: bool) -> None:
     """Look for the usual mistakes: another order of a quaternion's numbers, the inverse rotation, other axes.
 
-    Args:
-        table: the file.
-        nominal: where the machine is by its description.
-        rotations: what was seen, shape=(n, 3, 3).
-        refuse: whether all else fits; otherwise something else is wrong.
+    Something else is wrong unless all else fits (`refuse`).
 
     Raises:
-        MeasurementError: one of these mistakes explains them.
+        MeasurementError: one of these mistakes explains the rotations, shape=(n, 3, 3), seen at the nominal poses.
     """
 
     def angles(seen: Array) -> Array:

@@ -73,12 +73,8 @@ def register(
 ) -> Registration:
     """Find the base from positions, and orientations where there are such.
 
-    Args:
-        seen: positions in the axes of the instrument, shape=(n, 3) [m].
-        expected: the same points by the machine's description, in the axes of its base, shape=(n, 3) [m].
-        seen_rotations: orientations of the tool in the axes of the instrument, shape=(n, 3, 3).
-        expected_rotations: those by the description, shape=(n, 3, 3).
-        eta: weight of the orientation [m/rad].
+    Seen they are in the axes of the instrument, expected by the machine's description in those of its base: shape=(n,
+    3) [m], and shape=(n, 3, 3). eta weighs the orientation [m/rad].
 
     Raises:
         InvalidValueError: positions alone, which lie on one line: they do not tell how it is turned about that line.
@@ -120,13 +116,9 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
 
 
 def fitted_sphere(points: Array, radii: Array) -> Array:
-    """Return the centre of a sphere on which points lie, shape=(3,) [m].
+    """Return the centre of a sphere on which points lie, shape=(n, 3) [m], at distances from it, shape=(n,) [m].
 
     Linear in the centre and the square of its distance from the origin first, then by Gauss-Newton.
-
-    Args:
-        points: shape=(n, 3) [m].
-        radii: the distance of each from the centre, shape=(n,) [m].
     """
     middle = points.mean(axis=0)
     seen = points - middle

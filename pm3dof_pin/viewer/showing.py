@@ -35,13 +35,7 @@ class _NotebookCell:
 class ShownScene:
     """A scene and the ways to look at it. Nothing is served and no browser needed until one is asked for.
 
-    Args:
-        host: interface to listen on: this machine only, unless told otherwise.
-        port: port to listen on; the first free one from 7000 on by default.
-
-    Attributes:
-        scene: the tree of drawn things.
-        host: the interface.
+    Served on `host`, this machine only unless told otherwise, and a port, the first free one from 7000 on by default.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int | None = None) -> None:
