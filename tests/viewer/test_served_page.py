@@ -28,9 +28,10 @@ def opened(page: Any, viewer: Viewer) -> None:
     page.ask(CONNECTED)
 
 
-# resolves once the page has got the scene over its socket
+# resolves once the page has got the scene over its socket and made its sliders
 CONNECTED = """new Promise(done => {
-    const look = () => pm3dof.panel().legend ? done(true) : setTimeout(look, 20);
+    const isMade = () => pm3dof.panel().legend && document.querySelector("#sliders input[type=range]");
+    const look = () => isMade() ? done(true) : setTimeout(look, 20);
     look();
 })"""
 
