@@ -42,7 +42,7 @@ def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDAr
     """Copy values, named for messages, into an array of finite numbers of one of some shapes.
 
     Raises:
-        InvalidValueError: they are no numbers, not finite, or of another shape.
+        InvalidValueError: they are not numbers, not finite, or of another shape.
     """
     array = np.array(real_array(name, values))
     if array.shape not in shapes:

@@ -25,7 +25,7 @@ _EXPLAINS = 0.25  # of what did not fit is left, at most
 _AS_WELL = 4.0  # times what the best explanation leaves: a simpler one is taken
 _MUCH = 4.0  # times better a single column has to explain it than what concerns all
 _FEWEST = 4  # poses: with fewer nearly any mistake explains all
-_MOST = 300  # rows looked at
+_MOST = 300  # rows examined
 _CAN_BE_TAKEN = 0.9  # of the commands, at least
 
 

@@ -18,7 +18,7 @@ from pm3dof_pin.exceptions import PM3DofError
 
 WORK_FAILED = 1
 NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
-"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is no number."""
+"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is not a number."""
 
 COMMANDS = {
     "info": "info",

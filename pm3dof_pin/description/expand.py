@@ -58,7 +58,7 @@ def expand_xacro(
     interpreter are refused. Files that need more are for :func:`trust_xacro`.
 
     Raises:
-        DescriptionError: a file is missing, is no XML, cannot be evaluated (a quantity missing from the parameter file
+        DescriptionError: a file is missing, is not XML, cannot be evaluated (a quantity missing from the parameter file
             is named), does what it may not do, or a number of the result is not finite.
     """
     path, mappings = Path(path), dict(mappings or {})
@@ -133,7 +133,7 @@ def _tidy(path: Path, element: ElementTree.Element) -> None:
 
 
 def _tidy_words(path: Path, element: ElementTree.Element, text: str) -> Iterator[str]:
-    """Minus zero is written as zero; what is no number stays as it is."""
+    """Minus zero is written as zero; what is not a number stays as it is."""
     for word in text.split(" "):
         if word.lstrip("-+") in ("nan", "inf"):
             raise DescriptionError(path, f"<{element.tag}>", f"expected finite numbers, not '{text}'")

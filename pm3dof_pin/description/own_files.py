@@ -11,7 +11,7 @@ MANIFEST = "package.xml"
 """File that a ROS package has."""
 
 _PARTS = ("urdf", "xacro", "robots", "mjcf", "sdf", "xml", "srdf")
-_MOST_LEVELS = 4  # above a file, up to where its package is looked for
+_MOST_LEVELS = 4  # above a file, up to where its package is searched
 
 
 def package_of(path: Path) -> Path:

@@ -165,7 +165,7 @@ class TripodParameters:
         """Read the parameters of a tripod, laid out as `robots/pm3dof_description/config/pm3dof.yaml`, the default.
 
         Raises:
-            DescriptionError: a number is missing, is no finite number, has an unknown unit or a wrong sign or length.
+            DescriptionError: a number is missing, is not finite, has an unknown unit or a wrong sign or length.
         """
         path = Path(path) if path is not None else default_parameters_path()
         sections = read_parameters(path)

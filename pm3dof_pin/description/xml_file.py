@@ -17,7 +17,7 @@ def read_xml(path: Path | str) -> ElementTree.Element:
     """Read the root element of an XML file without comments; entities, which can grow without end, are refused.
 
     Raises:
-        DescriptionError: the file is unreadable, too large, nested too deeply, declares entities, or is no XML, with
+        DescriptionError: the file is unreadable, too large, nested too deeply, declares entities, or is not XML, with
             the line.
     """
     try:

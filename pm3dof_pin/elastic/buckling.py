@@ -82,7 +82,7 @@ def buckling_load(
     Args:
         model: the elastic mechanism.
         configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
-        loads: loads, which are multiplied by the factor that is looked for.
+        loads: loads, which are multiplied by the factor that is sought.
         permanent: loads that always act in full.
         largest_factor: factor to look up to; by default ten times the linear estimate, or, where the loads add
             stiffness only, ten times the factor at which they double one.
@@ -141,7 +141,7 @@ def search_buckling(
             return BucklingSearch(None, error.factor, str(error))
         except ConvergenceError as error:
             if point.state.least_eigenvalue > _AT_BIFURCATION:
-                _log.warning("looked for buckling only up to a factor of %.6g: %s", point.factor, error)
+                _log.warning("searched for buckling only up to a factor of %.6g: %s", point.factor, error)
                 return BucklingSearch(None, point.factor, str(error))
             # next to a bifurcation there may be no telling which of its branches a correction comes back to
             step = PathStep(point, point, 0.0, bifurcation=True)

@@ -37,7 +37,7 @@ def srdf_text(xacro: Path, config: Path, urdf: str, closures: str) -> str:
     joints are all those that the closures file does not name as actuated.
 
     Raises:
-        DescriptionError: the file cannot be expanded, or a value in it is no number.
+        DescriptionError: the file cannot be expanded, or a value in it is not a number.
         JointNotFoundError: it holds a joint that the URDF does not have.
     """
     source = ElementTree.fromstring(expand_xacro(xacro, {"config": str(config)}))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-_ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is looked at from [deg]
+_ELEVATION, _AZIMUTH = 28.0, -55.0  # where the surface is seen from [deg]
 _BOX = np.array([1.0, 1.0, 0.72])  # its sides
 _HEIGHT, _LINE = 3.2, 0.17  # of the picture and of a line of its title [inch]
 _LONGEST_LABEL = 36  # letters beside the picture

@@ -25,7 +25,7 @@ from pm3dof_pin.typing import Array
 
 _OUTLINES = 6  # sections whose outline is drawn
 _DASHES = 36  # pieces of an edge of the printed box
-_ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is looked at from [deg]
+_ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is seen from [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07

@@ -201,7 +201,7 @@ class Robot(Mechanism):
             engine: what places the tool and checks limits and closures of many poses; of a few Pinocchio does.
 
         Raises:
-            InvalidValueError: they are no numbers, or of a wrong shape.
+            InvalidValueError: they are not numbers, or of a wrong shape.
         """
         require_choice("engine", engine, Engine)
         positions = real_array("q", q)

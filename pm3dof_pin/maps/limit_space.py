@@ -1,4 +1,4 @@
-"""Two or three coordinates of a machine and the limits over them: what the reachable set is looked for in."""
+"""Two or three coordinates of a machine and the limits over them: what the reachable set is searched in."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from pm3dof_pin.typing import Array, Mask
 
 LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
 
-_PLANE_STEPS = 2.5  # steps along a ray that are one step of the grid on which the range of levels is looked for
+_PLANE_STEPS = 2.5  # steps along a ray that are one step of the grid on which the range of levels is searched
 _AZIMUTH_WINDOW = float(np.radians(6.0))
 _LEAST_LEVELS = 2
 

@@ -114,7 +114,7 @@ def read_measurements(
         tool_point_sigma: likewise the tool point, where that is what was seen [m].
 
     Raises:
-        MeasurementError: the file is unreadable, a column is missing, a cell is no number, a quaternion is no rotation,
+        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is no rotation,
             numbers are most likely in another unit, or no row is left.
         InvalidValueError: the base cannot be found: positions alone, on one line.
     """

@@ -36,7 +36,7 @@ def read_commands(path: Path | str, robot: Robot) -> Array:
     """Read the commands, shape=(n, number of commands) [m, rad], of a CSV file with other columns, such as a plan.
 
     Raises:
-        MeasurementError: the file is unreadable, a column is missing, a cell is no number, or no row is left.
+        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, or no row is left.
     """
     return commands_of(_table(path, robot), robot)
 

@@ -81,7 +81,7 @@ def _tree(mjcf: Mjcf) -> pin.Model:
         )
     for body, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         if not np.isfinite(inertia.toDynamicParameters()).all():
-            raise DescriptionError(mjcf.path, f"body of joint '{body}'", "its inertia is no number: expected one")
+            raise DescriptionError(mjcf.path, f"body of joint '{body}'", "its inertia is not a number: expected one")
     model.name = mjcf.name
     model.gravity.linear = np.array(mjcf.gravity)
     references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}

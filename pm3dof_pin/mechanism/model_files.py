@@ -78,7 +78,7 @@ def read_named_configurations(model: pin.Model, srdf: Path) -> None:
     here, are passed over with a warning.
 
     Raises:
-        DescriptionError: the file is unreadable, is no XML, or gives a joint no number, or not as many as it takes.
+        DescriptionError: the file is unreadable, is not XML, or gives a joint no number, or not as many as it takes.
     """
     for state in read_xml(srdf).iter("group_state"):
         q = pin.neutral(model)

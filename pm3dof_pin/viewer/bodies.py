@@ -27,7 +27,7 @@ _logger = logging.getLogger(__name__)
 
 ROOT = "/robot"
 
-_DIRECTIONS = 400  # in which the outermost points are looked for
+_DIRECTIONS = 400  # in which the outermost points are searched
 
 _STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
 _JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
