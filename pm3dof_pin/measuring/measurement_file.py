@@ -114,8 +114,8 @@ def read_measurements(
         tool_point_sigma: likewise the tool point, where that is what was seen [m].
 
     Raises:
-        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is no rotation,
-            numbers are most likely in another unit, or no row is left.
+        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is no
+            rotation, numbers are most likely in another unit, or no row is left.
         InvalidValueError: the base cannot be found: positions alone, on one line.
     """
     read = _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)

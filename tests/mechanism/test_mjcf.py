@@ -321,5 +321,5 @@ def test_what_is_not_read_is_named(tmp_path: Path, text: str, error: type[Except
 def test_a_shape_without_size_has_no_inertia(tmp_path: Path) -> None:
     path = tmp_path / "walker.xml"
     path.write_text(STANDING.replace('type="capsule" size="0.03"', 'type="capsule" size="0"', 1), encoding="utf-8")
-    with pytest.raises(DescriptionError, match="its inertia is no number"):
+    with pytest.raises(DescriptionError, match="its inertia is not a number"):
         Robot.load(path)
