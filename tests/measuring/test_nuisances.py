@@ -9,9 +9,12 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import drive_motions, identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.measuring.registration import Registration, register
@@ -90,6 +93,16 @@ def test_the_rank_with_a_free_frame(tripod_errors: GeometricErrors, tripod_nomin
     ranks = [identify(measured, tripod_errors).identifiability.rank for measured in (at_base, free)]
     assert ranks == [_numerical_rank(tripod_errors, poses, free_frame=flag) for flag in (False, True)]
     assert ranks[0] - ranks[1] == 6  # a motion of everything is one of the base
+
+
+@pytest.mark.parametrize("name", ["hexapod", "linear_delta", "three_rps"])
+def test_the_ranks_of_other_robots(name: str) -> None:
+    errors = GeometricErrors.load(name)
+    poses = reachable_poses(errors.robot, 12, np.random.default_rng(3))
+    for own_frame in (False, True):
+        by_errors, others, _ = stacked_regressor(errors, poses, Instrument(own_frame=own_frame))
+        rank = identifiability(errors, by_errors, others).rank
+        assert rank == _numerical_rank(errors, poses, free_frame=own_frame)
 
 
 def test_a_trackers_frame_and_unknown_targets_are_found(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
