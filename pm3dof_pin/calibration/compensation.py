@@ -264,15 +264,19 @@ class Compensation:
         control = weighted_control(nearest, self.eta)
         return left, self.covariances(nearest, conditions) + self.scatter.covariances(control)
 
+    def effects(self, poses: Poses) -> Array:
+        """Return how what `covariance` is of moves the tool of the model, tip-weighted, shape=(n, 6, its rows)."""
+        effects = sensitivities(self.errors, poses, self.values).errors
+        if self.covariance is not None and len(self.covariance) > len(self.errors):
+            effects = np.concatenate([effects, datum_motions(poses)], axis=2)
+        return np.asarray(effects * tip_weights(self.eta)[:, None])
+
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
         weights, given = tip_weights(self.eta), conditions or {}
         total = np.zeros((len(poses), 6, 6))
         if self.values is not None and self.covariance is not None:
-            effects = sensitivities(self.errors, poses, self.values).errors
-            if len(self.covariance) > len(self.errors):
-                effects = np.concatenate([effects, datum_motions(poses)], axis=2)
-            effects = effects * weights[:, None]
+            effects = self.effects(poses)
             # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
             known = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
             total = total + (effects @ known) @ np.swapaxes(effects, 1, 2)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.special
 
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
@@ -17,7 +18,7 @@ from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
-from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
@@ -205,6 +206,26 @@ def _together(rows: Indices, scores: _Scores, scatter: Scatter | None = None) ->
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     return HeldOut(rows, before, after, floor, noise, excess, scatter, within, np.array(energies))
+
+
+def chance_of_harm(calibration: Calibration) -> float:
+    """Return the probability that corrected commands are worse than uncorrected ones, by what the parameters tell.
+
+    Tip errors b with uncorrected and m with corrected commands are both wrong by E dp, dp being what is uncertain about
+    the parameters. So sum |b + E dp|^2 - |m + E dp|^2 over the measured poses is normal: of mean sum |b|^2 - |m|^2 and
+    standard deviation 2 |sum (b - m)^T E| in the metric of the covariance. 0 for a method without parameters.
+    """
+    compensation = calibration.compensation
+    if compensation.values is None or compensation.covariance is None:
+        return 0.0
+    wanted = compensation.errors.robot.forward(calibration.measurements.visits.commands)
+    model, weights = compensation.model_poses(wanted), tip_weights(compensation.eta)
+    nearest = nearest_poses(model, wanted.transforms, compensation.eta)
+    before, after = (pose_difference(wanted.transforms, poses.transforms) * weights for poses in (model, nearest))
+    along = np.einsum("nij,ni->j", compensation.effects(model), before - after)
+    known = np.where(np.isfinite(compensation.covariance), compensation.covariance, 0.0)
+    gain, spread = float(np.sum(before**2) - np.sum(after**2)), 2.0 * float(np.sqrt(along @ known @ along))
+    return float(scipy.special.ndtr(-gain / max(spread, np.finfo(float).tiny)))
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -9,8 +9,9 @@ import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import likely_cause
+from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.identification import PRIOR, UNKNOWN, Identification
-from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, held_out_errors
+from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, chance_of_harm, held_out_errors
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -113,7 +114,7 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         )
     left = _misfit(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
-    expected = _possible_error(errors, found.measurements, calibration.options.eta, prior)
+    expected = _possible_error(errors, found.measurements, calibration.options.eta, max(prior, 1.0))
     if left > expected:
         reasons.append(
             f"what the parameters leave of the measurements, {1e3 * left:.3g} mm (median), is more than the machine "
@@ -123,6 +124,11 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         reasons.append(
             f"the parameters that fit best are {size * prior:.3g} tolerances (root mean square) from the description: "
             "another machine, or another frame"
+        )
+    if (chance := chance_of_harm(calibration)) > 1.0 - COVERAGE:
+        reasons.append(
+            f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: too much of the "
+            "tool's motion was not seen; measure whole poses, or targets off the tool point"
         )
     if held_out is not None and not held_out.before.max() > _EXACT:
         reasons.append("the machine is where the description has it to the last digit: poses planned, not measured")

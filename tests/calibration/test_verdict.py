@@ -9,6 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
+from pm3dof_pin.calibration.judging import chance_of_harm
+from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.verdict import Verdict, verdict
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
@@ -103,3 +105,26 @@ def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) 
     assert places == sorted(places)
     assert body.index("The measurements") > places[3]
     assert "repeatability RP" in body
+
+
+def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+    """Heights leave the tilts open: machines that what is known allows, commanded by what was found."""
+    poses, generator = tripod_nominal[:12], np.random.default_rng(3)
+    truth = tripod_errors.apply(0.6 * tripod_errors.sample(generator)).forward(poses.commands, guess=poses.q)
+    measured = Measurements.of_poses(poses.commands, truth.transforms)
+    heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
+    found = calibrate(heights, tripod_errors, Options("lm", prior=1.0))
+    corrected = found.compensation.corrected(poses)
+    worse = []
+    for values in generator.multivariate_normal(found.identification.values, found.identification.covariance, 150):
+        machine = tripod_errors.apply(values)
+        sums = [
+            np.sum(tip_error(pose_difference(poses.transforms, machine.forward(u, guess=poses.q).transforms)) ** 2)
+            for u in (poses.commands, corrected)
+        ]
+        worse.append(sums[1] > sums[0])
+    chance = chance_of_harm(found)
+    assert chance == pytest.approx(np.mean(worse), abs=0.1)
+    assert 0.01 < chance < 0.5
+    assert any("worse than none" in reason for reason in objections(found, None)) == (chance > 0.05)
+    assert chance_of_harm(calibrate(measured, tripod_errors, Options("lm"))) < 1e-6
