@@ -210,7 +210,7 @@ def table(path: Path) -> str:
         groups.setdefault(key, []).append(row)
     heads = (
         *("robot", "measured", "errors", "method", "machines", "before", "after", "floor", "expected", "within"),
-        *("made worse", "refused", "beyond 4 sigma", "commands off", "said to be"),
+        *("refused", "made worse", "of them not refused", "beyond 4 sigma", "commands off", "said to be"),
     )
     lines = [heads, ("---",) * len(heads)]
     for key, group in groups.items():
@@ -222,17 +222,17 @@ def table(path: Path) -> str:
             return float(np.sqrt(np.mean(column(name) ** 2)))
 
         beyond, parameters = (int(column(name).sum()) for name in ("beyond_4_sigma", "parameters"))
-        within = column("within")
+        within, refused = column("within"), column("refused") > 0.0
+        worse = column("after_um") > column("before_um")
         lines.append(
             (
                 *key,
                 str(len(group)),
                 *(f"{rms(f'{name}_um'):.0f}" for name in ("before", "after", "floor", "expected")),
                 f"{100 * within.mean():.1f} ± {100 * within.std(ddof=1) / np.sqrt(len(group)):.1f} %",
-                str(int(np.sum(column("after_um") > column("before_um")))),
-                str(int(column("refused").sum())),
+                *(str(int(np.sum(flags))) for flags in (refused, worse, worse & ~refused)),
                 f"{beyond} of {parameters}" if parameters else "",
-                *(f"{rms(f'excess_{name}_um'):.1f}" for name in ("true", "said")),
+                *(f"{rms(f'excess_{name}_um'):.1f}" if key[0] != "arm" else "" for name in ("true", "said")),
             )
         )
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)
