@@ -163,6 +163,9 @@ def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_
 
 
 def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration, tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=r"compensation\.json: file: expected a readable file"):
+        read_compensation(tmp_path)
+    (tmp_path / "compensation.json").write_text("{")
     with pytest.raises(DescriptionError, match="expected the compensation of a calibration"):
         read_compensation(tmp_path)
     target = write_calibration(calibration, "pm3dof", tmp_path / "damaged")
