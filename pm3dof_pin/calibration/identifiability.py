@@ -150,13 +150,12 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
-    threshold = REGRESSOR_TOLERANCE * values.max(initial=0.0)
-    rank = int(np.sum(values > threshold))
-    base, relations = _base_parameters(names, errors.tolerances, triangle, rank)
+    decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
+    base, relations = _base_parameters(names, errors.tolerances, triangle, decision.rank)
     return Identifiability(
         names=names,
         poses=len(blocks),
-        decision=RankDecision(rank, threshold, frozen(values)),
+        decision=decision,
         directions=frozen(right.T.copy()),
         base=base,
         relations=relations,

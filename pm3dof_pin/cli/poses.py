@@ -72,7 +72,7 @@ def read_poses(
     """
     import numpy as np
 
-    from pm3dof_pin.kinematics.pose_file import PoseFile, possible_headings
+    from pm3dof_pin.kinematics.pose_file import PoseFile
 
     if placements and PoseFile.gives_placements(path):
         file, transforms = PoseFile.read_placements(path, known=[BROKEN_LIMITS], numbers=numbers)
@@ -80,7 +80,7 @@ def read_poses(
     given, others = robot.coordinates, robot.command_coordinates
     if forward:
         given, others = others, given
-    known = [heading for coordinate in others for heading in possible_headings(coordinate)]
+    known = [heading for coordinate in others for heading in coordinate.headings]
     file = PoseFile.read(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
     if file.unused:
         message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
@@ -115,9 +115,7 @@ def column_of(name: str, unit: str) -> str:
 
 def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
     """Return columns of a file, angles in degrees, from values of coordinates, shape=(n, number of coordinates)."""
-    from pm3dof_pin.kinematics.pose_file import heading_of
-
-    return {heading_of(c): shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
+    return {c.heading: shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
 
 
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:

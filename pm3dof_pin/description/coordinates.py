@@ -45,6 +45,16 @@ class Coordinate:
     lower: float | None = None  #: least value of the declared range, or None
     upper: float | None = None  #: greatest value of the declared range, or None
 
+    @property
+    def heading(self) -> str:
+        """Heading of its column in a file that is written: angles in degrees."""
+        return f"{self.name}_{shown_in(self.unit)[1]}"
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """Headings that its column may have in a file that is read."""
+        return (self.heading,) if self.unit == "m" else (self.heading, f"{self.name}_rad")
+
 
 @dataclass(frozen=True)
 class LimitGroup:

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pm3dof_pin.arrays import frozen
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.typing import Matrix, Vector
 
 _NO_PART = 1e-6
 
 
-def decide_rank(values: Vector, threshold: float) -> RankDecision:
-    """Count the singular values above a threshold, and keep both for whoever wants to look."""
-    return RankDecision(int(np.count_nonzero(values > threshold)), threshold, frozen(values))
-
-
 def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDecision]:
     """Return orthonormal bases of what columns span and of its complement, and how the rank was decided."""
     left, values, _ = np.linalg.svd(columns) if columns.size else (np.eye(len(columns)), np.zeros(0), None)
-    rank = decide_rank(values, threshold)
+    rank = RankDecision.of(values, threshold)
     return left[:, : rank.rank], left[:, rank.rank :], rank
 
 

@@ -22,7 +22,6 @@ import numpy as np
 import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.elastic.directions import decide_rank
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RankDecision
@@ -109,9 +108,9 @@ def _decompose(matrix: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDe
     """Return all left and right singular vectors, as columns, and the rank."""
     if not matrix.size:
         rows, columns = matrix.shape
-        return np.eye(rows), np.eye(columns), decide_rank(np.zeros(0), threshold)
+        return np.eye(rows), np.eye(columns), RankDecision.of(np.zeros(0), threshold)
     left, values, right = np.linalg.svd(matrix)
-    return left, right.T, decide_rank(values, threshold)
+    return left, right.T, RankDecision.of(values, threshold)
 
 
 def _row_space_and_complement(rows: Matrix) -> tuple[Matrix, Matrix]:

@@ -36,6 +36,11 @@ class RankDecision:
     threshold: float
     singular_values: Vector  #: singular values of the scaled matrix, falling, shape=(min(rows, columns),)
 
+    @classmethod
+    def of(cls, singular_values: Vector, threshold: float) -> RankDecision:
+        """Count the falling singular values above a threshold."""
+        return cls(int(np.count_nonzero(singular_values > threshold)), threshold, frozen(singular_values))
+
     @property
     def gap(self) -> float:
         """Least singular value that counts over the greatest that does not; infinite if none is left out."""
@@ -143,8 +148,8 @@ class Restriction:
         self.rows = rows
         left, values, right = np.linalg.svd(rows @ basis)
         threshold = tolerance * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
-        rank = int(np.count_nonzero(values > threshold))
-        self.rank = RankDecision(rank, threshold, frozen(values))
+        self.rank = RankDecision.of(values, threshold)
+        rank = self.rank.rank
         self.directions: Matrix = basis @ right.T
         self.motions: Matrix = self.directions[:, rank:]
         self.image: Matrix = left[:, :rank]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, shown_in
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_text
 from pm3dof_pin.typing import Array, Matrix
@@ -22,7 +22,6 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 """Headings of a unit quaternion, the orientation of the tool."""
 
 _UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
-_UNITS = {"m": {"m": 1.0}, "rad": {"deg": math.pi / 180.0, "rad": 1.0}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +80,7 @@ class PoseFile:
                 raise DescriptionError(path, f"line {number}", f"expected {len(heading)} entries, not {len(cells)}")
             for k, column in enumerate(columns):
                 written[row, k] = _number(path, number, column, cells[heading.index(column)])
-        factors = [
-            _UNITS[coordinate.unit][column.rpartition("_")[2]]
-            for column, coordinate in zip(columns, coordinates, strict=False)
-        ]
+        factors = [math.pi / 180.0 if column.endswith("_deg") else 1.0 for column in columns[: len(coordinates)]]
         count = len(coordinates)
         unused = tuple(name for name in heading if name not in columns)
         values = written[:, :count] * factors
@@ -130,19 +126,9 @@ class PoseFile:
         return QUATERNION[0] in (name.strip() for name in heading.split(","))
 
 
-def possible_headings(coordinate: Coordinate) -> list[str]:
-    """Return the headings that a coordinate's column may have."""
-    return [f"{coordinate.name}_{unit}" for unit in _UNITS[coordinate.unit]]
-
-
-def heading_of(coordinate: Coordinate) -> str:
-    """Return the heading under which a coordinate is written: angles in degrees."""
-    return f"{coordinate.name}_{shown_in(coordinate.unit)[1]}"
-
-
 def _example_heading(coordinates: Sequence[Coordinate]) -> str:
     """Return the heading of a file with these coordinates."""
-    return ",".join(map(heading_of, coordinates))
+    return ",".join(coordinate.heading for coordinate in coordinates)
 
 
 def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
@@ -155,14 +141,14 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
 
 
 def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:
-    possible = {*known, *(name for coordinate in coordinates for name in possible_headings(coordinate))}
+    possible = {*known, *(name for coordinate in coordinates for name in coordinate.headings)}
     if unknown := [name for name in heading if name not in possible]:
         expected = f"is unknown, expected a heading such as {_example_heading(coordinates)}"
         raise DescriptionError(path, f"column {', '.join(unknown)}", expected)
 
 
 def _column(path: Path, heading: Sequence[str], coordinate: Coordinate, coordinates: Sequence[Coordinate]) -> str:
-    possible = possible_headings(coordinate)
+    possible = coordinate.headings
     found = [name for name in heading if name in possible]
     if len(found) != 1:
         problem = "is missing" if not found else "stands there twice"
