@@ -101,7 +101,7 @@ def _described(result: dict[str, Any], entries: Sequence[ErrorEntry]) -> list[st
     rows = [
         [
             *(_places(e.places), e.group, " ".join(e.translations) or "-", " ".join(e.rotations) or "-"),
-            *(f"{e.length_tolerance * 1e6:.6g} um", f"{e.angle_tolerance * 1e6:.6g} urad"),
+            *(f"{e.length_tolerance * 1e6:.6g} µm", f"{e.angle_tolerance * 1e6:.6g} µrad"),
         ]
         for e in entries
     ]

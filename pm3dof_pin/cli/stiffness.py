@@ -190,7 +190,7 @@ def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
 def _elastic_lines(result: dict[str, Any]) -> list[str]:
     """Return what is read from one stiffness, or from one compliance, as lines for a person."""
     name, units = ("C", "m/N, 1/N, rad/(N m)") if result["K"] is None else ("K", "N/m, N, N m/rad")
-    matrix = [[axis, *(f"{entry:.4e}" for entry in row)] for axis, row in zip(AXES, result[name], strict=True)]
+    matrix = _rows(AXES, result[name])
     felt = [
         [axis, f"{value:.4e}", unit, *(_percent(share) for share in result["spring_shares"][axis].values())]
         for (axis, value), unit in zip(result["felt"].items(), UNITS, strict=True)
@@ -211,11 +211,17 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
 
 def _free_motion_lines(result: dict[str, Any]) -> list[str]:
     names = [f"{motion['name']} [{motion['unit']}]" for motion in result["free_motions"]]
-    rows = [
-        [name, *(f"{entry:.4e}" for entry in row)]
-        for name, row in zip(names, result["free_motion_stiffness"], strict=True)
-    ]
+    rows = _rows(names, result["free_motion_stiffness"])
     return ["stiffness K of the free motions [N/m, N, N m/rad]", *table_lines(["", *names], rows)]
+
+
+def _rows(names: Sequence[str], matrix: Sequence[Sequence[float]]) -> list[list[str]]:
+    """Write a symmetric matrix, 0 for what is rounding beside its diagonal."""
+    size = [math.sqrt(abs(row[k])) for k, row in enumerate(matrix)]
+    return [
+        [name, *("0" if abs(entry) < 1e-12 * size[i] * size[j] else f"{entry:.4e}" for j, entry in enumerate(row))]
+        for i, (name, row) in enumerate(zip(names, matrix, strict=True))
+    ]
 
 
 def _percent(share: float) -> str:

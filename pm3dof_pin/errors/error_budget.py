@@ -168,7 +168,7 @@ def error_budget(
         >>> errors = pm.GeometricErrors.load("pm3dof")
         >>> poses = pm.reachable_poses(errors.robot, 20, np.random.default_rng(0))
         >>> budget = error_budget(ErrorSources(errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]), poses)
-        >>> [f"{1e6 * budget.select([name]).tip_rms.mean():.0f} um by {name}" for name in ("wrench", "thermal")]
+        >>> [f"{1e6 * budget.select([name]).tip_rms.mean():.0f} µm by {name}" for name in ("wrench", "thermal")]
         ['... um by wrench', '... um by thermal']
 
     Args:
