@@ -30,13 +30,18 @@ _ANGLE = re.compile(r"(theta)_([xyz])")
 _LETTERS = re.compile(r"([xyzruq])_?([xyze]|\d*)")
 
 
+def plain(name: str) -> str:
+    """Return a name so that it is drawn as it stands: a dollar begins no formula."""
+    return name.replace("$", r"\$")
+
+
 def symbol(name: str) -> str:
     r"""Return the name of a coordinate in italics: theta_x as $\theta_x$, z_e as $z_e$; other words as they are."""
     if _ANGLE.fullmatch(name):
         return rf"$\{name}$"
     found = _LETTERS.fullmatch(name)
     if not found:
-        return name
+        return plain(name)
     return f"${found[1]}_{{{found[2]}}}$" if found[2] else f"${found[1]}$"
 
 
@@ -86,7 +91,7 @@ def typeset(text: str) -> str:
 
 def part_words(name: str) -> str:
     """Return the name of a part as words: actuator1 as actuator 1, passive_leg as passive leg."""
-    return re.sub(r"(?<=[a-z])(?=\d)", " ", name).replace("_", " ")
+    return plain(re.sub(r"(?<=[a-z])(?=\d)", " ", name).replace("_", " "))
 
 
 def parameter_words(name: str) -> str:
@@ -97,7 +102,7 @@ def parameter_words(name: str) -> str:
     place, dot, motion = name.rpartition(".")
     found = re.fullmatch(r"([tr])_?([xyz]|across\d)", motion)
     if not dot or not found:
-        return name
+        return plain(name)
     axis = f"${found[2]}$" if len(found[2]) == 1 else f"axis {found[2][-1]} across"
     part = part_words(place.removesuffix("_joint"))
     part = re.sub(r" ([xyz])$", r" $\1$", part)
@@ -113,4 +118,4 @@ def entry_words(entry: str) -> str:
         return f"along ${entry}$"
     if re.fullmatch(r"r[xyz]", entry):
         return f"about ${entry[1]}$"
-    return symbol(entry) if symbol(entry) != entry else entry.replace("_", " ")
+    return symbol(entry) if symbol(entry) != entry else plain(entry.replace("_", " "))

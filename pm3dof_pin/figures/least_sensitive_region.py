@@ -14,7 +14,7 @@ from matplotlib.tri import Triangulation
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.atlas import LimitsOver
 from pm3dof_pin.figures.color_scale import ColorScale, color_scale
-from pm3dof_pin.figures.labels import axis_label, drawn, in_words
+from pm3dof_pin.figures.labels import axis_label, drawn, in_words, plain
 from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_edges, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import (
     COLORMAP,
@@ -59,7 +59,7 @@ def least_sensitive_region(dataset: xr.Dataset, limits: LimitsOver | None = None
         figure = new_figure(width, 0.8 + (width - 0.9) / columns * rows)
         figure.set_layout_engine("constrained")
         part_of_all = f"{100.0 * dataset.attrs['least_sensitive_part']:.0f} %"
-        figure.suptitle(f"Least sensitive {part_of_all} of the poses: {dataset.attrs['machine']}")
+        figure.suptitle(f"Least sensitive {part_of_all} of the poses: {plain(dataset.attrs['machine'])}")
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for place, (title, part), mesh, heights in zip(panels.flat, slices, meshes, values, strict=False):
             units = [part[dim].attrs["units"] for dim in dims[:2]]

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.color_scale import ColorScale, color_scale, number
-from pm3dof_pin.figures.labels import axis_label, display_unit, drawn, entry_words, in_brackets, in_words, typeset
+from pm3dof_pin.figures.labels import (
+    axis_label,
+    display_unit,
+    drawn,
+    entry_words,
+    in_brackets,
+    in_words,
+    plain,
+    typeset,
+)
 from pm3dof_pin.figures.outlined_mesh import Within, joined, outlined_mesh
 from pm3dof_pin.figures.space import divided_triangles, towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
@@ -153,7 +162,7 @@ def _sheet(
         for c in section.coords
         if section[c].ndim == 0 and "units" in section[c].attrs
     ]
-    machine = f"{section.attrs['machine']}, {section.attrs['model']} model"
+    machine = f"{plain(section.attrs['machine'])}, {section.attrs['model']} model"
     words = f"{what}{f', {entry_words(entry)}' if entry else ''}"
     title = f"{words[0].upper()}{words[1:]}: {machine}"
     section_of = f"section {', '.join(stands)}"

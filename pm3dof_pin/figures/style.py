@@ -12,6 +12,7 @@ from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
 
 COLORMAP = "viridis"  # even in lightness: readable without colour vision and in grey
@@ -78,7 +79,7 @@ def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
         return {name: (LIMIT_COLORS[name], LIMIT_NAMES[name]) for name in names}
     others = [name for name in names if name != "reach"]
     colors = dict(zip(others, itertools.cycle(_OTHER_COLORS), strict=False))
-    return {name: (colors.get(name, LIMIT_COLORS["reach"]), name.replace("_", " ")) for name in names}
+    return {name: (colors.get(name, LIMIT_COLORS["reach"]), plain(name.replace("_", " "))) for name in names}
 
 
 def spring_colors(count: int) -> list[str]:

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
-from pm3dof_pin.figures.labels import axis_label, drawn, symbol
+from pm3dof_pin.figures.labels import axis_label, drawn, plain, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
 from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure
 from pm3dof_pin.maps.workspace import Workspace
@@ -51,7 +51,9 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
     sheet = _Sheet(workspace, printed)
     with house_style():
         figure = new_figure(TWO_COLUMNS, 4.7) if workspace.space.stacked else new_figure(ONE_COLUMN, 3.9)
-        figure.suptitle(f"Reachable set under all {'joint ' if printed else ''}limits: {workspace.space.machine}")
+        figure.suptitle(
+            f"Reachable set under all {'joint ' if printed else ''}limits: {plain(workspace.space.machine)}"
+        )
         # placed by hand: no layout engine knows the size of labels in space
         if workspace.space.stacked:
             _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet)

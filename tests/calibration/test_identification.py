@@ -7,10 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import chi2, multivariate_normal
 
-from pm3dof_pin.calibration.identification import Identification, _Linearised, identify
+from pm3dof_pin.calibration.identification import PRIOR, Identification, _Linearised, identify, prior_from_data
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -178,6 +180,51 @@ def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
     problem = SimpleNamespace(dimensions=np.full(count, dimension), _used=used)
     left = (count * dimension - used) / (count * dimension)
     assert _Linearised.noise_factor(problem, left * noise) == pytest.approx(3.0, rel=1e-9)  # type: ignore[arg-type]
+
+
+def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
+    generator = np.random.default_rng(0)
+    rows, sigmas = generator.standard_normal((15, 2, 4)), np.array([0.1, 0.3, 1.0, 3.0])
+    design = rows.reshape(-1, 4)
+    hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
+    problem = SimpleNamespace(prior=PRIOR, rows=rows, _blocks=np.swapaxes(rows, 1, 2) @ rows, _sigmas=sigmas)
+    assert _Linearised._used.func(problem) == pytest.approx(np.trace(hat), rel=1e-12)  # type: ignore[attr-defined]
+
+
+class _Thirty:
+    """Thirty parameters in units of their tolerances."""
+
+    tolerances = np.ones(30)
+
+    def __len__(self) -> int:
+        return 30
+
+
+@pytest.mark.parametrize("true", [0.3, 1.5])
+def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
+    """Data of covariance I f^2 / w + k^2 X X', without the nuisance's direction, and four parameters off by 1."""
+    generator, factor = np.random.default_rng(1), 2.0
+    weights = generator.uniform(0.3, 1.0, 20)
+    rows = generator.standard_normal((20, 3, 31)) * np.geomspace(0.05, 3.0, 31)
+    scaled = (rows * np.sqrt(weights)[:, None, None] / factor).reshape(60, 31)
+    rest = null_space(scaled[:, 30:].T)
+    design = rest.T @ scaled[:, :30]
+    seen = design @ (true * generator.standard_normal(30)) + generator.standard_normal(59)
+    found = SimpleNamespace(
+        errors=_Thirty(),
+        values=np.linalg.solve(design.T @ design + np.eye(30) / PRIOR**2, design.T @ seen),
+        prior=PRIOR,
+        rows=rows,
+        weights=weights,
+        noise_factor=factor,
+    )
+
+    def unlikely(k: float) -> float:
+        covariance = np.eye(59) + k**2 * design @ design.T
+        return 2.0 * (np.log(k**2) + k**-2) - multivariate_normal.logpdf(seen, cov=covariance)
+
+    wanted = minimize_scalar(unlikely, bounds=(0.05, PRIOR), method="bounded").x
+    assert prior_from_data(found) == pytest.approx(wanted, abs=0.01)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("weak", "told"), [(1e-13, True), (1e-16, False)])

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -301,22 +300,3 @@ def test_meshes_can_be_left_out(tmp_path: Path) -> None:
         assert files
         assert not any("arm.stl" in file.read_text() for file in files)
     assert "<box" in (tmp_path / "urdf" / "arm.urdf").read_text()
-
-
-@pytest.mark.parametrize("name", ["x\u2028closed_loop: []", "</robot>", "-->", "\"'", "%{}", "{{7*7}}", "a\\"])
-def test_a_robot_of_any_name_is_exported_to_sound_files(name: str, tmp_path: Path) -> None:
-    source = find_robot("three_rps")
-    text = source.path.read_text(encoding="utf-8").replace('name="three_rps"', f"name={quoteattr(name)}", 1)
-    (tmp_path / "named.urdf").write_text(text, encoding="utf-8")
-    assert source.closures is not None
-    (tmp_path / "named.closures.yaml").write_text(source.closures.read_text(encoding="utf-8"), encoding="utf-8")
-    for form in FORMATS:
-        export_robot(tmp_path / "named.urdf", form, tmp_path / form)
-        for file in (path for path in (tmp_path / form).rglob("*") if path.is_file()):
-            content = file.read_text(encoding="utf-8")
-            if file.suffix in (".xml", ".urdf", ".sdf", ".srdf"):
-                ElementTree.fromstring(content)
-            elif file.suffix in (".yaml", ".rviz"):
-                yaml.safe_load(content)
-            elif file.suffix == ".py":
-                compile(content, str(file), "exec")
