@@ -187,7 +187,7 @@ def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options:
         problem = f"seen where no commands bring the machine ({error})"
         raise InvalidValueError("measurements", problem, "poses near those of the commands") from error
     seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
-    if seen < drives:
+    if seen < drives and not measurements.joints:  # which show more, but of the tool by the model alone
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets off the tool point"
         logger.warning("a measurement shows %d of %d motions of the drives%s", seen, drives, advice)
     if options.learns and measurements.points.any():

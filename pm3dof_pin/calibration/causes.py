@@ -113,6 +113,7 @@ def _misfit(measurements: Measurements, nominal: Poses, eta: float, own_frame: b
             positions=found.positions(measurements.positions),
             rotations=turned,
         )
-    weights = tip_weights(eta)[: measurements.sigmas.shape[1]]
-    residuals = np.where(measurements.seen, measurements.residuals(nominal) * weights, 0.0)
+    weights = tip_weights(eta)[: measurements.tool_columns]
+    tool = measurements.tool_columns
+    residuals = np.where(measurements.seen[:, :tool], measurements.residuals(nominal)[:, :tool] * weights, 0.0)
     return float(np.median(np.linalg.norm(residuals, axis=1)))

@@ -25,8 +25,9 @@ from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.degrees_of_freedom import RankDecision
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.encoders import encoder_column, joint_coordinates
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
@@ -59,9 +60,11 @@ def stacked_regressor(
     wrenches at these poses.
     """
     measurements = Measurements.of_poses(poses.commands, poses.transforms, instrument)
+    if instrument is not None and instrument.encoders:
+        measurements = _with_encoders(measurements, poses, instrument)
     rows = np.arange(len(measurements)) // (len(measurements) // len(poses))
     nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
-    found = sensitivities(errors, poses)
+    found = sensitivities(errors, poses, joints=tuple(measurements.joints))
     drives = (found.commands * np.abs(command_scales(poses)))[rows]
     at_rows, of_a_pose = poses[rows], measurements.sigmas.size // len(poses)
 
@@ -70,9 +73,22 @@ def stacked_regressor(
         return np.asarray(derivatives.reshape(len(poses), of_a_pose, derivatives.shape[2]))
 
     springs = elastic or ElasticTerm()
-    motions = np.concatenate([found.errors, springs.derivatives(poses, np.zeros(len(springs.names)))], axis=2)
+    by_springs = with_joints(springs.derivatives(poses, np.zeros(len(springs.names))), len(measurements.joints))
+    motions = np.concatenate([found.errors, by_springs], axis=2)
     by_errors = scaled(motions[rows], np.concatenate([errors.tolerances, springs.sigmas]))
     return by_errors, scaled(nuisances.motions(measurements, at_rows, drives), nuisances.scales), nuisances
+
+
+def _with_encoders(measurements: Measurements, poses: Poses, instrument: Instrument) -> Measurements:
+    """Return the rows of poses with the readings of the instrument's encoders, in the first row of each pose."""
+    for joint in instrument.encoders:
+        encoder_column(poses.robot, joint)
+    joints: dict[str, str] = {joint: poses.robot.single_joint(joint).unit for joint in instrument.encoders}
+    rows = len(measurements) // len(poses)
+    noise = [instrument.position_sigma if unit == "m" else instrument.angle_sigma for unit in joints.values()]
+    sigmas = np.full((len(measurements), len(joints)), np.inf)
+    sigmas[::rows] = noise
+    return measurements.with_encoders(joints, np.repeat(joint_coordinates(poses, tuple(joints)), rows, axis=0), sigmas)
 
 
 class Unknowns(Protocol):

@@ -29,7 +29,7 @@ from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array, Indices
 
@@ -298,6 +298,7 @@ class _Linearised:
         machine, drives = _tool_motions(errors, measurements, poses, values)
         loaded, by_stiffness = elastic.deflected(poses, logarithms)
         self.settled = nuisances.removed(measurements, loaded, drives, measuring)
+        by_stiffness = with_joints(by_stiffness, len(measurements.joints))
         motions = [machine, by_stiffness, nuisances.motions(measurements, loaded, drives)]
         self.residuals = self.settled.residuals(loaded)
         derivatives = self.settled.derivatives(loaded, np.concatenate(motions, axis=2))
@@ -390,10 +391,10 @@ class _Linearised:
 
 
 def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Poses, p: Array) -> tuple[Array, Array]:
-    """Return the tool's motion by the parameters and by the drives at each row, each different pose computed once."""
+    """Return the motion of tool and encoders by parameters and drives at each row, each pose computed once."""
     numbers = measurements.pose_numbers
     _, first = np.unique(numbers, return_index=True)
-    found = sensitivities(errors, poses[first], p)
+    found = sensitivities(errors, poses[first], p, joints=tuple(measurements.joints))
     return found.errors[numbers], drive_motions(poses[first], found.commands)[numbers]
 
 

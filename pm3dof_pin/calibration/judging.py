@@ -157,14 +157,20 @@ class _Scores:
     control: Array
     uncertain: Array
 
+    def that_show_the_tool(self) -> _Scores:
+        """Return those of visits at which something of the tool was seen; all of them if it never was."""
+        told = self.shown.any(axis=(1, 2))
+        return self if not told.any() else _Scores(self.sizes[:, told], *(values[told] for values in self._of_visits))
+
+    @property
+    def _of_visits(self) -> tuple[Array, ...]:
+        return self.missed, self.covariances, self.shown, self.control, self.uncertain
+
     @classmethod
     def joined(cls, parts: Sequence[_Scores], order: Indices) -> _Scores:
         sizes = np.concatenate([part.sizes for part in parts], axis=1)[:, order]
-        others = (
-            np.concatenate([getattr(part, name) for part in parts])[order]
-            for name in ("missed", "covariances", "shown", "control", "uncertain")
-        )
-        return cls(sizes, *others)
+        others = zip(*(part._of_visits for part in parts), strict=True)
+        return cls(sizes, *(np.concatenate(values)[order] for values in others))
 
 
 def _judged(compensation: Compensation, measurements: Measurements, final: Compensation) -> _Scores:
@@ -197,6 +203,7 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
 
 
 def _together(rows: Indices, scores: _Scores, scatter: Scatter | None = None) -> HeldOut:
+    scores = scores.that_show_the_tool()
     before, after, floor, noise, *energies = scores.sizes
     if scatter is None:
         scatter = scatter_of(scores.missed, scores.covariances, scores.shown, scores.control)

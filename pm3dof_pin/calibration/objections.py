@@ -130,7 +130,9 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: too much of the "
             "tool's motion was not seen; measure whole poses, or targets off the tool point"
         )
-    if held_out is not None and not held_out.before.max() > _EXACT:
+    if not found.measurements.seen[:, : found.measurements.tool_columns].any():
+        reasons.append("no row shows the tool: what encoders tell alone is not known to improve on no correction")
+    elif held_out is not None and not held_out.before.max() > _EXACT:
         reasons.append("the machine is where the description has it to the last digit: poses planned, not measured")
     elif held_out is not None:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))

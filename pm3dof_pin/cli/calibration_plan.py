@@ -75,6 +75,10 @@ def calibration_plan(
     target_sigma: Annotated[
         float, typer.Option(min=1e-9, help="How well it is known where targets sit, each coordinate [m].")
     ] = 1e-3,
+    encoder: Annotated[
+        list[str] | None,
+        typer.Option(metavar="JOINT", help="A passive joint whose encoder is read too; may be given several times."),
+    ] = None,
     wrench: Annotated[
         tuple[float, float, float, float, float, float] | None,
         typer.Option(
@@ -136,9 +140,9 @@ def calibration_plan(
 
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
         raise typer.BadParameter("expected a positive --accuracy [m], without --poses")
-    whole = not positions and targets is None
+    whole = not positions and targets is None and not encoder
     if not whole and (accuracy is not None or method is not MethodName.LM):
-        raise typer.BadParameter("--positions and --targets are for --method lm, without --accuracy")
+        raise typer.BadParameter("--positions, --targets and --encoder are for --method lm, without --accuracy")
     way = STRATEGY_OF_METHOD[method.value] if strategy is None else strategy.value
     errors = which.load_errors()
     generator = np.random.default_rng(seed)
@@ -150,7 +154,9 @@ def calibration_plan(
         )
         tests = reachable_poses(errors.robot, min(candidates, 300), generator)
         fitting = closing_errors(errors, choices[:20])
-        instrument = replace(Instrument("position" if positions else "pose"), own_frame=own_frame)
+        instrument = replace(
+            Instrument("position" if positions else "pose"), own_frame=own_frame, encoders=tuple(encoder or ())
+        )
         if targets is not None:
             sigma = target_sigma if target_offsets is TargetOffsets.ESTIMATE else 0.0
             around = 2.0 * np.pi * np.arange(targets) / targets

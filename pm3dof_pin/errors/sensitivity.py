@@ -12,7 +12,7 @@ twist of everything beyond its place, like the rate of a joint that stood there,
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ _PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to fin
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Derivatives of the tool's pose, [position; rotation vector] in world axes, at n poses."""
+    """Derivatives of the tool's pose, [position; rotation vector] in world axes, at n poses, and of joints."""
 
     errors: Array  #: by the error parameters at fixed commands, shape=(n, 6, number of parameters) [1, m/rad; rad/m, 1]
     commands: Array  #: by the commands, shape=(n, 6, number of commands)
@@ -44,9 +44,10 @@ def sensitivities(
     poses: Poses,
     values: ArrayLike | Mapping[str, float] | None = None,
     *,
+    joints: Sequence[str] = (),
     engine: Engine = "program",
 ) -> Sensitivities:
-    """Compute how the tool's pose changes with errors and commands.
+    """Compute how the tool's pose changes with errors and commands, and the coordinates of some joints.
 
     Example:
         >>> import numpy as np
@@ -61,6 +62,7 @@ def sensitivities(
         errors: the parameters.
         poses: assembled poses of the robot as described, or of `errors.apply(values)`, shape=(n,).
         values: p at which to differentiate, that of the poses; 0 by default.
+        joints: single-DoF joints, whose rows come after the tool's, shape=(n, 6 + joints, ...) [m, rad].
         engine: "program", the robot's compiled one, where it is in no doubt; or "pinocchio", pose by pose.
 
     Raises:
@@ -70,6 +72,13 @@ def sensitivities(
     """
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
+    if joints:
+        tool = sensitivities(errors, poses, p, engine=engine)
+        rates = _Loops(errors, poses, p).followed_rates()[0][:, poses.robot.velocity_indices(joints)]
+        by_drives, by_errors = np.split(rates, [len(poses.robot.actuated_indices)], axis=2)
+        own = _of_motions(poses, by_errors, by_drives)
+        parts = [(tool.errors, own.errors), (tool.commands, own.commands)]
+        return Sensitivities(*(frozen(np.concatenate(pair, axis=1)) for pair in parts))
     if engine == "program" and len(poses) >= _PROGRAM_FROM:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 

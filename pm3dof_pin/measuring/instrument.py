@@ -31,6 +31,7 @@ class Instrument:
     #: points that are seen one after the other instead of the tool point, in its axes [m]
     targets: tuple[tuple[float, float, float], ...] = ()
     target_sigma: float = 0.0  #: how well these are known, standard deviation of each coordinate [m]; 0 for exactly
+    encoders: tuple[str, ...] = ()  #: passive joints that are read at each pose, with the noise above
 
     def __post_init__(self) -> None:
         """Check the noise."""

@@ -22,6 +22,7 @@ from pm3dof_pin.measuring.command_columns import (
     start_columns,
 )
 from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
+from pm3dof_pin.measuring.encoders import encoder_column, encoder_joints, readings_of
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.plausibility import (
@@ -57,7 +58,11 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         columns |= zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True)
     if measurements.points.any():
         columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
-    columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T, strict=False)
+    columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T[: measurements.tool_columns], strict=False)
+    for k, joint in enumerate(measurements.joints):
+        name, sigmas = encoder_column(robot, joint), measurements.sigmas[:, measurements.tool_columns + k]
+        assert measurements.readings is not None
+        columns |= {name: np.where(np.isfinite(sigmas), measurements.readings[:, k], np.nan), f"sigma_{name}": sigmas}
     if measurements.distances is not None and measurements.origins is not None and measurements.partners is not None:
         far, spheres = np.isfinite(measurements.distances), measurements.spheres
         on_sphere = np.zeros(len(far), dtype=bool) if spheres is None else spheres >= 0
@@ -88,7 +93,8 @@ def read_measurements(
     Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a drive that turns), `x_m,y_m,z_m`, and for full poses
     `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in the tool's axes; `sigma_x_m ... sigma_rz_rad`;
     `temperature_*_K`, `load_*`; `time_s`, by which drift is told; `approach_u1` ..., the direction (1, -1, 0 for
-    unknown) from which each drive came: with times alone, that from the pose before. Rows with missing numbers are left
+    unknown) from which each drive came: with times alone, that from the pose before; `encoder_<joint>_rad` or `_m`,
+    readings of passive joints, and `sigma_encoder_...`. Rows with missing numbers are left
     out with a warning that names them.
 
     Example:
@@ -129,6 +135,8 @@ class _Reader:
         self._path, self._robot = path, robot
         self._own = command_columns(robot)
         self._table = CsvTable(path, self._own)
+        self._joints = encoder_joints(self._table, robot)
+        self._encoders = [encoder_column(robot, joint) for joint in self._joints]
         self._check_header()
         self._seen, whole = self._settle_what_was_measured()
         whole &= np.isfinite(self._table.matrix(self._needed())).all(axis=1)
@@ -179,6 +187,8 @@ class _Reader:
             times=table.columns.get(_TIME_COLUMN),
             approaches=self._approaches(commands),
         )
+        if self._joints:
+            found = found.with_encoders(self._joints, *readings_of(table, self._joints, nominal, instrument))
         return self._with_distances(found, expected, instrument) if self._seen[:, 6].any() else found
 
     def _registration(
@@ -200,7 +210,7 @@ class _Reader:
     def _with_distances(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
         """Return measurements with their distances; poses at which some begin are rows where nothing was seen."""
         count, table, far = len(found), self._table, self._seen[:, 6]
-        both = far & self._seen[:, :6].any(axis=1)
+        both = far & np.delete(self._seen, 6, axis=1).any(axis=1)
         if both.any():
             problem = f"a row has {DISTANCE_COLUMN} and other measurements, expected a row for each"
             raise MeasurementError(self._path, problem, table.lines_where(both))
@@ -287,6 +297,7 @@ class _Reader:
             SIGMA_COLUMNS[3:],
             (_TIME_COLUMN,),
             approach_columns(self._robot),
+            *((name,) for encoder in self._encoders for name in (encoder, f"sigma_{encoder}")),
         ):
             if set(group) & set(header):
                 wanted += group
@@ -300,23 +311,25 @@ class _Reader:
         positions = tuple(name for name in POSITION_COLUMNS if name in header)
         if DISTANCE_COLUMN in header:
             return (*positions, DISTANCE_COLUMN)
+        if self._encoders:
+            return positions
         beside = (*POINT_COLUMNS, *SIGMA_COLUMNS[:3], _TIME_COLUMN, *approach_columns(self._robot))
         alone = positions and all(name in {*self._own, *positions, *beside} or is_condition(name) for name in header)
         return positions if alone else POSITION_COLUMNS
 
     def _settle_what_was_measured(self) -> tuple[Mask, Mask]:
-        """Make whole columns of what was measured, and say which of it was: the flags of x, y, z, angles, distance.
+        """Make whole columns of what was measured, and say which was: flags of x, y, z, angles, distance, encoders.
 
         Not measured is a coordinate without a column or with an infinite sigma, and a position, an orientation or a
         distance of which every cell of a row is empty.
 
         Returns:
-            The flags, shape=(n, 7); and whether a row has anything, and all of what it has is whole.
+            The flags, shape=(n, 7 + encoders); and whether a row has anything, and all of what it has is whole.
         """
         table = self._table
         count = len(table)
         infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in SIGMA_COLUMNS])
-        seen, broken = np.zeros((count, 7), dtype=bool), np.zeros(count, dtype=bool)
+        seen, broken = np.zeros((count, 7 + len(self._encoders)), dtype=bool), np.zeros(count, dtype=bool)
         if present := [name for name in POSITION_COLUMNS if name in table]:
             there = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
             for name in present:
@@ -333,6 +346,9 @@ class _Reader:
         if DISTANCE_COLUMN in table:
             seen[:, 6] = ~np.isnan(table[DISTANCE_COLUMN])
             broken |= seen[:, 6] & ~np.isfinite(table[DISTANCE_COLUMN])
+        for place, name in enumerate(self._encoders, start=7):
+            seen[:, place] = ~np.isnan(table[name]) & ~np.isposinf(table.get(f"sigma_{name}", 0.0))
+            broken |= seen[:, place] & ~np.isfinite(table[name])
         return seen, seen.any(axis=1) & ~broken
 
     def _needed(self) -> list[str]:
@@ -344,7 +360,8 @@ class _Reader:
             *ORIGIN_COLUMNS,
             *start_columns(self._robot),
         }
-        may_be_empty = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *SIGMA_COLUMNS, *distances}
+        encoders = {f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders}
+        may_be_empty = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *SIGMA_COLUMNS, *distances, *encoders}
         return [name for name in self._table.columns if name not in may_be_empty]
 
     def _nominal_poses(self, commands: Array) -> Poses:

@@ -13,6 +13,7 @@ from pm3dof_pin.arrays import finite_array, real_array
 from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, rotation_vector_rates
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.encoders import joint_coordinates
 from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -38,8 +39,8 @@ class Measurements:
         commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
         positions: what was seen of the tool point, or of `points`, in the world, shape=(n, 3) [m].
         rotations: orientation of the tool, shape=(n, 3, 3); None if positions only were measured.
-        sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3) [m, rad];
-            infinite where it was not measured. That of a distance is the first.
+        sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3), then of each
+            encoder [m, rad]; infinite where it was not measured. That of a distance is the first.
         points: the points seen, in the tool's axes from the tool point, shape=(n, 3) [m]; zeros for the tool point.
         conditions: temperatures and loads by the name of their column, shape=(n,) each.
         lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
@@ -56,6 +57,9 @@ class Measurements:
         partners: the rows at whose points distances begin instead, shape=(n,); -1 for a fixed point.
         spheres: number of the sphere whose surface was touched, its radius the distance, shape=(n,); -1 for none. Where
             its centre is, in `origins`, is not known.
+        joints: passive joints with an encoder and the unit of each, "m" or "rad"; the noise of these
+            stands in `sigmas` after that of the tool.
+        readings: what these encoders showed, shape=(n, joints) [m, rad]; None if there are none.
     """
 
     commands: Array
@@ -75,6 +79,8 @@ class Measurements:
     origins: Array | None = None
     partners: Indices | None = None
     spheres: Indices | None = None
+    joints: dict[str, str] = field(default_factory=dict)
+    readings: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes, finite numbers and positive noise."""
@@ -84,7 +90,7 @@ class Measurements:
         shapes: dict[str, tuple[Array, tuple[int, ...]]] = {
             "commands": (self.commands, (n, self.commands.shape[-1])),
             "positions": (self.positions, (n, 3)),
-            "sigmas": (self.sigmas, (n, 3 if self.rotations is None else 6)),
+            "sigmas": (self.sigmas, (n, self.tool_columns + len(self.joints))),
             "points": (self.points, (n, 3)),
         }
         if self.rotations is not None:
@@ -92,6 +98,8 @@ class Measurements:
         shapes |= {name: (values, (n,)) for name, values in self.conditions.items()}
         if self.times is not None:
             shapes["times"] = (self.times, (n,))
+        if self.joints or self.readings is not None:
+            shapes["readings"] = (np.empty(0) if self.readings is None else self.readings, (n, len(self.joints)))
         if self.approaches is not None:
             shapes["approaches"] = (self.approaches, self.commands.shape)
         for name, (array, shape) in shapes.items():
@@ -130,6 +138,7 @@ class Measurements:
             lines=tuple(self.lines[k] for k in chosen),
             times=None if self.times is None else self.times[chosen],
             approaches=None if self.approaches is None else self.approaches[chosen],
+            readings=None if self.readings is None else self.readings[chosen],
         )
 
     def _distances_of(self, chosen: Indices) -> dict[str, Any]:
@@ -155,6 +164,11 @@ class Measurements:
     def seen(self) -> Mask:
         """Which coordinates were measured, shape=(n, 3) or (n, 6)."""
         return np.isfinite(self.sigmas)
+
+    @property
+    def tool_columns(self) -> int:
+        """How many coordinates of the tool a row has, 3 or 6, before the readings of encoders."""
+        return 3 if self.rotations is None else 6
 
     @property
     def is_partial(self) -> bool:
@@ -283,13 +297,20 @@ class Measurements:
         """Return them with distances from elsewhere, shape=(n, 3) [m]."""
         return replace(self, origins=origins)
 
+    def with_encoders(self, joints: dict[str, str], readings: Array, sigmas: Array) -> Measurements:
+        """Return them with readings of passive joints and their noise, shape=(n, joints) each [m, rad]."""
+        tool = self.sigmas[:, : self.tool_columns]
+        return replace(self, joints=joints, readings=readings, sigmas=np.concatenate([tool, sigmas], axis=1))
+
     def without_motions(self, poses: Poses, motions: Array) -> Measurements:
         """Return what would have been seen had the tool not made small motions.
 
         Args:
             poses: of the machine, at the commands of the measurements.
-            motions: [translation; rotation vector] of the tool at each row, shape=(n, 6) [m, rad].
+            motions: [translation; rotation vector] of the tool at each row, then of the joints with encoders or not,
+                shape=(n, 6 or 6 + joints) [m, rad].
         """
+        joints, motions = motions[:, 6:], motions[:, :6]
         offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
         turns = np.swapaxes(rotation_matrix(motions[:, 3:]), 1, 2)
         distances = self.distances
@@ -298,15 +319,16 @@ class Measurements:
         return replace(
             self,
             distances=distances,
+            readings=self.readings - joints if self.readings is not None and joints.size else self.readings,
             positions=self.positions - motions[:, :3] - np.cross(motions[:, 3:], offsets),
             rotations=None if self.rotations is None else turns @ self.rotations,
         )
 
     def residuals(self, poses: Poses) -> Array:
-        """Return what was measured minus what a machine does, shape=(n, 3 or 6) [m, rad].
+        """Return what was measured minus what a machine does, shape=(n, 3 or 6, and one for each encoder) [m, rad].
 
         Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
-        measured; world axes.
+        measured; world axes. Then readings minus the joints' coordinates.
 
         Args:
             poses: of the machine, at the commands of the measurements.
@@ -317,30 +339,34 @@ class Measurements:
             size = np.linalg.norm(self._ways(poses), axis=1)
             off = np.column_stack([self.distances - size, np.zeros((len(size), 2))])
             positions = np.where(np.isnan(self.distances)[:, None], positions, off)
-        if self.rotations is None:
-            return np.asarray(positions)
-        seen = np.tile(np.eye(4), (len(poses), 1, 1))
-        seen[:, :3, :3] = self.rotations
-        return np.concatenate([positions, pose_difference(poses.transforms, seen)[:, 3:]], axis=1)
+        parts = [positions]
+        if self.rotations is not None:
+            seen = np.tile(np.eye(4), (len(poses), 1, 1))
+            seen[:, :3, :3] = self.rotations
+            parts.append(pose_difference(poses.transforms, seen)[:, 3:])
+        if self.readings is not None:
+            parts.append(self.readings - joint_coordinates(poses, tuple(self.joints)))
+        return np.concatenate(parts, axis=1)
 
     def derivatives(self, poses: Poses, tool_motions: Array) -> Array:
-        """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, 3 or 6, k).
+        """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, rows, k).
 
         Args:
             poses: of the machine, at the commands of the measurements.
-            tool_motions: derivatives of the tool's pose, shape=(n, 6, k).
+            tool_motions: derivatives of the tool's pose, then of the joints with encoders where these move too,
+                shape=(n, 6 or 6 + joints, k).
         """
         offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
-        linear, angular = tool_motions[:, :3], tool_motions[:, 3:]
+        linear, angular = tool_motions[:, :3], tool_motions[:, 3:6]
         points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
         if self.distances is not None:
             rows = np.zeros_like(points)
             rows[:, 0] = self._along_distances(poses, points)
             points = np.where(np.isnan(self.distances)[:, None, None], points, rows)
-        if self.rotations is None:
-            return np.asarray(points)
-        rates = rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2))
-        return np.concatenate([points, rates @ angular], axis=1)
+        parts = [points]
+        if self.rotations is not None:
+            parts.append(rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2)) @ angular)
+        return np.concatenate([*parts, with_joints(tool_motions, len(self.joints))[:, 6:]], axis=1)
 
     def _ways(self, poses: Poses) -> Array:
         """Return the ways from where distances begin to the points seen, on a machine, shape=(n, 3) [m]."""
@@ -359,6 +385,12 @@ class Measurements:
     def _fixed(self) -> Mask:
         assert self.partners is not None
         return np.asarray(self.partners < 0)[:, None]
+
+
+def with_joints(motions: Array, joints: int) -> Array:
+    """Return motions of the tool, shape=(n, 6, k), with rows for joints, which stand still unless they are there."""
+    still = np.zeros((len(motions), 6 + joints - motions.shape[1], motions.shape[2]))
+    return np.concatenate([motions, still], axis=1)
 
 
 def _numbered(rows: Array) -> Indices:

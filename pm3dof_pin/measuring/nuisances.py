@@ -15,6 +15,7 @@ spheres       surfaces of spheres were touched                       3 for each,
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
+encoders      passive joints have encoders                           the zero of each, known to ENCODER_ZERO
 ============  =====================================================  ==================================================
 """
 
@@ -28,7 +29,8 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.encoders import ENCODER_ZERO
+from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.typing import Array, Indices
 
 TARGET_SIGMA = 1e-3
@@ -73,10 +75,10 @@ class Nuisance(Protocol):
         ...
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k).
+        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k), or (n, 6 + joints, k).
 
-        Poses are the machine's at each row; `drives` the motion of the tool by the joints of the drives, shape=(n, 6,
-        commands).
+        Poses are the machine's at each row; `drives` the motion of the tool, and of the joints with encoders, by the
+        joints of the drives, shape=(n, 6 or 6 + joints, commands).
         """
         ...
 
@@ -228,7 +230,8 @@ class Drift:
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """See :class:`Nuisance`."""
-        return np.concatenate([_rigid_motions(poses), drives], axis=2) * self._parts(measurements)[:, None, None]
+        base = with_joints(_rigid_motions(poses), drives.shape[1] - 6)
+        return np.concatenate([base, drives], axis=2) * self._parts(measurements)[:, None, None]
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         """See :class:`Nuisance`."""
@@ -278,6 +281,40 @@ class _Hysteresis:
         return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
 
 
+@dataclass(frozen=True, eq=False)
+class _EncoderZeros:
+    """By how much each encoder shows more than its joint's coordinate."""
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]  #: "m" or "rad" of each
+    kind = "encoders"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Nuisance`."""
+        return tuple(f"encoder.{joint}" for joint in self.joints)
+
+    @property
+    def scales(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.array([ENCODER_ZERO[unit] for unit in self.units])
+
+    @property
+    def sigmas(self) -> Array:
+        """See :class:`Nuisance`."""
+        return np.ones(len(self.units))
+
+    def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
+        """See :class:`Nuisance`: the joint seems to stand elsewhere."""
+        motions = np.zeros((len(poses), 6 + len(self.joints), len(self.joints)))
+        motions[:, 6:] = np.eye(len(self.joints))
+        return motions
+
+    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
+        """See :class:`Nuisance`."""
+        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
+
+
 class Nuisances:
     """All nuisance parameters of some measurements, by kind, in one row. Not to be changed once made."""
 
@@ -309,6 +346,8 @@ class Nuisances:
             parts.append(Drift(float(times.min()), float(np.ptp(times)), drive_units))
         if measurements.approaches is not None and measurements.approaches.any():
             parts.append(_Hysteresis(drive_units))
+        if measurements.joints:
+            parts.append(_EncoderZeros(tuple(measurements.joints), tuple(measurements.joints.values())))
         return cls(tuple(parts))
 
     def __len__(self) -> int:
@@ -335,9 +374,12 @@ class Nuisances:
         return found
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """Return the motion of the tool by all parameters, shape=(n, 6, k); see :meth:`Nuisance.motions`."""
-        blocks = [part.motions(measurements, poses, drives) for part in self.parts]
-        return np.concatenate([np.zeros((len(measurements), 6, 0)), *blocks], axis=2)
+        """Return the motion of tool and encoders by all parameters, shape=(n, 6 + joints, k); see :class:`Nuisance`."""
+        blocks = [
+            np.zeros((len(measurements), 6, 0)),
+            *(part.motions(measurements, poses, drives) for part in self.parts),
+        ]
+        return np.concatenate([with_joints(block, len(measurements.joints)) for block in blocks], axis=2)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         """Return measurements without what all of it did; see :meth:`Nuisance.removed`."""
