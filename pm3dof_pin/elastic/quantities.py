@@ -21,12 +21,10 @@ from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.traced import Roots
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.programs.elimination import total, zeros
-from pm3dof_pin.programs.graph import Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
-from pm3dof_pin.programs.projection import compressed
+from pm3dof_pin.programs.graph import is_zero, less, select, sqrt
+from pm3dof_pin.programs.singular_values import squared_singular_values
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
-_SWEEPS = 6
-_TINY = 1e-300
 _RIGID = 1e-12  # part of the greatest principal compliance below which a direction is rigid
 
 
@@ -68,7 +66,7 @@ def _principal(roots: Roots) -> Objects:
     """Return the principal stiffnesses of both blocks of the compliance, ascending, shape=(2, 3)."""
     result = zeros(2, 3)
     for block in range(2):
-        squares = _squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
+        squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
         rigid = squares[-1] * _RIGID
         result[block] = [1.0 / select(less(rigid, s), s, 0.0) for s in reversed(squares)]
     return result
@@ -83,39 +81,7 @@ def _conditioning(roots: Roots) -> Objects:
     length = sqrt(rotation / translation)
     scaled = columns.copy()
     scaled[3:] = scaled[3:] * (1.0 / length)
-    return np.array([*_squared_singular_values(scaled), length], dtype=object)
-
-
-def _squared_singular_values(rows: Objects) -> list[Scalar]:
-    """Return the squares of the singular values of rows, the least first, each accurate relative to its own size.
-
-    One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.
-    """
-    work = compressed(rows)
-    for _ in range(_SWEEPS if len(rows) > 3 else _SWEEPS - 1):
-        for i in range(len(work)):
-            for j in range(i + 1, len(work)):
-                work[[i, j]] = _orthogonal(work[i], work[j])
-    return _sorted([total([entry * entry for entry in row]) for row in work])
-
-
-def _orthogonal(a: Objects, b: Objects) -> Objects:
-    """Turn two rows into two at right angles."""
-    aa, bb, ab = (total(list(x * y)) for x, y in ((a, a), (b, b), (a, b)))
-    difference, twice = bb - aa, 2.0 * ab
-    size = absolute(difference) + sqrt(difference * difference + twice * twice) + _TINY
-    tangent = select(less(difference, 0.0), -twice, twice) / size
-    cosine = 1.0 / sqrt(1.0 + tangent * tangent)
-    sine = cosine * tangent
-    return np.stack([cosine * a - sine * b, sine * a + cosine * b])
-
-
-def _sorted(numbers: list[Scalar]) -> list[Scalar]:
-    result = list(numbers)
-    for end in range(len(result) - 1, 0, -1):
-        for k in range(end):
-            result[k], result[k + 1] = minimum(result[k], result[k + 1]), maximum(result[k], result[k + 1])
-    return result
+    return np.array([*squared_singular_values(scaled), length], dtype=object)
 
 
 def _computed_stiffness(report: CartesianCompliance) -> Array:

@@ -66,12 +66,15 @@ def sensitivities(
         engine: "program", the robot's compiled one, where it is in no doubt; or "pinocchio", pose by pose.
 
     Raises:
-        InvalidValueError: an error would strain the robot, since its loops cannot close with it (those of an
-            overconstrained or planar robot); see :func:`closable`.
+        InvalidValueError: a pose is not solved; or an error would strain the robot, since its loops cannot close with
+            it (those of an overconstrained or planar robot); see :func:`closable`.
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
+    unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))
+    if unsolved.size:
+        raise InvalidValueError("poses", f"pose {unsolved[0]} not solved", "solved ones")
     if joints:
         tool = sensitivities(errors, poses, p, engine=engine)
         rates = _Loops(errors, poses, p).followed_rates()[0][:, poses.robot.velocity_indices(joints)]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
 
@@ -13,11 +16,25 @@ from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.elimination import Doubt, total
 from pm3dof_pin.programs.graph import Graph, Scalar, less, select
 from pm3dof_pin.programs.joints import Placement, Screw
+from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """The tool's twists [v; omega] at its origin, world axes, as recorded numbers."""
+
+    graph: Graph  #: what records them
+    errors: Objects  #: for one unit of each error, shape=(6, k)
+    drives: Objects  #: for one unit of the coordinate of each drive, shape=(6, u)
+    doubt: Doubt  #: what they take for granted
+
+
+Outputs = Mapping[str, Objects]
 
 
 def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Array, Mask]:
@@ -31,10 +48,12 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
         ProgramError: there is no program for this robot, the tool is free, or loops cannot close with an error.
     """
     at_zero = bool(np.isin(local_twists, (0.0, 1.0, -1.0)).all())
-    key = _key(robot, errors, at_zero)
-    compiled = cache.known(key, lambda: _traced(robot, errors, local_twists, at_zero=at_zero))
-    groups = compiled.program.split(compiled(q, _parameters(robot, compiled.program, local_twists)))
-    return groups["errors"], groups["drives"], groups["sound"] == 1.0
+    key = _key("sensitivities", robot, errors, at_zero)
+    compiled = cache.known(key, lambda: _traced(robot, errors, local_twists, _apart, at_zero=at_zero))
+    values, sound = compiled.with_doubt(q, _parameters(robot, compiled.program, local_twists))
+    places = compiled.program.slices
+    by_errors, by_drives = (values[:, places[name]].reshape(len(q), 6, -1) for name in ("errors", "drives"))
+    return by_errors, by_drives, sound
 
 
 def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
@@ -46,11 +65,41 @@ def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
         ProgramError: see :func:`evaluated`.
     """
     twists = errors.local_twists(errors.zeros)
-    program = _traced(errors.robot, errors, twists, at_zero=True)
+    program = _traced(errors.robot, errors, twists, _apart, at_zero=True)
     return program, _parameters(errors.robot, program, twists)
 
 
-def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_zero: bool) -> Program:
+def reduced(
+    name: str, errors: GeometricErrors, reduce: Callable[[Motions], Outputs], numbers: Mapping[str, float]
+) -> tuple[Compiled, Vector]:
+    """Return a program of a robot as described that reduces the tool's motions, and the values of its parameters.
+
+    `reduce` goes from motions to groups of outputs, after which comes `sound`, 1 where nothing is in doubt; `name` is
+    that of the reduction, and `numbers` are the values of the parameters that it adds.
+
+    Raises:
+        ProgramError: see :func:`evaluated`.
+    """
+    robot, twists = errors.robot, errors.local_twists(errors.zeros)
+    compiled = cache.known(
+        _key(name, robot, errors, at_zero=True), lambda: _traced(robot, errors, twists, reduce, at_zero=True, name=name)
+    )
+    return compiled, _parameters(robot, compiled.program, twists, numbers)
+
+
+def _apart(motions: Motions) -> Outputs:
+    return {"errors": motions.errors, "drives": motions.drives}
+
+
+def _traced(
+    robot: Robot,
+    errors: GeometricErrors,
+    local_twists: Matrix,
+    reduce: Callable[[Motions], Outputs],
+    *,
+    at_zero: bool,
+    name: str = "sensitivities",
+) -> Program:
     try:
         poses = samples_near(robot, robot.home.q)
     except ConvergenceError as error:
@@ -67,10 +116,9 @@ def _traced(robot: Robot, errors: GeometricErrors, local_twists: Matrix, *, at_z
     doubt = Doubt()
     motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
     finite = total([entry * entry for entry in motions.ravel()])
+    outputs = reduce(Motions(graph, motions[:, : len(sources)], motions[:, len(sources) :], doubt))
     sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
-    count = len(sources)
-    outputs = {"errors": motions[:, :count], "drives": motions[:, count:], "sound": select(sound, 1.0, 0.0)}
-    return graph.program("sensitivities", outputs)
+    return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
 
 
 def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Array, *, at_zero: bool) -> Column:
@@ -115,19 +163,22 @@ def _name(number: int, entry: int) -> str:
     return f"error/{number}/{entry}"
 
 
-def _parameters(robot: Robot, program: Program, local_twists: Matrix) -> Array:
-    named = {_name(k, i): twist for (i, k), twist in np.ndenumerate(local_twists)}
+def _parameters(
+    robot: Robot, program: Program, local_twists: Matrix, numbers: Mapping[str, float] | None = None
+) -> Array:
+    named: dict[str, Scalar] = {_name(k, i): twist for (i, k), twist in np.ndenumerate(local_twists)}
+    named |= numbers or {}
     others = [name for name in program.parameters if name not in named]
-    found: dict[str, Scalar] = named | dict(zip(others, geometry.values(robot, others), strict=True))
+    found = named | dict(zip(others, geometry.values(robot, others), strict=True))
     return np.array([found[name] for name in program.parameters])
 
 
-def _key(robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:
+def _key(name: str, robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:
     parameters = [(p.place, p.motion, p.axis if at_zero else None) for p in errors.parameters]
     places = sorted({p.place for p in errors.parameters if not robot.model.existJointName(p.place)})
     return repr(
         (
-            *("sensitivities", at_zero, parameters, robot.actuated_indices.tolist()),
+            *(name, at_zero, parameters, robot.actuated_indices.tolist()),
             length_unit(robot.characteristic_length),
             *(geometry.structure(robot), geometry.pattern(robot, places)),
         )

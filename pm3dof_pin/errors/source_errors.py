@@ -63,6 +63,15 @@ class SourceErrors:
     greatest: Array  #: the greatest value of each number, in standard deviations, shape=(k,)
 
 
+@dataclass(frozen=True, eq=False)
+class KinematicNumbers:
+    """The independent numbers of class "kinematic parameters", whose effects are columns of constant sensitivities."""
+
+    errors: GeometricErrors  #: errors of the geometry, then waves beside guideways
+    deviations: Array  #: standard deviation of each, then of each drive's joint, which waves along it [m, rad]
+    greatest: Array  #: the greatest value of each, in standard deviations
+
+
 class ErrorSources:
     """The sources of error of one robot, with their numbers.
 
@@ -165,6 +174,27 @@ class ErrorSources:
         return GeometricErrors(robot, self._closing(named))
 
     @cached_property
+    def kinematic(self) -> KinematicNumbers:
+        """The numbers of class "kinematic parameters", without the poses."""
+        errors, numbers = self.errors, self.numbers.waviness
+        beside = [parameter for parameter in self.others.parameters if parameter.group == "waviness"]
+        counts = (len(errors), len(beside), len(self.slides))
+        scatter, most = _of_waves(len(numbers.lengths_m))
+        along = np.where(self.slides, numbers.pitch_m, 0.0)
+        waves = np.concatenate([np.full(len(beside), numbers.straightness_m), along]) * scatter
+        factor = self.geometry_factor
+        return KinematicNumbers(
+            GeometricErrors(self.robot, (*errors.parameters, *beside)),
+            np.concatenate([errors.tolerances / factor, waves]),
+            np.repeat([factor, most, most], counts),
+        )
+
+    @property
+    def geometry_factor(self) -> float:
+        """How many standard deviations a tolerance of the geometry is."""
+        return float(np.sqrt(3.0)) if self.distribution == "uniform" else 1.0
+
+    @cached_property
     def slides(self) -> Array:
         """Which drives slide, shape=(number of drives,)."""
         return np.array([self.robot.single_joint(name).translates for name in self.robot.actuated_joints])
@@ -222,10 +252,9 @@ class _SourcesAtPoses:
         )
 
     def _geometry(self) -> list[SourceErrors]:
-        errors, uniform = self._sources.errors, self._sources.distribution == "uniform"
+        errors, factor = self._sources.errors, self._sources.geometry_factor
         if not len(errors):
             return []
-        factor = np.sqrt(3.0) if uniform else 1.0
         effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
         return [
             self._source(
@@ -243,8 +272,7 @@ class _SourcesAtPoses:
         waves = len(numbers.lengths_m)
         if not slides.any() or not waves or not (numbers.pitch_m or numbers.straightness_m):
             return None
-        # n waves of random phase and of amplitude s scatter by s sqrt(n / 2), and reach n s together
-        scatter = np.sqrt(0.5 * waves)
+        scatter, most = _of_waves(waves)
         along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
         beside = self._others("waviness") * (numbers.straightness_m * scatter)
         return self._source(
@@ -252,7 +280,7 @@ class _SourcesAtPoses:
             "kinematic parameters",
             "guides and screws, waving along their travel",
             effects=np.concatenate([along, beside], axis=2),
-            greatest=np.sqrt(2.0 * waves),
+            greatest=most,
         )
 
     def _thermal(self) -> list[SourceErrors]:
@@ -445,6 +473,11 @@ class _SourcesAtPoses:
     def _others(self, group: str) -> Array:
         chosen = [k for k, parameter in enumerate(self._sources.others.parameters) if parameter.group == group]
         return self._moved.errors[:, :, chosen]
+
+
+def _of_waves(count: int) -> tuple[float, float]:
+    """Return by how many amplitudes waves of random phase scatter, and how far they reach together in deviations."""
+    return float(np.sqrt(0.5 * count)), float(np.sqrt(2.0 * count))
 
 
 def numbers_of(robot: Robot) -> SourceNumbers:

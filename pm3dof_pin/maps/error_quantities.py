@@ -1,6 +1,7 @@
 """Errors of the tool as quantities of maps: of the geometry, of temperature, and of every source apart and together.
 
-Those of geometry and temperature come from compiled programs; weight and vibration take milliseconds a pose.
+Those of geometry are reduced inside a compiled program, those of temperature come from the sensitivities of one; weight
+and vibration take milliseconds a pose.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.error_sums import KinematicSum, kinematic_sum
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import PM3DofError
@@ -78,17 +80,24 @@ def _read(
     return np.concatenate([_read(sources, poses[[row]], classes, read, shape) for row in range(len(poses))])
 
 
-_GEOMETRY = "kinematic parameters"
+def _kinematic(evaluation: Evaluation, name: KinematicSum) -> Array:
+    """Return a sum over errors of the geometry."""
+    return kinematic_sum(_sources_of(evaluation.mapped), evaluation.poses, name, **evaluation.batch).values
 
-for _name, _class, _attribute, _long_name in (
-    ("geometric_error", _GEOMETRY, "tip_rms", "tip error by geometry, root mean square over machines"),
-    ("geometric_error_bound", _GEOMETRY, "worst_tip", "bound of the tip error by geometry"),
-    ("geometric_error_left", _GEOMETRY, "left_rms", "tip error by geometry that no command can undo, root mean square"),
-    ("geometric_error_energy", _GEOMETRY, "energy", "energy E of (8.15) of the pose error by geometry, mean"),
-    ("thermal_error", "thermal", "tip_rms", "tip error by temperature, root mean square"),
-):
-    _error = partial(_over, classes=(_class,), read=attrgetter(_attribute))
-    quantity(_name, unit="m", long_name=_long_name, exists=_has_tool)(_error)
+
+_SUMS: dict[str, tuple[KinematicSum, str]] = {
+    "geometric_error": ("tip_rms", "tip error by geometry, root mean square over machines"),
+    "geometric_error_bound": ("worst_tip", "bound of the tip error by geometry"),
+    "geometric_error_left": ("left_rms", "tip error by geometry that no command can undo, root mean square"),
+    "geometric_error_energy": ("energy", "energy E of (8.15) of the pose error by geometry, mean"),
+}
+for _name, (_sum, _long_name) in _SUMS.items():
+    quantity(_name, unit="m", long_name=_long_name, exists=_has_tool)(partial(_kinematic, name=_sum))
+
+
+@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=_has_tool)
+def _thermal_error(evaluation: Evaluation) -> Array:
+    return _over(evaluation, ("thermal",), attrgetter("tip_rms"))
 
 
 @quantity(

@@ -1,0 +1,125 @@
+"""Sums over independent errors, as maps read them, reduced inside the program of the sensitivities.
+
+To first order the tool moves by sum of sigma_k S_k x_k, x_k independent, of mean 0 and deviation 1: S are the
+sensitivities. A pose costs one number instead of six for each error. In doubt, and where there is no program, the
+same number is that of an :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from pm3dof_pin.errors.error_budget import error_budget
+from pm3dof_pin.errors.expected_norm import mean_radius
+from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
+from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.exceptions import ProgramError
+from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.programs.elimination import eliminate, total, zeros
+from pm3dof_pin.programs.graph import Scalar, absolute, minimum, sqrt
+from pm3dof_pin.programs.singular_values import squared_singular_values
+from pm3dof_pin.typing import Array, Engine, Mask, Matrix, Objects, OnFailure
+
+KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
+"""Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
+
+_CLASS = "kinematic parameters"
+_PROGRAM_FROM = 50  # poses, as for sensitivities
+
+
+def kinematic_sum(
+    sources: ErrorSources,
+    poses: Poses,
+    name: KinematicSum,
+    *,
+    eta: float = TIP_LENGTH,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
+) -> PoseValues:
+    """Compute a sum over errors of the geometry and waves of guideways at many poses, shape=(...) [m].
+
+    Args:
+        sources: the sources with their numbers.
+        poses: poses of the robot as described.
+        name: which sum.
+        eta: weight of the orientation in the tip error [m/rad].
+        on_failure: "raise", or "nan" to mark poses that are not solved, and singular ones.
+        engine: "program", where there are many poses and no doubt; or "pinocchio", pose by pose.
+        threads: the number of processors by default. The result does not depend on it.
+
+    Raises:
+        PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
+    """
+    robot, numbers = sources.robot, sources.kinematic
+
+    def program(q: Matrix) -> tuple[Array, Mask]:
+        if len(q) < _PROGRAM_FROM:
+            raise ProgramError(f"{len(q)} poses are too few for a program")
+        values = {"eta": eta}
+        for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
+            values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
+        compiled, parameters = reduced(
+            f"error_{name}", numbers.errors, lambda motions: _recorded(name, motions, values), values
+        )
+        flat, sound = compiled.with_doubt(q, parameters, threads)
+        if name == "energy":
+            flat = mean_radius(flat.reshape(-1, 2, 3)) @ [[1.0], [eta]]
+        return flat, sound
+
+    return evaluate_at(
+        robot,
+        poses,
+        name,
+        (),
+        program=program,
+        careful=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
+        on_failure=on_failure,
+        engine=engine,
+    )
+
+
+def _recorded(name: KinematicSum, motions: Motions, values: Mapping[str, float]) -> Outputs:
+    """Record a sum; in the place of the energy, eigenvalues of the covariances of position and orientation."""
+    number = {name: motions.graph.parameter(name, value) for name, value in values.items()}
+    columns = np.hstack([motions.errors, motions.drives])
+    deviations, greatest = (
+        np.array([number[f"{kind}/{k}"] for k in range(columns.shape[1])], dtype=object)
+        for kind in ("deviation", "greatest")
+    )
+    if name == "energy":
+        parts = (columns[:3] * deviations, columns[3:] * deviations)
+        return {name: np.array([_covariance_eigenvalues(rows) for rows in parts], dtype=object)}
+    weighted = np.vstack([columns[:3], columns[3:] * number["eta"]])
+    if name == "worst_tip":
+        return {name: np.array(_bound(weighted, greatest), dtype=object)}
+    spread = weighted * deviations
+    if name == "left_rms":
+        count = motions.drives.shape[1]
+        control = weighted[:, -count:]
+        spread = eliminate(np.hstack([control, spread]), range(count), motions.doubt).rest[:, count:]
+    return {name: np.array(_length(spread), dtype=object)}
+
+
+def _length(entries: Objects) -> Scalar:
+    return sqrt(total([entry * entry for entry in entries.ravel()]))
+
+
+def _bound(weighted: Objects, greatest: Objects) -> Scalar:
+    """Return the smaller of the length of the greatest components, and of the sum of lengths."""
+    components = [total([absolute(e) * g for e, g in zip(row, greatest, strict=True)]) for row in weighted]
+    added = total([_length(column) * g for column, g in zip(weighted.T, greatest, strict=True)])
+    return minimum(_length(np.array(components, dtype=object)), added)
+
+
+def _covariance_eigenvalues(rows: Objects) -> list[Scalar]:
+    covariance = zeros(3, 3)
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = total([a * b for a, b in zip(rows[i], rows[j], strict=True)])
+    return [sqrt(square) for square in squared_singular_values(covariance)]
