@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
-from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
+from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
@@ -519,7 +521,11 @@ class Viewer(ShownScene):
         for path in tracks:
             if path.startswith("/ellipsoids/"):
                 tracks[path] = animation.aligned_ellipsoids(tracks[path])
-        self._panel["path"] = {"duration": duration, "frames": [said for _, said in recorded]}
+        self._panel["path"] = {
+            "duration": duration,
+            "frames": [said for _, said in recorded],
+            "singularity": _distances_to_singularities(configurations),
+        }
         self.scene.set_animation(animation.clips(tracks, (frames - 1) / duration), repetitions=repetitions)
         self._update()
 
@@ -673,3 +679,13 @@ def _load_text(wrench: Array) -> str:
 
 def _at(values: Sequence[ArrayLike] | None, index: int) -> ArrayLike | None:
     return None if values is None else values[index]
+
+
+def _distances_to_singularities(configurations: Sequence[Configuration]) -> dict[str, list[float]]:
+    """Return the distance to each type of singularity along a path; nothing where there is none to measure."""
+    try:
+        generic = instantaneous_mobility(generic_configuration(configurations[0]))
+        measured = [singularity_distances(configuration, generic=generic) for configuration in configurations]
+    except PM3DofError:
+        return {}
+    return {kinds[0].type: [kind.measure for kind in kinds] for kinds in zip(*measured, strict=True)}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -64,3 +66,16 @@ def test_bad_paths(mechanism: Robot) -> None:
         viewer.play([home, home], stiffness=[np.eye(6)])
     with pytest.raises(InvalidValueError, match="duration"):
         viewer.play([home, home], duration=0.0)
+
+
+def test_a_path_says_how_far_singular_poses_are() -> None:
+    """A hexapod is singular where it is turned by 90 degrees (E. Fichter, 1986), its distance linear in the angle."""
+    hexapod = Robot.load("hexapod")
+    poses = [[0.0, 0.0, 0.135, 0.0, 0.0, np.radians(turn)] for turn in (0.0, 89.8, 89.9, 90.0)]
+    with Viewer(hexapod) as viewer:
+        viewer.play(list(hexapod.solve(poses)))
+        page = viewer.html()
+    (scene,) = re.findall(r'<script id="scene" type="application/json">(.*?)</script>', page, re.DOTALL)
+    home, twice, once, none = json.loads(scene)["panel"]["path"]["singularity"]["parallel"]
+    assert none < 1e-9 < once < home
+    assert twice / once == pytest.approx(2.0, rel=1e-3)

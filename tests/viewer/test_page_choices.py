@@ -163,7 +163,8 @@ def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
     values = shown.ask("pm3dof.pose().values(pm3dof.robot().data.sets[0])")
     np.testing.assert_allclose(values, middle, atol=1e-9)
     titles = shown.ask("[...document.querySelectorAll('#path option')].map(option => option.textContent)")
-    assert {"commands: lengths", "translation stiffness", "deflection under the load"} <= set(titles)
+    expected = {"commands: lengths", "translation stiffness", "deflection under the load", "distance to singularities"}
+    assert expected <= set(titles)
     for title in titles:
         shown.call(
             "title => { const select = document.querySelector('#path select'); select.value = title;"
@@ -232,6 +233,7 @@ def test_other_assemblies_are_those_of_the_closed_form(page: Any, tripod: Tripod
     assert len(found) >= 2
     for coordinates in found:
         assert np.abs(placement(known) - placement(coordinates)).max(axis=(-1, -2)).min() < 1e-7, coordinates
+    assert np.abs(np.array(found)[:, :2]).max() < np.pi + 1e-9
     near = robot.forward(commands).coordinates
     assert np.abs(np.array(found) - near).max(axis=1).min() < 1e-9
     page.ask("(document.querySelectorAll('#sets button')[1].click(), pm3dof.showAssemblies())")

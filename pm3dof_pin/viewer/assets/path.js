@@ -50,6 +50,11 @@
     if (robot.programs.motion) {
       made.push({ title: "motion per command, scaled", names: ["slowest", "fastest"], unit: "", values: (pose) => robot.gains(pose) || [NaN, NaN] });
     }
+    const singularity = Object.entries(path.singularity);
+    if (singularity.length) {
+      const values = (pose, index) => singularity.map(([, distances]) => distances[index]);
+      made.push({ title: "distance to singularities", names: singularity.map(([name]) => name), unit: "", values });
+    }
     return made;
   }
 

@@ -224,7 +224,7 @@ const Robot = (() => {
       for (let start = 0; start < starts; start++) {
         const q = this.settled(this.randomPose(), set, values);
         if (!q) continue;
-        const pose = new Pose(this, q), places = pose.numbers.subarray(0, 12 * this.data.placements);
+        const pose = new Pose(this, this.unwound(q, set)), places = pose.numbers.subarray(0, 12 * this.data.placements);
         const same = ({ numbers }) => places.every((entry, k) => Math.abs(entry - numbers[k]) < 1e-5 * (this.data.length + 1));
         if (pose.residual < NEARLY_CLOSED && !found.some(same)) found.push(pose);
       }
@@ -241,6 +241,17 @@ const Robot = (() => {
         else for (let k = 0; k < size; k++) q[index + k] = Math.random() * 2 - 1;
       });
       return this.normalised(q);
+    }
+
+    // Whole turns taken out of the angles that a set does not give: random starts wind joints up.
+    unwound(q, set) {
+      const given = set.numbers.filter(({ joint }) => joint).map(({ joint }) => joint.index);
+      this.data.joints.filter(({ index, size, slides }) => size === 1 && !slides && !given.includes(index)).forEach(({ index }) => {
+        const limit = this.data.limits.joints.find((each) => each.index === index);
+        const middle = limit ? (limit.lower + limit.upper) / 2 : this.data.home[index];
+        q[index] -= 2 * Math.PI * Math.round((q[index] - middle) / (2 * Math.PI));
+      });
+      return q;
     }
 
     // Pairs (cos, sin) and quaternions of length 1.
