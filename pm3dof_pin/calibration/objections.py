@@ -130,8 +130,11 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: too much of the "
             "tool's motion was not seen; measure whole poses, or targets off the tool point"
         )
-    if not found.measurements.seen[:, : found.measurements.tool_columns].any():
-        reasons.append("no row shows the tool: what encoders tell alone is not known to improve on no correction")
+    if not found.measurements.shows_poses:
+        reasons.append(
+            "no row shows the tool at a pose: encoders, or distances between two poses, do not tell whether corrected "
+            "commands improve on none"
+        )
     elif held_out is not None and not held_out.before.max() > _EXACT:
         reasons.append("the machine is where the description has it to the last digit: poses planned, not measured")
     elif held_out is not None:

@@ -100,7 +100,11 @@ def pseudo_errors(
         return seen_errors(measurements, poses, eta).errors
 
     def control(poses: Poses, found: _SeenErrors) -> Array:
-        return np.asarray(found.shown @ weighted_control(poses, eta))
+        whole = weighted_control(poses, eta)
+        shown = found.shown @ whole
+        # drives that move what is seen by next to nothing, such as a delta robot's the orientation, do not explain it
+        shown[np.linalg.norm(shown, axis=(1, 2)) <= seen * np.linalg.norm(whole, axis=(1, 2))] = 0.0
+        return np.asarray(shown)
 
     def step(poses: Poses) -> Array:
         found = seen_errors(measurements, poses, eta)

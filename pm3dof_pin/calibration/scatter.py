@@ -54,6 +54,8 @@ def scatter_of(errors: Array, covariances: Array, shown: Array, control: Array) 
         control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
     """
     unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
+    if not shown.any():
+        return Scatter()
     effects = np.sqrt(np.mean(np.sum(control**2, axis=1), axis=0))  # of each drive, rms
     alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
     by_drives = shown @ (control * alike)

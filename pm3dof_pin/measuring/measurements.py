@@ -176,6 +176,12 @@ class Measurements:
         return not self.seen.all()
 
     @property
+    def shows_poses(self) -> bool:
+        """Whether some row tells of the tool at one pose, as encoders and distances between two poses do not."""
+        alone = self.seen[:, : self.tool_columns].any(axis=1)
+        return bool((alone if self.partners is None else alone & (self.partners < 0)).any())
+
+    @property
     def measured(self) -> Measured:
         """What was seen: "pose" or "position"."""
         return "position" if self.rotations is None else "pose"

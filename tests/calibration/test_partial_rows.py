@@ -1,0 +1,105 @@
+"""Whatever was seen of whatever machine: a calibration is refused with its cause, or is no worse than none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.calibration.calibrate import Options
+from pm3dof_pin.calibration.objections import calibrate_and_object
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, tip_error
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
+from pm3dof_pin.measuring.measurements import Measurements
+
+POSES = 16
+POSITION, ANGLE = 1e-5, 5e-5
+ORIGIN = np.array([0.3, 0.2, -0.1])
+
+
+def _rows(machine: Poses, kind: str, rng: np.random.Generator) -> Measurements:
+    """What is left of whole poses when columns, or in a mix cells, are dropped."""
+    count, number = len(machine), np.arange(len(machine)) % 4
+    positions = machine.positions + rng.normal(0.0, POSITION, (count, 3))
+    rotations = rotation_matrix(rng.normal(0.0, ANGLE, (count, 3))) @ machine.rotations
+    places, turns, far = {
+        "positions": (True, False, False),
+        "heights": (True, False, False),
+        "distances": (False, False, True),
+        "between": (False, False, True),
+        "orientations": (False, True, False),
+        "mix": (number < 2, number % 2 == 0, number == 3),
+    }[kind]
+    sigmas = np.full((count, 6), np.inf)
+    sigmas[np.broadcast_to(places, count), :3] = POSITION
+    sigmas[np.broadcast_to(turns, count), 3:] = ANGLE
+    if kind == "heights":
+        sigmas[:, :2] = np.inf
+    far = np.broadcast_to(far, count)
+    sigmas[far, 0] = POSITION
+    begins = np.roll(positions, 1, axis=0) if kind == "between" else np.tile(ORIGIN, (count, 1))
+    more = {
+        "distances": np.where(far, np.linalg.norm(positions - begins, axis=1), np.nan),
+        "origins": np.tile(ORIGIN, (count, 1)),
+        "partners": np.roll(np.arange(count), 1) if kind == "between" else np.full(count, -1),
+    }
+    return Measurements(
+        machine.commands, positions, rotations, sigmas, np.zeros((count, 3)), **(more if far.any() else {})
+    )
+
+
+# of each robot the kind that is least like poses for it, and the mix
+CASES = [
+    ("pm3dof", None, ("between", "mix")),
+    ("three_rps", None, ("heights", "mix")),
+    ("linear_delta", None, ("orientations", "mix")),
+    ("hexapod", None, ("positions", "mix")),
+    ("ur5", "tool0", ("distances", "mix")),
+]
+
+
+@pytest.mark.parametrize(("name", "frame", "kinds"), CASES, ids=[case[0] for case in CASES])
+def test_a_machine_is_not_made_worse(name: str, frame: str | None, kinds: tuple[str, ...], tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    errors = GeometricErrors.load(name, tool_frame=frame)
+    sample, wanted = (reachable_poses(errors.robot, count, rng) for count in (POSES, 20))
+    truth = errors.apply(errors.sample(rng))
+    machine = truth.forward(sample.commands, guess=sample.q)
+
+    def missed(commands: np.ndarray) -> float:
+        reached = truth.forward(commands, guess=wanted.q)
+        return float(np.sqrt(np.mean(tip_error(pose_difference(wanted.transforms, reached.transforms)) ** 2)))
+
+    for kind in kinds:
+        path = write_measurements(_rows(machine, kind, rng), errors.robot, tmp_path / f"{kind}.csv")
+        calibration, _, reasons = calibrate_and_object(read_measurements(path, errors.robot), errors, Options("lm"))
+        if kind == "between":
+            assert any("no row shows the tool at a pose" in reason for reason in reasons)
+        if kind == "mix":
+            assert not reasons, (kind, reasons)
+        if not reasons:
+            assert missed(calibration.compensation.compensate(wanted).commands) <= missed(wanted.commands), kind
+
+
+def test_the_command_takes_them(run: Callable[..., object], tmp_path: Path) -> None:
+    """Of what `measure` writes some cells are dropped, then whole columns."""
+    run("measure", "--world", "geometry", "--poses", "16", "--out", "all.csv", cwd=tmp_path)
+    header, *lines = (line.split(",") for line in (tmp_path / "all.csv").read_text().splitlines())
+    for k, line in enumerate(lines):
+        for name in ("x_m", "y_m", "z_m") if k % 4 == 0 else ("qw", "qx", "qy", "qz") if k % 4 == 1 else ():
+            line[header.index(name)] = ""
+    (tmp_path / "some.csv").write_text("\n".join(map(",".join, [header, *lines])) + "\n")
+    answer = run("calibrate", "some.csv", "--method", "lm", "--out", "some", cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    kept = [k for k, name in enumerate(header) if name in ("u1_m", "u2_m", "u3_m", "z_m", "sigma_z_m")]
+    heights = [",".join(line[k] for k in kept) for line in [header, *lines]]
+    (tmp_path / "heights.csv").write_text("\n".join(heights) + "\n")
+    answer = run("calibrate", "heights.csv", "--method", "lm", "--out", "heights", cwd=tmp_path)
+    assert answer.returncode == 1
+    assert "no calibration" in answer.stderr
+    assert not (tmp_path / "heights").exists()
