@@ -94,7 +94,7 @@ def _draw_hexapod(folder: Path) -> None:
     broken = limits_over(robot, grid.dims, grid.fixed)
     figure = section_map(dataset, "first_frequency", within=lambda points: broken(points) == 0)
     save_figure(figure, folder / "hexapod_first_frequency.png")
-    save_figure(workspace_figure(workspace(robot_space(robot), 31, 90)), folder / "hexapod_workspace.png")
+    save_figure(workspace_figure(workspace(robot_space(robot), 121, 360)), folder / "hexapod_workspace.png")
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
