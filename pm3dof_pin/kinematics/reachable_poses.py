@@ -20,6 +20,8 @@ from pm3dof_pin.typing import Array, Mask
 _ROUNDS = 40
 _TRIAL = 200
 _LEAST_RATE = 0.02
+_NARROWED_RATE = 0.1  # of draws within limits, below which the box is made smaller
+_LATTICE = 4096  # poses by commands, of which the smaller box is made
 _MOST_DRAWS = 4  # a round, times the poses wanted
 _NEAR = 0.2  # edge of the cells that draws are walked to from the middle of [rad, characteristic lengths]
 _DRAWS_A_CELL = 1
@@ -58,9 +60,11 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
             continue
         draws = _Draws(robot, by_commands, margin)
         found = draws.within_limits(_TRIAL, generator)
-        drawn = _TRIAL
+        drawn: float = _TRIAL
         if len(found) < _LEAST_RATE * drawn:
             continue
+        if len(found) < _NARROWED_RATE * drawn and draws.cells > _LATTICE and not by_commands:
+            drawn *= draws.narrow()
         for _ in range(_ROUNDS):
             if len(found) >= count:
                 return robot.at(found[:count])
@@ -92,18 +96,53 @@ class _Draws:
         self._robot = robot
         self._coordinates = robot.command_coordinates if by_commands else robot.coordinates
         self._solve = robot.forward if by_commands else robot.solve
-        self._margin = margin
         # a declared range is what maps go over; what a joint can do beyond it is reachable too
         whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in self._coordinates)
-        self._lower, self._upper = coordinate_ranges(robot, whole)
+        lower, upper = coordinate_ranges(robot, whole)
+        self._set_box(lower + margin * (upper - lower), upper - margin * (upper - lower))
+
+    def _set_box(self, lower: Array, upper: Array) -> None:
+        self._lower, self._upper = lower, upper
+        robot = self._robot
         units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in self._coordinates]
-        self._sizes = np.maximum(np.ceil((self._upper - self._lower) / (_NEAR * np.array(units))), 1.0).astype(int)
+        self._sizes = np.maximum(np.ceil((upper - lower) / (_NEAR * np.array(units))), 1.0).astype(int)
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return math.prod(self._sizes.tolist())
+
+    def narrow(self) -> float:
+        """Leave out of the box of coordinates what no commands lead to: to find that a pose is out of reach takes long.
+
+        A lattice of commands gives the coordinates that are reached with a neighbour within limits. The box is wider
+        than these by the greatest steps between neighbours, twice what they differ by within a cell if nearly linear.
+        Returns the part of the box that is left.
+        """
+        commands = self._robot.command_coordinates
+        count = round(_LATTICE ** (1.0 / max(len(commands), 1)))
+        if not commands or count < 2:
+            return 1.0
+        lower, upper = coordinate_ranges(self._robot, commands)
+        shares = (np.arange(count) + 0.5) / count
+        axes = {c.name: a + (b - a) * shares for c, a, b in zip(commands, lower, upper, strict=True)}
+        poses = self._robot.forward(Grid(commands, axes, {}).values, on_failure="nan")
+        near = maximum_filter(poses.within_limits, size=3) & poses.solved
+        values = np.where(near[..., None], poses.coordinates, np.nan)
+        differences = [np.abs(np.diff(values, axis=k)).reshape(-1, values.shape[-1]) for k in range(len(commands))]
+        if not near.any() or any(np.isnan(steps).all(axis=0).any() for steps in differences):
+            return 1.0
+        widening = np.sum([np.nanmax(steps, axis=0) for steps in differences], axis=0)
+        before = self._upper - self._lower
+        lower, upper = values[near].min(axis=0) - widening, values[near].max(axis=0) + widening
+        self._set_box(np.maximum(self._lower, lower), np.minimum(self._upper, upper))
+        return float(np.prod((self._upper - self._lower) / before))
 
     def within_limits(self, count: int, generator: np.random.Generator) -> Array:
         """Return those of so many draws that are within all limits, shape=(n, nq)."""
-        shares = generator.uniform(self._margin, 1.0 - self._margin, (count, len(self._coordinates)))
+        shares = generator.uniform(size=(count, len(self._coordinates)))
         values = self._lower + shares * (self._upper - self._lower)
-        if _DRAWS_A_CELL * math.prod(self._sizes.tolist()) > count:
+        if _DRAWS_A_CELL * self.cells > count:
             poses = self._solve(values, on_failure="nan")
         else:
             starts, is_near = self._cells
