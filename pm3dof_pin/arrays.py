@@ -64,6 +64,13 @@ def require_count(name: str, value: object, least: int = 1) -> None:
         raise InvalidValueError(name, value, f"a whole number from {least} on")
 
 
+def require_kind(name: str, value: object, kind: type, origin: str) -> None:
+    """Raise InvalidValueError unless a value is an object of a class, which `origin` gives."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise InvalidValueError(name, value, f"{article} {kind.__name__}, as {origin} gives")
+
+
 def listed(numbers: Vector) -> str:
     """Write the numbers of a vector in one line, for a message: (0.1 0 -2.5)."""
     return f"({' '.join(f'{number:.4g}' for number in numbers)})"

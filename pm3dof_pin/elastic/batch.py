@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -117,6 +118,7 @@ def elastic_model(robot: Robot) -> ElasticModel:
     Raises:
         DescriptionError: the robot has no springs, or see :class:`ElasticModel`.
     """
+    require_kind("robot", robot, Robot, "pm.load")
     kept: ElasticModel | None = vars(robot).get(_KEPT)
     if kept is None:
         vars(robot)[_KEPT] = kept = ElasticModel(robot)

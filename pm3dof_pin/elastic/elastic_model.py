@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.elastic.bow import Bow
 from pm3dof_pin.elastic.springs import (
     AxialSpring,
@@ -93,6 +93,7 @@ class ElasticModel:
     """
 
     def __init__(self, mechanism: Robot, springs: Iterable[Spring] | None = None) -> None:
+        require_kind("mechanism", mechanism, Robot, "pm.load")
         self.rigid = mechanism
         self.springs = read_springs(mechanism.springs, mechanism.source) if springs is None else tuple(springs)
         if not self.springs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import require_choice
+from pm3dof_pin.arrays import require_choice, require_kind
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.condensation import CartesianCompliance, condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -49,6 +49,7 @@ def cartesian_compliance(
         InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
     """
     require_choice("engine", engine, Engine)
+    require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     tool = model.mechanism.tool_frame
     name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
@@ -89,6 +89,7 @@ class GeometricErrors:
         *,
         fixed_bearings: ArrayLike | None = None,
     ) -> None:
+        require_kind("robot", robot, Robot, "pm.load")
         self.robot = robot
         self.parameters = tuple(all_parameters(robot) if parameters is None else parameters)
         self.names = tuple(parameter.name for parameter in self.parameters)

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -72,6 +72,7 @@ class DegreesOfFreedom:
     """
 
     def __init__(self, configuration: Configuration, tolerance: float) -> None:
+        require_kind("configuration", configuration, Configuration, "Poses.configuration")
         mechanism = configuration.mechanism
         if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
             raise InvalidValueError("configuration", configuration, "one whose loops are closed")

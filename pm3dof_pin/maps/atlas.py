@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 import pm3dof_pin
-from pm3dof_pin.arrays import require_choice, require_count
+from pm3dof_pin.arrays import require_choice, require_count, require_kind
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import (
     DescriptionError,
@@ -95,6 +95,8 @@ class Atlas:
 
     def __post_init__(self) -> None:
         """Check names and path; InvalidValueError for an unknown quantity, no dimensions or another suffix."""
+        require_kind("robot", self.robot, Robot, "pm.load")
+        require_kind("grid", self.grid, Grid, "Robot.grid")
         require_choice("precision", self.precision, Precision)
         require_choice("engine", self.engine, Engine)
         object.__setattr__(self, "path", Path(self.path))

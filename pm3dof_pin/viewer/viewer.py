@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array
+from pm3dof_pin.arrays import finite_array, require_kind
 from pm3dof_pin.elastic.indices import Motion, OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -91,6 +91,7 @@ class Viewer(ShownScene):
         host: str = "127.0.0.1",
         port: int | None = None,
     ) -> None:
+        require_kind("mechanism", mechanism, Robot, "pm.load")
         super().__init__(host, port)
         if model is not None and model.rigid is not mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")

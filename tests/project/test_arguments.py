@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import pm3dof_pin as pm
 from pm3dof_pin import Atlas, Measurements, Robot, open_atlas, reachable_poses, sensitivities, stiffness
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import PM3DofError
@@ -88,6 +89,26 @@ def test_a_count_that_is_none(count: Any, mechanism: Robot) -> None:
     if count is not None:
         with pytest.raises(PM3DofError, match="threads"):
             mechanism.solve([0.0, 0.0, 0.5], threads=count)
+
+
+def test_a_name_is_no_robot_and_poses_are_no_configuration(mechanism: Robot, tmp_path: Path) -> None:
+    grid, name = mechanism.grid(z_e=3), "pm3dof"
+    takers: list[tuple[str, Callable[[Any], Any]]] = [
+        ("a Robot, as pm.load gives", pm.ElasticModel),
+        ("a Robot, as pm.load gives", pm.GeometricErrors),
+        ("a Robot, as pm.load gives", pm.Viewer),
+        ("a Robot, as pm.load gives", lambda robot: stiffness(robot, mechanism.home.q)),
+        ("a Robot, as pm.load gives", lambda robot: Atlas(robot, grid, ("commands",), tmp_path / "a.nc")),
+        ("a Grid, as Robot.grid gives", lambda word: Atlas(mechanism, word, ("commands",), tmp_path / "a.nc")),
+        ("an ElasticModel, as pm.ElasticModel.load gives", lambda m: pm.cartesian_compliance(m, mechanism.home)),
+        ("a Configuration, as Poses.configuration gives", pm.singularities),
+        ("a Configuration, as Poses.configuration gives", pm.instantaneous_mobility),
+        ("expected one of hexapod", lambda _: pm.load(3)),  # type: ignore[arg-type]
+    ]
+    for expected, take in takers:
+        for given in (name, None, mechanism.solve([0.0, 0.0, 0.5])):
+            with pytest.raises(PM3DofError, match=expected):
+                take(given)
 
 
 def test_an_atlas_has_a_path_and_is_one(mechanism: Robot, tmp_path: Path) -> None:
