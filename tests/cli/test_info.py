@@ -217,3 +217,18 @@ def test_it_says_what_solves_many_poses(tmp_path: Path) -> None:
     result = info("--robot", urdf)
     assert result["engine"] == "pinocchio"
     assert "did not converge" in result["engine_reason"]
+
+
+def test_a_stretched_arm_is_called_singular(tmp_path: Path) -> None:
+    """Its point loses the motion along the arm, the drives can move with the point at rest: serial."""
+    tip = '<joint name="tip_fixed" type="fixed"><parent link="fore"/><child link="tip"/><origin xyz="0.2 0 0"/></joint>'
+    joints = hinge("first", "base", "upper") + hinge("second", "upper", "fore", "0.3 0 0") + tip
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{links("base", "upper", "fore", "tip")}{joints}</robot>')
+    (tmp_path / "arm.closures.yaml").write_text("tool_frame: tip\ntool_motions: [x, z]\n")
+    distances = info("--robot", tmp_path / "arm.urdf")["singularity_distances"]
+    assert {kind: entry["singular"] for kind, entry in distances.items()} == {
+        "parallel": False,
+        "serial": True,
+        "passive": False,
+    }
+    assert "serial 0 (SINGULAR)" in lines("--robot", tmp_path / "arm.urdf")
