@@ -13,6 +13,7 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -171,11 +172,15 @@ def _keep(name: str, content: bytes) -> None:
 
 
 def _make_room(place: Path, newest: str) -> None:
+    entries = []
     with os.scandir(place) as found:
-        entries = [(entry, entry.stat()) for entry in found if entry.name.endswith(_SUFFIX)]
+        for entry in found:
+            if entry.name.endswith(_SUFFIX):
+                with suppress(FileNotFoundError):  # another process makes room too
+                    entries.append((entry, entry.stat()))
     entries.sort(key=lambda entry: (entry[0].name == newest, entry[1].st_mtime_ns), reverse=True)
     total = 0
     for entry, status in entries:
         total += status.st_size
         if total > LARGEST:
-            os.unlink(entry.path)
+            Path(entry.path).unlink(missing_ok=True)
