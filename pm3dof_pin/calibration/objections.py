@@ -35,6 +35,7 @@ _LOUD = 3.0  # noise factor
 _QUIET = 0.3  # of the noise
 _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
+_OTHER = 6.0  # tolerances
 _POSES = 50  # at which tolerances are judged
 
 
@@ -68,6 +69,7 @@ def calibrate_and_object(
     reasons = objections(calibration, held_out)
     if not reasons:
         _warn_of_noise(calibration)
+        _warn_of_other_parts(calibration)
     return calibration, held_out, reasons
 
 
@@ -88,6 +90,20 @@ def _warn_of_noise(calibration: Calibration) -> None:
         )
     elif size < _QUIET:
         logger.warning("residuals are %.2g times the noise: sigmas are larger than what was measured scatters", size)
+
+
+def _warn_of_other_parts(calibration: Calibration) -> None:
+    """Say which parameters are so far off that it is no matter of tolerances, such as the zero of a drive."""
+    found = calibration.compensation
+    if found.values is None:
+        return
+    parts = [
+        f"{name} ({1e3 * value:.3g} m{parameter.unit}, {abs(value) / parameter.tolerance:.0f} tolerances)"
+        for name, value, parameter in zip(found.errors.names, found.values, found.errors.parameters, strict=True)
+        if abs(value) > _OTHER * parameter.tolerance
+    ]
+    if parts:
+        logger.warning("far from the description: %s: a drive's zero, another part, or a mistake?", ", ".join(parts))
 
 
 def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:

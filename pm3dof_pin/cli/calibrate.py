@@ -146,6 +146,10 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             ]
         ),
     ]
+    for kind in ("drift", "hysteresis"):
+        if (moved := summary.get(kind)) is not None and moved["more_than_chance"]:
+            size, sigma = (1e6 * moved[key] for key in ("tip_error_m", "tip_sigma_m"))
+            lines.append(f"{kind} moved the tool by {size:.0f} ± {sigma:.0f} µm (tip error, rms)")
     if summary.get("validation") is None and summary.get("held_out") is None:
         return [*lines, "too few poses for a cross-validation"]
     names = {

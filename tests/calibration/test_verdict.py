@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.judging import chance_of_harm
 from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.calibration.planning import order_with_references
+from pm3dof_pin.calibration.repeatability import drift_and_hysteresis
 from pm3dof_pin.calibration.verdict import Verdict, verdict
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.norm_quantiles import norm_quantiles
@@ -19,6 +24,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 
 REPEATS = 5
@@ -96,6 +102,37 @@ def test_repeated_poses_tell_the_scatter(judgement: Verdict) -> None:
 
 def test_where_nothing_drifts_no_drift_is_claimed(judgement: Verdict) -> None:
     assert {found.kind: found.sure for found in judgement.systematic} == {"drift": False}
+
+
+def test_warming_and_backlash_are_said(
+    truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses, run: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Steel that warms by 8 K while poses are measured, one again and again, and 20 µm of backlash in every drive."""
+    generator = np.random.default_rng(3)
+    nominal = tripod_nominal[:30][order_with_references(tripod_nominal[:30], 5, 0)]
+    commands, machine = nominal.commands, tripod_errors.apply(truth)
+    side = np.sign(np.diff(commands, axis=0, prepend=commands[:1] - 1.0))
+    part = np.linspace(0.0, 1.0, len(commands))
+    reached = np.array(machine.forward(commands + 10e-6 * side, guess=nominal.q).transforms)
+    growth = 8.0 * 12e-6 * part[:, None] * reached[:, :3, 3]
+    reached[:, :3, 3] += growth + generator.normal(0.0, 7.5e-6, growth.shape)
+    seen = replace(Measurements.of_poses(commands, reached), times=3600.0 * part, approaches=side)
+    found = {each.kind: each for each in drift_and_hysteresis(calibrate(seen, tripod_errors, Options("lm")))}
+    slid = np.abs(
+        machine.forward(commands + 10e-6 * side, guess=nominal.q).positions - machine.forward(commands).positions
+    )
+    assert all(each.sure for each in found.values())
+    whole = float(np.sqrt(np.mean(np.sum(reached[:, :3, 3] ** 2, axis=1)))) * 8.0 * 12e-6
+    assert abs(found["drift"].tip - whole) < 3.0 * found["drift"].tip_sigma
+    assert found["hysteresis"].tip > np.sqrt(np.mean(np.sum(slid**2, axis=1)))
+    path = write_measurements(seen, tripod_errors.robot, tmp_path / "seen.csv")
+    header, *lines = path.read_text().splitlines()
+    timed = [f"{header},time_s", *(f"{line},{time}" for line, time in zip(lines, 3600.0 * part, strict=True))]
+    path.write_text("\n".join(timed) + "\n")
+    answer = run("calibrate", "seen.csv", "--method", "lm", "--out", "found", cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    assert "drift moved the tool by" in answer.stdout
+    assert "hysteresis moved the tool by" in answer.stdout
 
 
 def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) -> None:

@@ -323,8 +323,8 @@ WRONG: dict[str, Wrong] = {
     "two drives": Wrong(
         _commands(lambda u, g: u[:, [1, 0, *range(2, u.shape[1])]]), "permuted: u1 holds u2|swapped|mirrored"
     ),
-    "cyclic drives": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=1)), "permuted|turned"),
-    "backward drives": Wrong(_commands(lambda u, g: u[:, ::-1]), "permuted|swapped|mirrored"),
+    "cyclic drives": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=1)), "permuted|turned|limits"),
+    "backward drives": Wrong(_commands(lambda u, g: u[:, ::-1]), "permuted|swapped|mirrored|limits"),
     "one drive the other way": Wrong(_negated(slice(0, 1)), "u1|zero"),
     "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|counts"),
     "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|counts"),
@@ -341,7 +341,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "one drive twice": Wrong(_commands(lambda u, g: np.column_stack([u[:, 1], u[:, 1:]])), "u1"),
     "a drive's zero": Wrong(
-        _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)), "zero of u1|u1 .* off|limits"
+        _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)), "zero of u1|u1 .* off|limits|a drive's zero"
     ),
     "a drive's lead": Wrong(
         _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)), "u1|times the noise"
