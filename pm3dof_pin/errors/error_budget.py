@@ -169,7 +169,7 @@ def error_budget(
         >>> poses = pm.reachable_poses(errors.robot, 20, np.random.default_rng(0))
         >>> budget = error_budget(ErrorSources(errors, wrench=[500.0, 0.0, 0.0, 0.0, 0.0, 0.0]), poses)
         >>> [f"{1e6 * budget.select([name]).tip_rms.mean():.0f} µm by {name}" for name in ("wrench", "thermal")]
-        ['... um by wrench', '... um by thermal']
+        ['... µm by wrench', '... µm by thermal']
 
     Args:
         sources: the sources with their numbers.
