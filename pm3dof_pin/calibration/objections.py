@@ -142,9 +142,11 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             "another machine, or another frame"
         )
     if (chance := chance_of_harm(calibration)) > 1.0 - COVERAGE:
+        why = "too much of the tool's motion was not seen; measure whole poses, or targets off the tool point"
+        if found.noise_factor > _LOUD:
+            why = f"residuals are {found.noise_factor:.3g} times the noise"
         reasons.append(
-            f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: too much of the "
-            "tool's motion was not seen; measure whole poses, or targets off the tool point"
+            f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: {why}"
         )
     if not found.measurements.shows_poses:
         reasons.append(
