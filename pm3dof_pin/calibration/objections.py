@@ -63,10 +63,10 @@ def calibrate_and_object(
         held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
         if held_out is not None:
             calibration = calibration.with_scatter(held_out.scatter)
+        reasons = objections(calibration, held_out)
     except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
         raise refusal([str(error)], measurements, errors, options.eta) from error
     progress(2, 2)
-    reasons = objections(calibration, held_out)
     if not reasons:
         _warn_of_noise(calibration)
         _warn_of_other_parts(calibration)
