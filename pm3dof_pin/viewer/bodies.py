@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.description.mesh_files import read_meshes
 from pm3dof_pin.description.robots import find_robot
@@ -33,6 +33,9 @@ _STICK_COLOUR: Colour = (0.0, 0.447, 0.698)
 _JOINT_COLOUR: Colour = (0.835, 0.369, 0.0)
 _PASSIVE_COLOUR: Colour = (0.55, 0.57, 0.60)
 _GREY = (0.8, 0.8, 0.82, 1.0)
+_FINE = 2000  # triangles from which vertices of a mesh are joined
+_CELLS = (200, 100, 50)  # parts of its size within which they are, the first that leaves few enough
+_MOST_VERTICES = 10_000
 
 
 @dataclass(frozen=True)
@@ -183,10 +186,25 @@ def _mesh_parts(shape: pin.GeometryObject, placement: Array) -> list[_Part]:
     for number, mesh in enumerate(read_meshes(shape.meshPath)):
         vertices = np.asarray(mesh.vertices) * np.array(shape.meshScale)
         colour = _colour(shape.meshColor) if shape.overrideMaterial else _own_colour(mesh)
-        body = objects.mesh(objects.triangles(vertices, mesh.faces), colour[:3], opacity=colour[3])
+        vertices, faces = _coarsened(vertices, mesh.faces)
+        body = objects.mesh(objects.triangles(vertices, faces), colour[:3], opacity=colour[3])
         box = np.array([vertices.min(axis=0), vertices.max(axis=0)])
         parts.append(_Part(f"{_name(shape)}_{number}", body, placement, colour, _corners(box, placement)))
     return parts
+
+
+def _coarsened(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Join vertices of a fine mesh that are within a cell, too near to be told apart in the page."""
+    if len(faces) < _FINE:
+        return vertices, faces
+    for parts in _CELLS:
+        cells = np.round((vertices - vertices.min(axis=0)) * (parts / np.ptp(vertices, axis=0).max()))
+        _, first, cell_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        if len(first) <= _MOST_VERTICES:
+            break
+    joined = cell_of.reshape(-1)[faces]
+    flat = (joined == np.roll(joined, 1, axis=1)).any(axis=1)
+    return vertices[first], joined[~flat]
 
 
 def _own_colour(mesh: Any) -> tuple[float, float, float, float]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
+import numpy as np
+
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.report import cartesian_compliance
@@ -77,7 +79,10 @@ def _packed(value: Any) -> Any:
 
     if isinstance(value, dict):
         if "base64" in value:
+            kind, data = value["typed_array"], base64.b64decode(value["base64"])
+            if kind == "Uint16Array":  # which meshcat's messages do not know
+                kind, data = "Uint32Array", np.frombuffer(data, dtype=np.uint16).astype(np.uint32).tobytes()
             codes = {name: code for code, name in TYPED_ARRAYS.items()}
-            return umsgpack.Ext(codes[value["typed_array"]], base64.b64decode(value["base64"]))
+            return umsgpack.Ext(codes[kind], data)
         return {key: _packed(entry) for key, entry in value.items()}
     return [_packed(entry) for entry in value] if isinstance(value, list) else value

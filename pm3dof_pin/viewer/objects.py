@@ -43,11 +43,9 @@ def triangles(vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None =
     attributes = {"position": _attribute(vertices)}
     if colours is not None:
         attributes["color"] = _attribute(colours)
-    index = _typed(np.asarray(faces, dtype=np.uint32).ravel(), "Uint32Array")
-    return {
-        "type": "BufferGeometry",
-        "data": {"attributes": attributes, "index": {"type": "Uint32Array", "array": index}},
-    }
+    kind, number = ("Uint16Array", np.uint16) if len(np.asarray(vertices)) <= 1 << 16 else ("Uint32Array", np.uint32)
+    index = _typed(np.asarray(faces, dtype=number).ravel(), kind)
+    return {"type": "BufferGeometry", "data": {"attributes": attributes, "index": {"type": kind, "array": index}}}
 
 
 def mesh(geometry: Json, colour: Colour, *, opacity: float = 1.0) -> Json:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import trimesh
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.bodies import Bodies
+from pm3dof_pin.viewer.viewer import Viewer
 
 URDF = """<robot name="robot">
   <link name="base">
@@ -77,6 +80,18 @@ def test_meshes_have_their_scale(write_robot: Write, tmp_path: Path, suffix: str
     corners = arm.parts[-1].corners
     np.testing.assert_allclose(corners.min(axis=0), [0.9, -0.2, -0.3], atol=1e-6)
     np.testing.assert_allclose(corners.max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_fine_meshes_are_drawn_with_fewer_triangles(write_robot: Write, tmp_path: Path) -> None:
+    """A ball of 81,920 triangles: fewer are drawn, on the ball but for what nobody sees, and the page stays small."""
+    trimesh.creation.icosphere(subdivisions=6, radius=0.5).export(tmp_path / "ball.stl")
+    robot = Robot.load(write_robot(URDF.format(mesh=MESH.format(file=tmp_path / "ball.stl"))))
+    page = Viewer(robot).save_html(tmp_path / "ball.html")
+    assert page.stat().st_size < 1.5e6
+    arrays = re.findall(r'"typed_array": ?"Float32Array", ?"base64": ?"([^"]*)"', page.read_text())
+    ball = max((np.frombuffer(base64.b64decode(text), np.float32) for text in arrays), key=len).reshape(-1, 3)
+    assert 2000 < len(ball) < 10_000
+    np.testing.assert_allclose(np.linalg.norm(ball, axis=1), 1.0, atol=1e-6)
 
 
 def test_meshes_of_a_package(write_robot: Write, tmp_path: Path) -> None:
