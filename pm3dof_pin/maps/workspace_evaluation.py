@@ -185,7 +185,10 @@ def _distribution(
     mean = float(np.average(values[known], weights=volume))
     deviation = math.sqrt(float(np.average((values[known] - mean) ** 2, weights=volume)))
     names = [coordinate.name for coordinate in grid.coordinates]
-    ends = [np.unravel_index(int(choose(values)), values.shape) for choose in (np.nanargmin, np.nanargmax)]
+    # of poses that symmetry makes alike the first one, whichever rounding prefers
+    least, greatest = np.nanmin(values), np.nanmax(values)
+    alike = (values <= least + 1e-9 * abs(least), values >= greatest - 1e-9 * abs(greatest))
+    ends = [np.unravel_index(int(np.argmax(where)), values.shape) for where in alike]
     places = [dict(zip(names, map(float, grid.values[end]), strict=True)) for end in ends]
     least, greatest = (float(values[end]) for end in ends)
     defined = float(volume.sum() / weights[inside].sum())
