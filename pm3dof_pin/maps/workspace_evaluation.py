@@ -186,7 +186,7 @@ def _distribution(
     deviation = math.sqrt(float(np.average((values[known] - mean) ** 2, weights=volume)))
     names = [coordinate.name for coordinate in grid.coordinates]
     # of poses that symmetry makes alike the first one, whichever rounding prefers
-    least, greatest = np.nanmin(values), np.nanmax(values)
+    least, greatest = float(np.nanmin(values)), float(np.nanmax(values))
     alike = (values <= least + 1e-9 * abs(least), values >= greatest - 1e-9 * abs(greatest))
     ends = [np.unravel_index(int(np.argmax(where)), values.shape) for where in alike]
     places = [dict(zip(names, map(float, grid.values[end]), strict=True)) for end in ends]
