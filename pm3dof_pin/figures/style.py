@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -107,6 +108,7 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
+    logging.getLogger("fontTools").setLevel(logging.ERROR)  # dates of fonts are no matter here
     kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _UNDATED else "png"
     with house_style(), write_atomically(path) as temporary:
         figure.savefig(temporary, format=kind, dpi=DPI, metadata={_UNDATED[kind]: None})
