@@ -161,7 +161,7 @@ class Identification:
         poses = _poses_at(
             self.errors.apply(self.values), measurements, self.errors.robot.forward(measurements.commands).q
         )
-        drives = drive_motions(poses)
+        drives = tool_motions_by_drives(poses)
         return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
 
 
@@ -254,7 +254,7 @@ def identify(
     )
 
 
-def drive_motions(poses: Poses, commands: Array | None = None) -> Array:
+def tool_motions_by_drives(poses: Poses, commands: Array | None = None) -> Array:
     """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands)."""
     by_commands = command_jacobians(poses) if commands is None else commands
     return np.asarray(by_commands * np.abs(command_scales(poses)))
@@ -395,7 +395,7 @@ def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Po
     numbers = measurements.pose_numbers
     _, first = np.unique(numbers, return_index=True)
     found = sensitivities(errors, poses[first], p, joints=tuple(measurements.joints))
-    return found.errors[numbers], drive_motions(poses[first], found.commands)[numbers]
+    return found.errors[numbers], tool_motions_by_drives(poses[first], found.commands)[numbers]
 
 
 def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:

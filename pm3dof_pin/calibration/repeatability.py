@@ -8,7 +8,7 @@ import numpy as np
 import scipy.special
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.identification import drive_motions
+from pm3dof_pin.calibration.identification import tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.measuring.nuisances import datum_motions
@@ -76,7 +76,7 @@ class Systematic:
 def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:
     """Return what times and directions of approach tell; nothing where there are none."""
     found = calibration.identification
-    drives, weights = drive_motions(found.poses), tip_weights(calibration.options.eta)
+    drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
     first = len(found.joint_covariance) - len(found.nuisances)
     answers = []
     for kind in ("drift", "hysteresis"):

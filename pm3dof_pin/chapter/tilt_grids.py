@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +23,17 @@ class _TiltAxis:
     long_name: str
 
 
-class TiltGrid:
+class TiltGrid(ABC):
     """What a map needs of a grid: named dimensions, coordinates and the tilts at its points."""
 
     @property
+    @abstractmethod
     def dims(self) -> tuple[str, ...]:
         """Names of the grid's dimensions."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _tilts(self) -> Array:
         """Return theta_x and theta_y at its points, shape=(*shape of the grid, 2) [rad]."""
-        raise NotImplementedError
 
     def coordinates(self) -> dict[str, _TiltAxis]:
         """Return the coordinates by name; theta_x and theta_y are among them."""

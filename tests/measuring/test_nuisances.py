@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
-from pm3dof_pin.calibration.identification import drive_motions, identify
+from pm3dof_pin.calibration.identification import identify, tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_finite_differences(everything: Measurements, t
     poses = tripod_nominal[:6][everything.pose_numbers]
     nuisances = Nuisances.of(everything, ("m", "m", "m"))
     assert len(nuisances) == 6 + 9 + 9 + 3
-    drives = drive_motions(poses)
+    drives = tool_motions_by_drives(poses)
     rows = everything.derivatives(poses, nuisances.motions(everything, poses, drives))
     step = 1e-6
     for k in range(len(nuisances)):
