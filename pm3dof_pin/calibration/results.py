@@ -249,7 +249,9 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         worst = int(np.abs(values).argmax())
         expected = f"expected errors of at most {_GREATEST_ERROR:g} m or rad, not {values[worst]:g}"
         raise DescriptionError(path, f"values of {errors.names[worst]}", expected)
-    covariance = None if data["covariance"] is None else _semidefinite(path, "covariance", data, len(errors))
+    # with twelve rows more where the measurements define base and tool
+    sizes = (len(errors), len(errors) + 12)
+    covariance = None if data["covariance"] is None else _semidefinite(path, "covariance", data, sizes)
     if not 0.0 < float(data["eta_m_per_rad"]) <= _GREATEST_LENGTH:
         expected = f"expected a length up to {_GREATEST_LENGTH:g}, not {data['eta_m_per_rad']}"
         raise DescriptionError(path, "eta_m_per_rad", expected)
@@ -294,10 +296,11 @@ def _require_plausible(path: Path, data: Any, place: str = "") -> None:
         raise DescriptionError(path, place, f"expected a number of at most {_GREATEST:g}, not {data}")
 
 
-def _semidefinite(path: Path, key: str, data: Mapping[str, Any], size: int) -> Array:
-    matrix = np.array(data[key], dtype=float)
-    if matrix.shape != (size, size):
-        raise DescriptionError(path, key, f"expected {size} x {size} numbers, not an array of shape {matrix.shape}")
+def _semidefinite(path: Path, key: str, data: Mapping[str, Any], sizes: Sequence[int]) -> Array:
+    matrix, size = np.array(data[key], dtype=float), len(data[key])
+    if size not in sizes or matrix.shape != (size, size):
+        expected = " or ".join(f"{size} x {size}" for size in sizes)
+        raise DescriptionError(path, key, f"expected {expected} numbers, not an array of shape {matrix.shape}")
     scale = np.sqrt(np.maximum(matrix.diagonal(), np.finfo(float).tiny))
     scaled = matrix / np.outer(scale, scale)
     if size and (np.abs(scaled - scaled.T).max() > _ROUNDING or np.linalg.eigvalsh(scaled)[0] < -_ROUNDING * size):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from pm3dof_pin.figures.calibration_report import report_as_html
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurement_file import read_measurements
+from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.registration import AT_THE_BASE
 from pm3dof_pin.simulation.worlds import World
 
 
@@ -56,6 +59,17 @@ def test_what_is_read_corrects_the_same(calibration: Calibration, folder: Path, 
     np.testing.assert_array_equal(again.corrected(poses, conditions), wanted)
     expected = calibration.compensation.compensate(poses, conditions).predicted_error
     np.testing.assert_array_equal(again.compensate(poses, conditions).predicted_error, expected)
+
+
+def test_a_calibration_in_a_frame_of_the_instrument_is_read_again(
+    tripod_errors: GeometricErrors, tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    commands, generator = tripod_nominal[:20].commands, np.random.default_rng(3)
+    poses = tripod_errors.apply(tripod_errors.sample(generator)).forward(commands)
+    measured = replace(Measurements.of_poses(commands, poses.transforms), registration=AT_THE_BASE)
+    found = calibrate(measured, tripod_errors, Options("lm"))
+    again = read_compensation(write_calibration(found, "pm3dof", tmp_path / "calibration"))
+    np.testing.assert_array_equal(again.covariance, found.compensation.covariance)
 
 
 def test_the_calibrated_urdf_is_the_calibrated_machine(
