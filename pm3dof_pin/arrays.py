@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from typing import Any, TypeVar, get_args
 
@@ -25,7 +26,8 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """
     try:
         array = np.asarray(values)
-        if np.ma.is_masked(values):
+        # nobody who has not loaded numpy.ma has a masked array, and loading it takes long
+        if "numpy.ma" in sys.modules and np.ma.is_masked(values):
             raise InvalidValueError(name, values, "no masked numbers")
         if array.dtype.kind not in "iufO" or any(isinstance(entry, (str, bytes, bool)) for entry in _objects(array)):
             raise InvalidValueError(name, values, "real numbers")
@@ -69,6 +71,20 @@ def require_kind(name: str, value: object, kind: type, origin: str) -> None:
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise InvalidValueError(name, value, f"{article} {kind.__name__}, as {origin} gives")
+
+
+def with_neighbours(mask: NDArray[np.bool_], *, closed: int | None = None) -> NDArray[np.bool_]:
+    """Return a mask of what is in another or next to it, corner to corner too; the axis `closed` runs round."""
+    grown = mask.copy()
+    for axis in range(mask.ndim):
+        along = np.moveaxis(grown, axis, 0)
+        before = along.copy()
+        along[1:] |= before[:-1]
+        along[:-1] |= before[1:]
+        if axis == closed:
+            along[0] |= before[-1]
+            along[-1] |= before[0]
+    return grown
 
 
 def listed(numbers: Vector) -> str:

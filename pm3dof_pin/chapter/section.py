@@ -10,18 +10,19 @@ from numpy.typing import ArrayLike
 import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
-from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
+from pm3dof_pin.maps.named_arrays import NamedArray, NamedArrays
 from pm3dof_pin.maps.workspace_section import workspace_section
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from pm3dof_pin.kinematics.robot import Robot
 
 
 _LONG_NAMES = {
@@ -62,8 +63,18 @@ def stiffness_section(
     Raises:
         InvalidValueError: a height is not finite, not above the clamp of the passive leg, or heights of two dimensions.
     """
-    import xarray as xr
+    return section_arrays(tripod, grid, z_e, excluded=excluded, robot=robot).dataset()
 
+
+def section_arrays(
+    tripod: Tripod,
+    grid: TiltGrid | None = None,
+    z_e: ArrayLike | None = None,
+    *,
+    excluded: Literal["nan", "keep"] = "nan",
+    robot: Robot | None = None,
+) -> NamedArrays:
+    """Compute what :func:`stiffness_section` returns."""
     grid = RectangularGrid() if grid is None else grid
     heights = np.asarray(tripod.middle_height if z_e is None else z_e, dtype=float)
     if heights.ndim > 1:
@@ -73,17 +84,13 @@ def stiffness_section(
     flags = limit_flags(tripod, poses)
     dims = (("z_e",) if heights.ndim else ()) + grid.dims
     variables = {
-        name: (dims, values if excluded == "keep" else np.where(flags == 0, values, np.nan), attributes)
+        name: NamedArray(dims, values if excluded == "keep" else np.where(flags == 0, values, np.nan), attributes)
         for name, (values, attributes) in _chapter_variables(tripod, poses, robot).items()
     }
-    return xr.Dataset(
-        variables | {BROKEN_LIMITS: (dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))},
-        coords={
-            **{name: (c.dims, c.values, _labels(c.unit, c.long_name)) for name, c in grid.coordinates().items()},
-            "z_e": (("z_e",) if heights.ndim else (), heights, _labels("m", "height of the tool point O_e")),
-        },
-        attrs=_attributes(tripod),
-    )
+    broken = NamedArray(dims, flags, flag_attributes(LIMIT_NAMES, "joint limits that the pose breaks"))
+    coordinates = {n: NamedArray(c.dims, c.values, _labels(c.unit, c.long_name)) for n, c in grid.coordinates().items()}
+    level = NamedArray(dims[:1] if heights.ndim else (), heights, _labels("m", "height of the tool point O_e"))
+    return NamedArrays(variables | {BROKEN_LIMITS: broken}, coordinates | {"z_e": level}, _attributes(tripod))
 
 
 def section_outline(
@@ -119,6 +126,8 @@ def _chapter_variables(tripod: Tripod, poses: Array, robot: Robot | None) -> dic
     if robot is None:
         diagonal = chapter_stiffness(tripod, poses, on_failure="nan")
     else:
+        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio takes long
+
         diagonal = pinocchio_stiffness(robot, tripod, poses, on_failure="nan")
     variables = {
         f"stiffness_{axis}": (diagonal[..., k], _labels(UNITS[axis], _LONG_NAMES[axis])) for k, axis in enumerate(AXES)

@@ -6,20 +6,21 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness, global_index
 from pm3dof_pin.chapter.limits import limit_flags
-from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness
 from pm3dof_pin.chapter.tilt_grids import PolarGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.description.robots import robots_directory
 from pm3dof_pin.description.yaml_file import read_mapping
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.kinematics.robot import Robot
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
 
 _STATISTICS: dict[str, Callable[[NDArray[np.float64]], Any]] = {
     "minimum": np.min,
@@ -72,7 +73,12 @@ def _section_values(tripod: Tripod, robot: Robot | None) -> dict[str, NDArray[np
     """Values of every axis at the chapter's poses that keep all joint limits."""
     poses = PolarGrid().poses(tripod.middle_height)
     poses = poses[limit_flags(tripod, poses) == 0]
-    diagonal = chapter_stiffness(tripod, poses) if robot is None else pinocchio_stiffness(robot, tripod, poses)
+    if robot is None:
+        diagonal = chapter_stiffness(tripod, poses)
+    else:
+        from pm3dof_pin.chapter.pinocchio_stiffness import pinocchio_stiffness  # loading Pinocchio takes long
+
+        diagonal = pinocchio_stiffness(robot, tripod, poses)
     return dict(zip(AXES, diagonal.T, strict=True)) | {"global": global_index(diagonal)}
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.typing import Engine
+    from pm3dof_pin.maps.named_arrays import Map
+    from pm3dof_pin.typing import Array, Engine
 
 LEAST_TO_DRAW = 3
 PICTURES = {
@@ -113,22 +114,21 @@ def stiffness_map(
     print_result(result, lines, as_json=as_json, files=files)
 
 
-def _ranges(dataset: xr.Dataset) -> dict[str, dict[str, Any]]:
+def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
     """Return least, greatest and mean finite value of every number of the map."""
     import numpy as np
 
     from pm3dof_pin.maps.units import unit_of_entry
 
     ranges = {}
-    for name, label, own in _entries(dataset):
-        values = dataset[name].sel(dict.fromkeys(own, label)).values
+    for name, label, values in _entries(dataset):
         finite = values[np.isfinite(values)]
         if finite.size:
             ranges[f"{name}_{label}" if label else name] = {
                 "least": float(finite.min()),
                 "greatest": float(finite.max()),
                 "mean": float(finite.mean()),
-                "unit": unit_of_entry(dataset[name].attrs["units"], label),
+                "unit": unit_of_entry(dataset.variables[name].attrs["units"], label),
             }
     return ranges
 
@@ -142,14 +142,15 @@ def _range_lines(ranges: dict[str, dict[str, Any]]) -> list[str]:
     return table_lines(["quantity", "unit", *_STATISTICS.values()], rows, words=2)
 
 
-def _entries(dataset: xr.Dataset) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return every number of the map: variable, label and own dimensions; of matrices the diagonal."""
-    entries: list[tuple[str, str, tuple[str, ...]]] = []
+def _entries(dataset: Map) -> list[tuple[str, str, Array]]:
+    """Return every number of the map: variable, label and values; of matrices the diagonal."""
+    entries: list[tuple[str, str, Array]] = []
     for name, variable in dataset.data_vars.items():
-        own = tuple(map(str, variable.dims[2:]))
-        labels = [str(label) for label in variable[own[0]].values] if own else [""]
+        own = variable.dims[2:]
+        labels: Any = dataset.variables[own[0]].values if own else [""]
+        indices: list[Any] = [(..., *[k] * len(own)) for k in range(len(labels))]
         if "flag_masks" not in variable.attrs:
-            entries += [(str(name), label, own) for label in labels]
+            entries += [(str(name), str(labels[k]), variable.values[index]) for k, index in enumerate(indices)]
     return entries
 
 
@@ -171,8 +172,8 @@ def _draw(
     broken = limits_over(robot, grid.dims, grid.fixed, engine=engine)
     entries = _entries(dataset)
     files = []
-    for done, (name, label, own) in enumerate(entries, start=1):
-        if np.isfinite(dataset[name].sel(dict.fromkeys(own, label)).values).sum() >= LEAST_TO_DRAW:
+    for done, (name, label, values) in enumerate(entries, start=1):
+        if np.isfinite(values).sum() >= LEAST_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
             figure = section_map(dataset, name, entry=label or None, within=lambda points: broken(points) == 0)
             files += save(figure, path, formats)
@@ -191,7 +192,7 @@ def _map_of_chapter(
     as_json: bool,
     engine: EngineName,
 ) -> None:
-    from pm3dof_pin.chapter.section import stiffness_section
+    from pm3dof_pin.chapter.section import section_arrays
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
@@ -201,9 +202,9 @@ def _map_of_chapter(
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []
     with progress_bar("stiffness map") as progress:
-        section = stiffness_section(tripod, grid, height, robot=machine)
-        inside = int((section["broken_limits"] == 0).sum())
-        z_e = float(section["z_e"])
+        section = section_arrays(tripod, grid, height, robot=machine)
+        inside = int((section.data_vars["broken_limits"].values == 0).sum())
+        z_e = float(section.coords["z_e"].values)
         _require_poses(f"at z_e = {z_e:g} m", inside, drawn=pictures, tripod=tripod)
         files = [write_netcdf(section, out / "stiffness_map.nc"), write_csv(section, out / "stiffness_map.csv")]
         progress(2, 2 + len(names))
@@ -211,9 +212,9 @@ def _map_of_chapter(
             from pm3dof_pin.chapter.section import section_outline
             from pm3dof_pin.figures.section_map import section_map
 
-            outline = section_outline(tripod, grid, height, robot=machine)
+            dataset, outline = section.dataset(), section_outline(tripod, grid, height, robot=machine)
             for done, name in enumerate(names, start=3):
-                files += save(section_map(section, PICTURES[name], outline), out / name, formats)
+                files += save(section_map(dataset, PICTURES[name], outline), out / name, formats)
                 progress(done, 2 + len(names))
         remove_former(out, JOB_PICTURES, files)
     rows, statistics = table_8_3(tripod, robot=machine), _ranges(section)

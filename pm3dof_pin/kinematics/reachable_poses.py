@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
-from pm3dof_pin.arrays import require_count
+from pm3dof_pin.arrays import require_count, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
@@ -127,7 +126,7 @@ class _Draws:
         shares = (np.arange(count) + 0.5) / count
         axes = {c.name: a + (b - a) * shares for c, a, b in zip(commands, lower, upper, strict=True)}
         poses = self._robot.forward(Grid(commands, axes, {}).values, on_failure="nan")
-        near = maximum_filter(poses.within_limits, size=3) & poses.solved
+        near = with_neighbours(poses.within_limits) & poses.solved
         values = np.where(near[..., None], poses.coordinates, np.nan)
         differences = [np.abs(np.diff(values, axis=k)).reshape(-1, values.shape[-1]) for k in range(len(commands))]
         if not near.any() or any(np.isnan(steps).all(axis=0).any() for steps in differences):
@@ -162,4 +161,4 @@ class _Draws:
         }
         middles = self._solve(Grid(self._coordinates, axes, {}).values, on_failure="nan")
         starts = np.where(middles.solved[..., None], middles.q, self._robot.home.q)
-        return starts, maximum_filter(middles.within_limits, size=3)
+        return starts, with_neighbours(middles.within_limits)

@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
+from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.typing import Array, Mask
 
@@ -63,11 +63,11 @@ def explored(
     unchecked = np.zeros(shape, dtype=bool)
     unchecked[..., first % _COARSE :: _COARSE, first % _COARSE :: _COARSE] = True
     unchecked[np.arange(shape[0]) % _COARSE != 0] = False
-    modes = [*["nearest"] * (len(shape) - 2), "wrap" if ring else "nearest", "nearest"]
+    closed = len(shape) - 2 if ring else None
     while unchecked.any():
         found[unchecked] = within(np.nonzero(unchecked))
         checked |= unchecked
-        unchecked = maximum_filter(found, size=3, mode=modes) & ~checked if found.any() else ~checked
+        unchecked = with_neighbours(found, closed=closed) & ~checked if found.any() else ~checked
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +18,10 @@ from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from pm3dof_pin.maps.named_arrays import Labelled, Map
 
 
-def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
+def write_netcdf(dataset: Map, path: Path | str) -> Path:
     """Write a map as NetCDF-4, compressed, angles in radians, and return the path; equal maps give equal bytes.
 
     Raises:
@@ -29,12 +29,12 @@ def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
     """
     import netCDF4
 
-    # not by xarray, which asks first whether there is a dask scheduler and imports all of dask where it is installed
+    sizes = {dim: n for v in dataset.variables.values() for dim, n in zip(v.dims, v.values.shape, strict=True)}
     with write_atomically(path) as temporary:
         try:
             with netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
                 file.setncatts(dataset.attrs)
-                for dim, size in dataset.sizes.items():
+                for dim, size in sizes.items():
                     file.createDimension(str(dim), size)
                 for name in (*dataset.coords, *dataset.data_vars):
                     _write_variable(file, dataset, str(name))
@@ -43,8 +43,8 @@ def write_netcdf(dataset: xr.Dataset, path: Path | str) -> Path:
     return Path(path)
 
 
-def _write_variable(file: Any, dataset: xr.Dataset, name: str) -> None:
-    variable = dataset[name].variable
+def _write_variable(file: Any, dataset: Map, name: str) -> None:
+    variable = dataset.variables[name]
     values = variable.values
     kind: Any = values.dtype
     if kind.kind in "UO":
@@ -55,14 +55,14 @@ def _write_variable(file: Any, dataset: xr.Dataset, name: str) -> None:
     stored = file.createVariable(name, kind, variable.dims, **options)
     attributes = dict(variable.attrs)
     # coordinates that are no dimensions have to be named, or they come back as variables
-    others = [str(c) for c in dataset.coords if c not in dataset.dims and set(dataset[c].dims) <= set(variable.dims)]
-    if name in dataset.data_vars and others:
-        attributes["coordinates"] = " ".join(others)
+    beside = [str(n) for n, c in dataset.coords.items() if c.dims != (n,) and set(c.dims) <= set(variable.dims)]
+    if name in dataset.data_vars and beside:
+        attributes["coordinates"] = " ".join(beside)
     stored.setncatts(attributes)
     stored[...] = values
 
 
-def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:
+def write_csv(dataset: Map, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:
     """Write a map as CSV: one row a pose, angles in degrees, the unit at the end of each heading; return the path.
 
     Limits are written as words; what is excluded by one is an empty cell. A variable with dimensions of its own has a
@@ -71,7 +71,7 @@ def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[st
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    names = [str(name) for name in dataset.coords if "units" in dataset[name].attrs]
+    names = [str(name) for name, coordinate in dataset.coords.items() if "units" in coordinate.attrs]
     columns = dict(_columns(dataset, names if coordinates is None else coordinates))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
@@ -80,22 +80,34 @@ def write_csv(dataset: xr.Dataset, path: Path | str, *, coordinates: Sequence[st
     return write_text_atomically(path, text.getvalue())
 
 
-def _columns(dataset: xr.Dataset, coordinates: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+def _columns(dataset: Map, coordinates: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
     """Heading and cells of each column."""
-    template = min(dataset.data_vars.values(), key=lambda variable: variable.ndim)
+    variables: list[Labelled] = list(dataset.data_vars.values())
+    template = min(variables, key=lambda variable: len(variable.dims))
     for name in (*coordinates, *map(str, dataset.data_vars)):
-        variable = dataset[name].broadcast_like(template).transpose(*template.dims, ...)
+        variable = dataset.variables[name]
+        own = tuple(dim for dim in variable.dims if dim not in template.dims)
+        values = _over(template, own, variable)
         if "flag_masks" in variable.attrs:
             if name == BROKEN_LIMITS:
-                yield "within_limits", ["FALSE" if flags else "TRUE" for flags in variable.values.flat]
-            yield name, _words(variable)
+                yield "within_limits", ["FALSE" if flags else "TRUE" for flags in values.flat]
+            yield name, _words(values, variable.attrs)
             continue
-        own = variable.dims[template.ndim :]
         units = variable.attrs["units"]
-        for entry in itertools.product(*(variable[dim].values for dim in own)):
-            unit = unit_of_entry(units, str(entry[0])) if len(own) == 1 else units
-            values = variable.sel(dict(zip(own, entry, strict=True))).values
-            yield _column_of_numbers("_".join([name, *map(str, entry)]), unit, values)
+        for entry in itertools.product(*(enumerate(dataset.variables[dim].values) for dim in own)):
+            labels = [str(label) for _, label in entry]
+            unit = unit_of_entry(units, labels[0]) if len(own) == 1 else units
+            index: Any = (..., *(k for k, _ in entry))
+            yield _column_of_numbers("_".join([name, *labels]), unit, values[index])
+
+
+def _over(template: Labelled, own: tuple[Hashable, ...], variable: Labelled) -> Array:
+    """Return the values of a variable over the dimensions of another, and then over its own."""
+    dims = [*template.dims, *own]
+    present = [dim for dim in dims if dim in variable.dims]
+    values = np.transpose(variable.values, [variable.dims.index(dim) for dim in present])
+    values = np.expand_dims(values, [k for k, dim in enumerate(dims) if dim not in present])
+    return np.broadcast_to(values, template.values.shape + values.shape[len(template.dims) :])
 
 
 def _column_of_numbers(name: str, unit: str, values: Array) -> tuple[str, list[str]]:
@@ -105,11 +117,11 @@ def _column_of_numbers(name: str, unit: str, values: Array) -> tuple[str, list[s
     return heading, ["" if not np.isfinite(value) else f"{value:.12g}" for value in values.flat]
 
 
-def _words(variable: xr.DataArray) -> list[str]:
+def _words(values: Array, attributes: Mapping[str, Any]) -> list[str]:
     """Names of the flags in each value, with blanks between them."""
-    masks, meanings = variable.attrs["flag_masks"], variable.attrs["flag_meanings"].split()
+    masks, meanings = attributes["flag_masks"], attributes["flag_meanings"].split()
     words = {
         flags: " ".join(word for mask, word in zip(masks, meanings, strict=True) if flags & mask)
-        for flags in np.unique(variable.values)
+        for flags in np.unique(values)
     }
-    return [words[flags] for flags in variable.values.flat]
+    return [words[flags] for flags in values.flat]

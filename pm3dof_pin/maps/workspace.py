@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import maximum_filter
 
+from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
 from pm3dof_pin.maps.limit_space import LimitSpace
@@ -109,7 +109,7 @@ def level_range(space: LimitSpace) -> tuple[float, float]:
         raise UnreachablePoseError(f"no pose of {space.machine} is within all limits: the workspace is empty")
     ends = []
     for last, beyond in ((reachable[0], max(reachable[0] - 1, 0)), (reachable[-1], reachable[-1] + 1)):
-        points = plane[maximum_filter(found[last], size=3)]  # a slanting set may end beside what it is at this level
+        points = plane[with_neighbours(found[last])]  # a slanting set may end beside what it is at this level
         ends.append(_end_of_levels(space, points, levels[last], levels[min(beyond, len(levels) - 1)]))
     return ends[0], ends[1]
 

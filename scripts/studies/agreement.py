@@ -42,6 +42,8 @@ DESCRIPTIONS = {
     "five_bar": MACHINES / "five_bar",
     "three_rpr": MACHINES / "three_rpr",
     "four_bar": MACHINES / "four_bar",
+    "linear_delta": "linear_delta",
+    "ur5": "ur5",
     "walker": MACHINES / "walker" / "walker.xml",
 }
 
@@ -70,8 +72,12 @@ def rigid_branches(model: ElasticModel) -> ElasticModel:
 def giving_closures(model: ElasticModel) -> ElasticModel:
     """Return the model with a bushing in every closure besides."""
     generator = np.random.default_rng(5)
-    roots = generator.uniform(-1.0, 1.0, (len(model.rigid.closures), 3, 3)) + 3.0 * np.eye(3)
-    bushings = [ClosureSpring(f"bushing{k}", k, 1e7 * root @ root.T) for k, root in enumerate(roots)]
+    bushings = []
+    for k, closure in enumerate(model.rigid.closures):
+        size = int(closure.type[0])
+        root = np.sqrt(1e7) * (generator.uniform(-1.0, 1.0, (size, size)) + size * np.eye(size))
+        root[3:] *= 0.1 * model.rigid.characteristic_length
+        bushings.append(ClosureSpring(f"bushing{k}", k, root @ root.T))
     return ElasticModel(model.rigid, [*model.springs, *bushings])
 
 
@@ -81,6 +87,7 @@ VARIANTS: dict[str, tuple[str, Callable[[ElasticModel], ElasticModel]]] = {
     "pm3dof, branches without springs": ("pm3dof", rigid_branches),
     "pm3dof, springs in closures": ("pm3dof", giving_closures),
     "hexapod, springs in closures": ("hexapod", giving_closures),
+    "three_rps, springs in closures": ("three_rps", giving_closures),
 }
 
 
