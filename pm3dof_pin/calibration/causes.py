@@ -3,7 +3,8 @@
 Each is a change of the measurements (:mod:`pm3dof_pin.calibration.mistakes`). The machine as described, which is at
 most tolerances away from the real one, is compared with what was measured before and after the change; the base of the
 instrument is found anew where that was asked for. A mistake that explains most of what does not fit is likely the one
-that was made, and of several that explain as much the simplest.
+that was made, and of several that explain as much the simplest. Others that cannot be told from it are named beside it:
+where the platform never turns, another tool point is another frame.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
 
 _EXPLAINS = 0.25  # of what did not fit is left, at most
-_AS_WELL = 4.0  # times what the best explanation leaves: a simpler one is taken
+_HALF = 0.5  # likewise, if that is no more than what needs no mistake
+_AS_WELL = 4.0  # times what the best explanation leaves: one of a simpler kind is taken
+_EQUAL = 1.001  # times: the same in other words
+_ALIKE = 1.5  # times what another leaves: not to be told from it
+_OTHERS = 2  # named beside the first
 _MUCH = 4.0  # times better a single column has to explain it than what concerns all
 _FEWEST = 4  # poses: with fewer nearly any mistake explains all
 _MOST = 300  # rows examined
@@ -33,7 +38,7 @@ _CAN_BE_TAKEN = 0.9  # of the commands, at least
 class _Cause:
     """A mistake that explains why measurements do not fit."""
 
-    text: str  #: the mistake, and what to do about it
+    text: str  #: the mistake, and what to do about it, or several that cannot be told apart
     before: float  #: tip error of the machine as described, median [m]
     after: float  #: the same without the mistake [m]
 
@@ -58,7 +63,7 @@ def likely_cause(
     if before <= least or len(measurements.visits) < _FEWEST:
         return None
 
-    def explanations(mistakes: Iterable[Mistake]) -> list[_Cause]:
+    def explanation(mistakes: Iterable[Mistake]) -> _Cause | None:
         found = []
         for mistake in mistakes:
             try:
@@ -68,21 +73,25 @@ def likely_cause(
                 after = _misfit(without, poses, eta, own_frame or mistake.free)
             except PM3DofError:
                 continue
-            if after < _EXPLAINS * before:
+            if after < _EXPLAINS * before or after < min(least, _HALF * before):
                 found.append(_Cause(mistake.text, before, after))
-        return found
+        best = min((cause.after for cause in found), default=0.0)
+        return next((cause for cause in found if cause.after <= _EQUAL * best), None)
 
-    whole = _simplest(explanations(usual_mistakes(measurements, nominal, eta)))
+    def simplest(kinds: Iterable[Iterable[Mistake]]) -> _Cause | None:
+        causes = [cause for kind in kinds if (cause := explanation(kind)) is not None]
+        best = min((cause.after for cause in causes), default=0.0)
+        first = next((cause for cause in causes if cause.after <= _AS_WELL * best), None)
+        if first is None:
+            return None
+        others = [cause.text for cause in causes if cause is not first and cause.after <= _ALIKE * first.after]
+        return replace(first, text=", or ".join([first.text, *others[:_OTHERS]]))
+
+    whole = simplest(usual_mistakes(measurements, nominal, eta))
     if whole is not None and whole.after <= least:
         return whole
-    column = _simplest(explanations(wrong_columns(measurements, nominal, eta)))
+    column = simplest(wrong_columns(measurements, nominal, eta))
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
-
-
-def _simplest(causes: list[_Cause]) -> _Cause | None:
-    """Return the first of those that explain about as much as the best."""
-    best = min((cause.after for cause in causes), default=0.0)
-    return next((cause for cause in causes if cause.after <= _AS_WELL * best), None)
 
 
 def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements, Poses]:

@@ -135,6 +135,17 @@ class Identification:
         """Residuals in units of the measurements' sigma, shape=(n, rows)."""
         return np.asarray(self.residuals / self.measurements.sigmas)
 
+    @cached_property
+    def expected_squares(self) -> Array:
+        """Squares of the normalised residuals to be expected by the sigmas and what parameters absorb, shape=(n, rows).
+
+        0 for what was not measured.
+        """
+        units = np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
+        known = np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0) / np.outer(units, units)
+        absorbed = np.einsum("nri,ij,nrj->nr", self.rows, known / self.noise_factor**2, self.rows, optimize=True)
+        return np.asarray(np.where(self.measurements.seen, np.clip(1.0 - absorbed, 0.0, 1.0), 0.0))
+
     @property
     def outlier_lines(self) -> tuple[int, ...]:
         """Lines of the file that are outliers."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ _SHIFTS = 20  # rows that poses may stand away from their commands
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 25.4e-3, "feet": 0.3048}
 _LIKE = 0.1  # of the differences is left where a simpler form describes them
 _SAME = 1e-9
-_ANOTHER_SCALE = 3e-3
+_ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
 _STEPS = 3  # times those of one descent
 _QUATERNION = "wxyz"
 
@@ -43,26 +43,32 @@ class Mistake:
     free: bool = False  #: whether the base has to be found anew
 
 
-def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Give the usual mistakes in rows, simple ones first, against nominal poses; eta weighs the orientation [m/rad]."""
-    for unit, factor in _LENGTHS.items():
-        scaled = replace(measurements, positions=factor * measurements.positions)
-        yield Mistake(f"the positions are in {unit}", scaled, nominal)
-        if measurements.registration is None:
-            text = f"the positions are in {unit}, and in the instrument's own frame: --own-frame"
-            yield Mistake(text, scaled, nominal, free=True)
-    yield from _of_drives(measurements, nominal)
-    yield from _of_row_order(measurements, nominal)
-    yield from _of_axes(measurements, nominal)
-    yield from _of_quaternions(measurements, nominal)
-    yield from _of_scale(measurements, nominal)
+def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
+    """Give the usual mistakes in rows, by kind, simple kinds first, against nominal poses.
+
+    Within a kind none is simpler than another. eta weighs the orientation [m/rad].
+    """
+    yield _of_units(measurements, nominal)
+    if measurements.registration is None:
+        yield _of_units(measurements, nominal, free=True)
+    yield _of_drives(measurements, nominal)
+    yield _of_row_order(measurements, nominal)
+    yield _of_axes(measurements, nominal)
+    yield _of_quaternions(measurements, nominal)
+    yield _of_scale(measurements, nominal)
+    yield from _of_counters(measurements, nominal, eta)
     if measurements.registration is None:
         text = "the instrument's frame is not that of the base: --own-frame finds the base in it"
-        yield Mistake(text, measurements, nominal, free=True)
-        yield from _of_scale(measurements, nominal, free=True)
+        yield [Mistake(text, measurements, nominal, free=True)]
+        yield _of_scale(measurements, nominal, free=True)
     yield from _of_the_tool(measurements, nominal)
     yield from _of_positions(measurements, nominal)
-    yield from _of_zeros(measurements, nominal, eta)
+
+
+def _of_units(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
+    for unit, factor in _LENGTHS.items():
+        text = f"the positions are in {unit}" + (", and in the instrument's own frame: --own-frame" if free else "")
+        yield Mistake(text, replace(measurements, positions=factor * measurements.positions), nominal, free)
 
 
 def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
@@ -184,35 +190,37 @@ def _of_quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mist
             yield Mistake(text, replace(measurements, rotations=read), nominal)
 
 
-def _of_the_tool(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+def _of_the_tool(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
     seen = nominal.rotations if measurements.rotations is None else measurements.rotations
     shift = np.median(
         np.einsum("nji,nj->ni", seen, measurements.positions - nominal.positions) - measurements.points, axis=0
     )
     shifted = measurements.with_points(measurements.points + shift)
     text = f"the point seen is about ({_in_millimetres(shift)}) mm from where it is said to be, in the tool's axes"
-    yield Mistake(text, shifted, nominal)
-    if measurements.points.any():
-        numbers = measurements.target_numbers
-        points = measurements.points[np.unique(numbers, return_index=True)[1]]
-        for order in itertools.permutations(range(len(points))) if len(points) <= _MANY_DRIVES else ():
-            if order != tuple(range(len(points))):
-                text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
-                yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
-        yield Mistake(
-            "the targets' points have the other sign", measurements.with_points(-measurements.points), nominal
-        )
+    yield [Mistake(text, shifted, nominal)]
+    yield _of_targets(measurements, nominal)
     if measurements.rotations is not None:
         mean = (np.swapaxes(nominal.rotations, 1, 2) @ measurements.rotations).sum(axis=0)
         left, _, right = np.linalg.svd(mean)
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        if np.linalg.norm(turn - np.eye(3)) < _ANOTHER:
+            return
         turned = replace(measurements, rotations=measurements.rotations @ turn.T)
-        yield Mistake("the tool's axes are other ones", turned, nominal)
-        yield Mistake(
-            "the tool's axes are other ones, and the point seen is elsewhere",
-            replace(shifted, rotations=turned.rotations),
-            nominal,
-        )
+        yield [Mistake("the tool's axes are other ones", turned, nominal)]
+        text = "the tool's axes are other ones, and the point seen is elsewhere"
+        yield [Mistake(text, replace(shifted, rotations=turned.rotations), nominal)]
+
+
+def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+    if not measurements.points.any():
+        return
+    numbers = measurements.target_numbers
+    points = measurements.points[np.unique(numbers, return_index=True)[1]]
+    for order in itertools.permutations(range(len(points))) if len(points) <= _MANY_DRIVES else ():
+        if order != tuple(range(len(points))):
+            text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
+            yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
+    yield Mistake("the targets' points have the other sign", measurements.with_points(-measurements.points), nominal)
 
 
 def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
@@ -220,57 +228,75 @@ def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False)
     spreads = [np.sqrt(np.var(points, axis=0).sum()) for points in (expected, seen)]
     sizes = [np.median(np.linalg.norm(points, axis=1)) for points in (expected, seen)]
     for right, found in (spreads,) if free else (spreads, sizes):
-        if min(right, found) > 0.0 and abs(found / right - 1.0) > _ANOTHER_SCALE:
+        if min(right, found) > 0.0 and abs(found / right - 1.0) > _ANOTHER:
             text = f"the positions have another scale: {found / right:.6g} times what they should be"
             text += ", and are not in the base's frame" if free else ""
             yield Mistake(text, replace(measurements, positions=seen * right / found), nominal, free)
 
 
-def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
+def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
     """Another origin or other axes of the positions where orientations fit."""
     expected, seen = _expected(measurements, nominal), measurements.positions
     if measurements.rotations is None:
         return
     shift = np.median(expected - seen, axis=0)
     text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away, the orientations are not"
-    yield Mistake(text, replace(measurements, positions=seen + shift), nominal)
+    yield [Mistake(text, replace(measurements, positions=seen + shift), nominal)]
     with contextlib.suppress(InvalidValueError):  # positions on a line
         moved = register(seen, expected).positions(seen)
         text = "the positions are in another frame than the orientations"
-        yield Mistake(text, replace(measurements, positions=moved), nominal)
+        yield [Mistake(text, replace(measurements, positions=moved), nominal)]
 
 
-def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
+    """Zero or lead of one drive, then the zeros of all."""
+    drives = list(range(len(nominal.robot.commands)))
+    wanted = _asked_for(measurements, nominal, drives, eta)
+    if wanted is None or not (told := np.isfinite(wanted).all(axis=1)).any():
+        return
+    commands = measurements.commands
+    shifts = np.median((commands - wanted)[told], axis=0)
+
+    def with_column(k: int, column: Array) -> Measurements:
+        return replace(measurements, commands=np.column_stack([commands[:, :k], column, commands[:, k + 1 :]]))
+
+    def of_one() -> Iterator[Mistake]:
+        for k in drives:
+            text = f"the zero of u{k + 1} is off by about {1e3 * shifts[k]:.3g} mm or mrad"
+            yield Mistake(text, with_column(k, commands[:, k] - shifts[k]), None)
+            slope, start = np.polyfit(wanted[told, k], commands[told, k], 1)
+            if abs(slope - 1.0) > _ANOTHER and abs(slope) > _LIKE:
+                text = f"u{k + 1} is {slope:.5g} times what it should be: another lead, unit or sign"
+                yield Mistake(text, with_column(k, (commands[:, k] - start) / slope), None)
+
+    yield of_one()
+    text = f"the zeros of the drives are off by about ({_in_millimetres(shifts)}) mm or mrad"
+    yield [Mistake(text, replace(measurements, commands=commands - shifts), None)]
+
+
+def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
     """Give columns that do not fit where all others do: what is left without them explains itself too easily."""
-    rotations, seen = measurements.rotations, measurements.seen
-    if seen[:, :3].all():
+    yield _of_one_column(measurements, nominal, eta)
+    if measurements.rotations is not None and measurements.seen.all():
+        for columns, wrong, right in (
+            ([3, 4, 5], "orientations", "positions"),
+            ([0, 1, 2], "positions", "orientations"),
+        ):
+            text = f"the {wrong} do not fit the commands, and the {right} do"
+            yield [Mistake(text, _unseen(measurements, columns), nominal)]
+
+
+def _of_one_column(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    if measurements.seen[:, :3].all():
         expected = _expected(measurements, nominal)
-        for k, name in enumerate(("x_m", "y_m", "z_m")):
-            column = measurements.positions[:, k]
-            others = {other: measurements.positions[:, j] for j, other in enumerate(("x_m", "y_m", "z_m")) if j != k}
-            text = f"{_how_wrong(name, column, expected[:, k], others)}, and all else fits"
-            yield Mistake(text, _unseen(measurements, [k]), nominal)
-    if rotations is not None and seen.all():
-        yield Mistake(
-            "the orientations do not fit the commands, and the positions do", _unseen(measurements, [3, 4, 5]), nominal
-        )
-        yield Mistake(
-            "the positions do not fit the commands, and the orientations do", _unseen(measurements, [0, 1, 2]), nominal
-        )
+        table = dict(zip(("x_m", "y_m", "z_m"), measurements.positions.T, strict=True))
+        for k, name in enumerate(table):
+            yield Mistake(_how_wrong(name, table, expected[:, k]), _unseen(measurements, [k]), nominal)
     names = [f"u{k + 1}" for k in range(len(nominal.robot.commands))]
     table = dict(zip(names, measurements.commands.T, strict=True))
     for k, name in enumerate(names):
         if (commands := _asked_for(measurements, nominal, [k], eta)) is not None:
-            others = {other: values for other, values in table.items() if other != name}
-            text = f"{_how_wrong(name, table[name], commands[:, k], others)}, and all else fits"
-            yield Mistake(text, replace(measurements, commands=commands), None)
-
-
-def _of_zeros(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    commands = _asked_for(measurements, nominal, list(range(len(nominal.robot.commands))), eta)
-    if commands is not None and np.isfinite(shifts := np.median(measurements.commands - commands, axis=0)).all():
-        text = f"the zeros of the drives are off by about ({_in_millimetres(shifts)}) mm or mrad"
-        yield Mistake(text, replace(measurements, commands=measurements.commands - shifts), None)
+            yield Mistake(_how_wrong(name, table, commands[:, k]), replace(measurements, commands=commands), None)
 
 
 def _asked_for(measurements: Measurements, nominal: Poses, drives: list[int], eta: float) -> Array | None:
@@ -305,8 +331,13 @@ def _asked_for(measurements: Measurements, nominal: Poses, drives: list[int], et
     return np.asarray(commands[numbers])
 
 
-def _how_wrong(name: str, column: Array, wanted: Array, others: dict[str, Array]) -> str:
-    """Say in words how a column differs from what it should be."""
+def _how_wrong(name: str, table: dict[str, Array], wanted: Array) -> str:
+    """Say in words that one column of some differs from what it should be, and how."""
+    return f"{_difference(name, table, wanted)}, and all else fits"
+
+
+def _difference(name: str, table: dict[str, Array], wanted: Array) -> str:
+    column, others = table[name], {other: values for other, values in table.items() if other != name}
     if np.ptp(column) < _SAME:
         return f"{name} is constant"
     if same := next((other for other, values in others.items() if np.abs(column - values).max() < _SAME), None):

@@ -33,6 +33,7 @@ are not those of a machine that the tolerances are about."""
 
 _LOUD = 3.0  # noise factor
 _QUIET = 0.3  # of the noise
+_ENOUGH = 10.0  # degrees of freedom, by whose residuals that can be told
 _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
 _OTHER = 6.0  # tolerances
@@ -69,31 +70,39 @@ def calibrate_and_object(
     progress(2, 2)
     if not reasons:
         _warn_of_noise(calibration)
-        _warn_of_other_parts(calibration)
+        _warn_of_other_parts(calibration, measurements)
     return calibration, held_out, reasons
 
 
 def _warn_of_noise(calibration: Calibration) -> None:
     """Say where residuals are not those of the noise that the measurements are said to have."""
-    found = calibration.identification
-    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
-    rows = trusted[found.measurements.seen[trusted].any(axis=1)]
-    normal = np.where(found.measurements.seen[rows], found.normalized_residuals[rows], 0.0)
-    equations = float(found.measurements.seen[rows].sum())
-    freedom = max(equations - found.identifiability.rank - len(found.nuisances), 0.2 * equations)
-    size = float(np.sqrt(np.median(np.sum(normal**2, axis=1)) * len(rows) / freedom))
-    if found.noise_factor > _LOUD:
+    if calibration.identification.noise_factor > _LOUD:
         logger.warning(
-            "residuals are %.3g times the noise: effects that the parameters do not describe, rows of another state of "
-            "the machine, or sigmas that are too small",
-            found.noise_factor,
+            "%s: effects that the parameters do not describe, rows of another state of the machine, or sigmas that are "
+            "too small",
+            _noise_in_words(calibration),
         )
-    elif size < _QUIET:
-        logger.warning("residuals are %.2g times the noise: sigmas are larger than what was measured scatters", size)
+    elif problem := _noise_in_words(calibration):
+        logger.warning("%s", problem)
 
 
-def _warn_of_other_parts(calibration: Calibration) -> None:
-    """Say which parameters are so far off that it is no matter of tolerances, such as the zero of a drive."""
+def _noise_in_words(calibration: Calibration) -> str:
+    """Say by how much residuals are larger or smaller than the noise; nothing if they are about as large."""
+    found = calibration.identification
+    if found.noise_factor > _LOUD:
+        return f"residuals are {found.noise_factor:.3g} times the noise"
+    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
+    squares, expected = found.normalized_residuals[trusted] ** 2, found.expected_squares[trusted]
+    for what, columns in (("positions and distances", slice(0, 3)), ("orientations", slice(3, 6))):
+        freedom = float(expected[:, columns].sum())
+        size = float(np.sqrt(np.nansum(squares[:, columns]) / max(freedom, _ENOUGH)))
+        if freedom > _ENOUGH and size < _QUIET:
+            return f"residuals of {what} are {size:.2g} times the noise: their sigmas are in another unit, or too large"
+    return ""
+
+
+def _warn_of_other_parts(calibration: Calibration, measurements: Measurements) -> None:
+    """Say which parameters are so far off that it is no matter of tolerances, and which mistake would explain them."""
     found = calibration.compensation
     if found.values is None:
         return
@@ -103,7 +112,12 @@ def _warn_of_other_parts(calibration: Calibration) -> None:
         if abs(value) > _OTHER * parameter.tolerance
     ]
     if parts:
-        logger.warning("far from the description: %s: a drive's zero, another part, or a mistake?", ", ".join(parts))
+        cause = _cause(measurements, found.errors, calibration.options.eta, 1.0)
+        logger.warning(
+            "far from the description: %s: another part, or a mistake? %s",
+            ", ".join(parts),
+            "None of the usual ones explains it" if cause is None else f"Most likely {cause}",
+        )
 
 
 def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
@@ -142,9 +156,9 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             "another machine, or another frame"
         )
     if (chance := chance_of_harm(calibration)) > 1.0 - COVERAGE:
-        why = "too much of the tool's motion was not seen; measure whole poses, or targets off the tool point"
-        if found.noise_factor > _LOUD:
-            why = f"residuals are {found.noise_factor:.3g} times the noise"
+        why = _noise_in_words(calibration) or (
+            "too much of the tool's motion was not seen; measure whole poses, or targets off the tool point"
+        )
         reasons.append(
             f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: {why}"
         )
@@ -212,12 +226,20 @@ def refusal(
         errors: the parameters, with their tolerances.
         eta: weight of the orientation [m/rad].
     """
-    try:
-        least = _possible_error(errors, measurements, eta, PRIOR)
-        cause = likely_cause(measurements, errors.robot, eta, least=least)
-    except PM3DofError:
-        cause = None
+    cause = _cause(measurements, errors, eta, PRIOR)
     return CalibrationRefusedError([*reasons, *([] if cause is None else [f"most likely {cause}"])])
+
+
+def _cause(measurements: Measurements, errors: GeometricErrors, eta: float, prior: float) -> object | None:
+    """Return the likeliest mistake, which says itself in words, of a machine that should be some tolerances off.
+
+    None if none of the usual ones explains anything.
+    """
+    try:
+        least = _possible_error(errors, measurements, eta, prior)
+        return likely_cause(measurements, errors.robot, eta, least=least)
+    except PM3DofError:
+        return None
 
 
 def _possible_error(errors: GeometricErrors, measurements: Measurements, eta: float, prior: float) -> float:

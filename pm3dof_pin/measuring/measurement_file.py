@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion
-from pm3dof_pin.exceptions import MeasurementError, UnreachablePoseError
+from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -365,10 +365,16 @@ class _Reader:
         return [name for name in self._table.columns if name not in may_be_empty]
 
     def _nominal_poses(self, commands: Array) -> Poses:
-        try:
-            return self._robot.forward(commands)
-        except UnreachablePoseError as error:
-            raise MeasurementError(self._path, f"commands that the machine cannot take: {error}") from error
+        poses = self._robot.forward(commands, on_failure="nan")
+        if poses.solved.all():
+            return poses
+        problem = f"{self._robot.name} cannot take these commands"
+        home = self._robot.home.commands
+        if any(
+            self._robot.forward(other, on_failure="nan").solved.all() for other in (-commands, 2.0 * home - commands)
+        ):
+            problem += ", and could with the sign of all of them that of the other direction"
+        raise MeasurementError(self._path, problem, self._table.lines_where(~poses.solved))
 
     def _rotations(self) -> Array | None:
         if QUATERNION_COLUMNS[0] not in self._table:

@@ -425,11 +425,14 @@ WRONG: dict[str, Wrong] = {
     "targets": Wrong(lambda g: _targets(g)),
     # noise, time, loads
     "sigmas in millimetres": Wrong(
-        _scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e3), "sigma_x_m .* a great deal|sigma"
+        _scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e3), "positions .* sigmas are in another unit"
     ),
-    "sigmas in micrometres": Wrong(_scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e6), "sigma_x_m"),
+    "sigmas in micrometres": Wrong(
+        _scaled(("sigma_x_m", "sigma_y_m", "sigma_z_m"), 1e6), "positions .* sigmas are in another unit"
+    ),
     "sigmas in degrees": Wrong(
-        _scaled(("sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"), 180.0 / np.pi), "sigma_rx_rad|sigmas are larger"
+        _scaled(("sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"), 180.0 / np.pi),
+        "orientations .* sigmas are in another unit",
     ),
     "sigmas a hundredth": Wrong(
         lambda g: {n: v / 100.0 if n.startswith("sigma") else v for n, v in g.table.items()}, "times the noise"
