@@ -94,6 +94,8 @@ class Continuation:
         self._linear = _linear_positions(mechanism)
         self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)
+        # joints of a serial robot are where they are put, however far away
+        self._leg = _LEG if mechanism.closures or self._tool else np.inf
         self._step = source.step(robot, self._task)
         self._checks = source.checks(robot)
 
@@ -201,7 +203,7 @@ class Continuation:
         turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
         origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
         way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
-        legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / _LEG), 1.0), 1.0)
+        legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / self._leg), 1.0), 1.0)
         shortest, step = _SHORTEST_LEG / legs, 1.0 / legs
         done, last_step = np.zeros(len(q)), np.zeros(len(q))
         before = q.copy()
