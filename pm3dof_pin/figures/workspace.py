@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,18 +21,19 @@ from numpy.typing import NDArray
 from pm3dof_pin.figures.labels import axis_label, drawn, plain, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
 from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure
+from pm3dof_pin.maps.boundary_faces import BoundaryFaces, boundary_faces
+from pm3dof_pin.maps.limit_space import Flags
 from pm3dof_pin.maps.workspace import Workspace
 from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 
 _OUTLINES = 6  # sections whose outline is drawn
+_CELLS = {2: 80, 3: 41}  # of the grid on which outlines and the solid are found, along each coordinate
 _DASHES = 36  # pieces of an edge of the printed box
 _ELEVATION, _AZIMUTH = 18.0, -60.0  # where the solid is seen from [deg]
 _BOX = np.array([1.0, 1.0, 1.1])  # sides of the drawing
 _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
-_HALVINGS = 14
-_NEAR = 0.3  # of a radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,7 @@ class PrintedRanges:
 def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None) -> Figure:
     """Draw the reachable set with the limit that ends it in colour, printed ranges beside it.
 
-    Star-shaped sections are joined to a solid; of others, which may have holes or several parts, the boundary points
-    are drawn. Where one limit takes over from another between two rays, the limits are asked again. Of two coordinates
-    the one section is drawn.
+    It may be of any shape. Of two coordinates the one section is drawn.
     """
     sheet = _Sheet(workspace, printed)
     with house_style():
@@ -55,8 +56,8 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
             f"Reachable set under all {'joint ' if printed else ''}limits: {plain(workspace.space.machine)}"
         )
         # placed by hand: no layout engine knows the size of labels in space
-        if workspace.space.stacked:
-            _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet)
+        if sheet.solid is not None:
+            _draw_solid(figure.add_axes((-0.035, 0.05, 0.625, 0.92), projection="3d"), sheet, sheet.solid)
             _draw_outlines(figure.add_axes((0.655, 0.475, 0.325, 0.455)), sheet)
             _draw_profile(figure.add_axes((0.655, 0.095, 0.325, 0.27)), sheet)
         else:
@@ -74,18 +75,17 @@ class _Sheet:
         self.units = space.units
         self.labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units, strict=True)]
         self.same_unit = space.units[0] == space.units[1]
-        # where several limits bind the first is shown; those that are shown have colours of their own
-        flags = np.concatenate([section.limits for section in workspace.sections])
-        lowest = np.log2((flags & -flags.astype(np.int64))[flags > 0]).astype(int)
-        self.shown_limits = [space.limits[k] for k in np.unique(lowest)]
-        self.styles = limit_styles([*self.shown_limits, *(n for n in space.limits if n not in self.shown_limits)])
         self.printed_label = "" if printed is None else printed.label
         self.printed = None
         if printed is not None:
             self.printed = np.array([drawn(row, unit) for row, unit in zip(printed.ranges, space.units, strict=True)])
         self.limits = self._axes_limits()
-        colors = np.array([to_rgba(self.styles[name][0]) for name in space.limits])
-        self.color_of = np.vstack([colors, to_rgba(self.styles["reach"][0])])
+        self.outlines = [self._faces(partial(space.flags, levels=section.level), 2) for section in self.sections]
+        self.solid = self._faces(space.broken_limits, 3) if space.stacked else None
+        # where several limits bind the first is shown; those that are shown have colours of their own
+        flags = np.concatenate([faces.limits for faces in (*self.outlines, *([self.solid] if self.solid else []))])
+        self.shown_limits = [space.limits[k] for k in np.unique(_first(flags[flags > 0]))]
+        self.styles = limit_styles([*self.shown_limits, *(n for n in space.limits if n not in self.shown_limits)])
 
     def _axes_limits(self) -> Array:
         ranges = [drawn(row, unit) for row, unit in zip(self.workspace.ranges, self.units, strict=False)]
@@ -100,45 +100,27 @@ class _Sheet:
             plane = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
         if not self.workspace.space.stacked:
             return plane
-        levels = drawn(self.workspace.levels, self.units[2])
+        levels = drawn(self.workspace.level_range, self.units[2])
         ends = levels if self.printed is None else np.concatenate([levels, self.printed[2]])
         return np.vstack([plane, [ends.min(), ends.max()]])
 
+    def _faces(self, broken_limits: Callable[[Array], Flags], dimensions: int) -> BoundaryFaces:
+        """Return the faces of the solid or of a section, as drawn."""
+        ranges = np.vstack([self.workspace.ranges, self.workspace.level_range])[:dimensions]
+        faces = boundary_faces(broken_limits, ranges, _CELLS[dimensions])
+        factors = np.array([float(drawn(1.0, unit)) for unit in self.units[:dimensions]])
+        return BoundaryFaces(faces.corners * factors, faces.normals / factors, faces.limits)
+
     def points(self, section: WorkspaceSection) -> Array:
-        """Boundary points as drawn, shape=(m, 2) or (m, 3) with the level."""
-        levels = np.full(len(section.rays), section.level)
-        return self.placed(section.radii, section.azimuths[section.rays], levels)
+        """Boundary points of a section as drawn, shape=(m, 2)."""
+        return np.column_stack([drawn(c, unit) for c, unit in zip(section.points.T, self.units, strict=False)])
 
-    def placed(self, radii: Array, azimuths: Array, levels: Array) -> Array:
-        """Points as drawn, shape=(m, 2) or (m, 3) with the level."""
-        space = self.workspace.space
-        columns = [*space.points(radii, azimuths).T, *([levels] if space.stacked else [])]
-        return np.column_stack([drawn(column, unit) for column, unit in zip(columns, self.units, strict=False)])
-
-    def ring(self, section: WorkspaceSection) -> Array:
-        """Closed outline of a star-shaped section."""
-        points = self.points(section)
-        return np.concatenate([points, points[:1]])
-
-    def first(self, flags: NDArray[np.uint32]) -> NDArray[np.intp]:
-        """Number of the first limit in each sum of limits; that after the last for none."""
-        bits = (np.asarray(flags)[..., None] >> np.arange(len(self.color_of) - 1, dtype=np.uint32)) & 1
-        return np.where(bits.any(axis=-1), bits.argmax(axis=-1), len(self.color_of) - 1)
-
-    def colors(self, flags: NDArray[np.uint32]) -> Array:
+    def colors(self, flags: Flags) -> Array:
         """Colour for each sum of limits; where several bind, that of the first, shape=(..., 4)."""
-        found: Array = self.color_of[self.first(flags)]
-        return found
+        return np.array([to_rgba(self.styles[name][0]) for name in self.workspace.space.limits])[_first(flags)]
 
-    @property
-    def closed(self) -> bool:
-        """Whether the faces between sections are a closed body: it ends in points."""
-        sections = self.workspace.sections
-        areas = self.workspace.areas
-        return all(section.star_shaped for section in sections) and bool(areas[[0, -1]].max() < 1e-2 * areas.max())
-
-    @property
-    def shown(self) -> list[WorkspaceSection]:
+    @cached_property
+    def sections(self) -> list[WorkspaceSection]:
         """Sections whose outline is drawn: equally spaced, without the ends."""
         sections = self.workspace.sections
         if len(sections) == 1:
@@ -147,22 +129,28 @@ class _Sheet:
         return [sections[index] for index in np.unique(indices) if not sections[index].empty]
 
 
-def _draw_solid(axes: Any, sheet: _Sheet) -> None:
+def _first(flags: Flags) -> NDArray[np.intp]:
+    """Number of the first limit in each sum of limits."""
+    lowest = flags & -flags.astype(np.int64)
+    return np.asarray(np.log2(np.maximum(lowest, 1)).astype(np.intp))
+
+
+def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
     scale = _BOX / np.ptp(sheet.limits, axis=1)
-    faces, colors = _faces(sheet)
     towards = towards_viewer(_ELEVATION, _AZIMUTH)
-    if sheet.closed:  # what faces away is behind the rest, and would show as a fringe around it
-        facing = _normals(faces * scale) @ towards > -1e-3
-        faces, colors = faces[facing], colors[facing]
-    outlines = [_outline(sheet, section, towards / scale if sheet.closed else None) for section in sheet.shown]
-    lines = np.concatenate(
-        [np.empty((0, 4, 3)), *outlines, *([] if sheet.printed is None else [_dashed(sheet.printed)])]
-    )
-    lines = lines + 0.02 * towards / scale
-    all_colors = np.concatenate([_shaded(colors, faces * scale), np.tile(to_rgba(INK), (len(lines), 1))])
+    normals = solid.normals / scale
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    facing = normals @ towards > -1e-3  # what faces away is behind the rest, and would show as a fringe around it
+    colors = sheet.colors(solid.limits)
+    colors[:, :3] *= (0.68 + 0.32 * normals @ (_LIGHT / np.linalg.norm(_LIGHT)))[:, None]
+    levels = drawn([section.level for section in sheet.sections], sheet.units[2])
+    lines = [_raised(o, level, towards / scale) for o, level in zip(sheet.outlines, levels, strict=True)]
+    lines += [] if sheet.printed is None else [_dashed(sheet.printed)]
+    edges = np.concatenate([np.empty((0, 4, 3)), *lines]) + 0.02 * towards / scale
+    all_colors = np.concatenate([colors[facing], np.tile(to_rgba(INK), (len(edges), 1))])
     axes.add_collection3d(
         Poly3DCollection(
-            np.concatenate([faces, lines]),
+            np.concatenate([solid.corners[facing], edges]),
             facecolors=all_colors,
             edgecolors=all_colors,
             linewidths=0.25,
@@ -170,9 +158,6 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
             rasterized=True,
         )
     )
-    for section in sheet.workspace.sections:
-        if not section.star_shaped:
-            axes.scatter(*sheet.points(section).T, color=sheet.colors(section.limits), s=1.0, depthshade=False)
     axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1], zlim=sheet.limits[2])
     axes.set_xlabel(sheet.labels[0], labelpad=-2)
     axes.set_ylabel(sheet.labels[1], labelpad=-2)
@@ -186,108 +171,10 @@ def _draw_solid(axes: Any, sheet: _Sheet) -> None:
     axes.set_box_aspect(_BOX, zoom=0.95)
 
 
-def _outline(sheet: _Sheet, section: WorkspaceSection, towards: Array | None) -> Array:
-    """Return the outline of a star-shaped section as flat polygons, or what of it faces the viewer."""
-    if not section.star_shaped:
-        return np.empty((0, 4, 3))
-    pieces = flat_quadrilaterals(sheet.ring(section)[None])
-    if towards is None:
-        return pieces
-    outward = np.cross(pieces[:, 1] - pieces[:, 0], [0.0, 0.0, 1.0])
-    return pieces[outward @ towards > 0.0]
-
-
-def _faces(sheet: _Sheet) -> tuple[Array, Array]:
-    """Quadrilaterals between neighbouring star-shaped sections, shape=(n, 4, 3), and their colours, shape=(n, 4)."""
-    faces, colors = [np.empty((0, 4, 3))], [np.empty((0, 4))]
-    for lower, upper in itertools.pairwise(sheet.workspace.sections):
-        if lower.star_shaped and upper.star_shaped:
-            corners = _cells(sheet.ring(lower), sheet.ring(upper))
-            binding = [sheet.first(section.limits) for section in (lower, upper)]
-            owners = _cells(*(np.append(limit, limit[0])[:, None] for limit in binding))[..., 0].astype(np.intp)
-            mixed = np.any(owners != owners[:, :1], axis=1)
-            parts, own = _cut(sheet, lower, upper, corners[mixed], owners[mixed], np.flatnonzero(mixed))
-            faces += [corners[~mixed], parts]
-            colors += [sheet.color_of[owners[~mixed, 0]], sheet.color_of[own]]
-    return np.concatenate(faces), np.concatenate(colors)
-
-
-def _cut(
-    sheet: _Sheet,
-    lower: WorkspaceSection,
-    upper: WorkspaceSection,
-    corners: Array,
-    owners: NDArray[np.intp],
-    rays: NDArray[np.intp],
-) -> tuple[Array, NDArray[np.intp]]:
-    """Cut cells in which one limit takes over from another along the edge of the body where it does so.
-
-    Cells lie between two sections, corners going round, shape=(n, 4, 3), with the numbers of their limits and the first
-    ray of each. Returns parts of the cells, shape=(m, 4, 3), and the number of the limit of each.
-    """
-    following = (rays + 1) % len(lower.azimuths)
-    step = lower.azimuths[1] - lower.azimuths[0]
-    radii = np.stack([lower.radii[rays], lower.radii[following], upper.radii[following], upper.radii[rays]], axis=-1)
-    azimuths = lower.azimuths[rays][:, None] + step * np.array([0.0, 1.0, 1.0, 0.0])
-    levels = np.broadcast_to([lower.level, lower.level, upper.level, upper.level], radii.shape)
-    crossed = owners != np.roll(owners, -1, axis=1)
-    first, last = (np.stack([x[crossed] for x in way]) for way in (
-        (radii, azimuths, levels), (np.roll(x, -1, axis=1) for x in (radii, azimuths, levels))
-    ))  # fmt: skip
-    low, high, own = np.zeros(first.shape[1]), np.ones(first.shape[1]), owners[crossed]
-    for _ in range(_HALVINGS):
-        part = 0.5 * (low + high)
-        _, limit = _boundary(sheet, *(first + part * (last - first)))
-        low, high = np.where(limit == own, part, low), np.where(limit == own, high, part)
-    chord, azimuth, level = first + low * (last - first)
-    radius, _ = _boundary(sheet, chord, azimuth, level)
-    # far from the chord another part of the set was met, which too few sections do not show
-    radius = np.where(np.abs(radius - chord) < _NEAR * chord, radius, chord)
-    edge = np.full(corners.shape, np.nan)
-    edge[crossed] = sheet.placed(radius, azimuth, level)
-    parts: list[Array] = []
-    numbers: list[int] = []
-    for cell, own, cut, places in zip(corners, owners, crossed, edge, strict=True):
-        for start in np.flatnonzero(cut):  # from there to the next crossing, going round, one limit holds
-            ring, k = [places[start]], (start + 1) % 4
-            while not cut[k]:
-                ring, k = [*ring, cell[k]], (k + 1) % 4
-            ring += [cell[k], places[k]]
-            if cut.sum() > 2:  # three limits or more meet within the cell
-                ring.append(places[cut].mean(axis=0))
-            parts += [np.stack([ring[0], *ring[i : i + 2], ring[i + 1]]) for i in range(1, len(ring) - 1)]
-            numbers += [own[(start + 1) % 4]] * (len(ring) - 2)
-    return np.array(parts).reshape(-1, 4, 3), np.array(numbers, dtype=np.intp)
-
-
-def _boundary(sheet: _Sheet, radius: Array, azimuth: Array, level: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return the radius of the reachable set near given ones, by bisection, and the limit that is broken beyond."""
-    space = sheet.workspace.space
-    # the sections are star-shaped, so that a ray leaves them once
-    inner, outer = np.zeros(radius.shape), np.minimum(2.0 * radius + space.ray_step, space.reach)
-    for _ in range(_HALVINGS + 8):
-        middle = 0.5 * (inner + outer)
-        keeps = space.within(space.points(middle, azimuth), level)
-        inner, outer = np.where(keeps, middle, inner), np.where(keeps, outer, middle)
-    return inner, sheet.first(space.flags(space.points(outer, azimuth), level))
-
-
-def _cells(lower: Array, upper: Array) -> Array:
-    """Corners of the cells between two rows (n + 1, k), going round, shape=(n, 4, k)."""
-    return np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
-
-
-def _shaded(colors: Array, faces: Array) -> Array:
-    """Darken colours (n, 4) by the angle between the faces (n, 4, 3) and the light."""
-    lit = _normals(faces) @ (_LIGHT / np.linalg.norm(_LIGHT))
-    return np.column_stack([colors[:, :3] * (0.68 + 0.32 * lit)[:, None], colors[:, 3]])
-
-
-def _normals(faces: Array) -> Array:
-    """Return unit vectors out of the body, across faces (n, 4, 3); of faces without area 0."""
-    normals = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(lengths > 0.0, lengths, 1.0))
+def _raised(outline: BoundaryFaces, level: float, towards: Array) -> Array:
+    """Return what of an outline faces the viewer as flat polygons at its level, shape=(n, 4, 3)."""
+    corners = outline.corners[outline.normals @ towards[:2] > 0.0]
+    return flat_quadrilaterals(np.concatenate([corners, np.full((*corners.shape[:2], 1), level)], axis=2))
 
 
 def _dashed(ranges: Array) -> Array:
@@ -299,17 +186,13 @@ def _dashed(ranges: Array) -> Array:
 
 
 def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
-    for place, section in enumerate(sheet.shown):
-        points, colors = sheet.points(section)[:, :2], sheet.colors(section.limits)
-        if section.star_shaped:
-            ring = np.concatenate([points, points[:1]])
-            pieces = np.stack([ring[:-1], ring[1:]], axis=1)
-            axes.add_collection(LineCollection(list(pieces), colors=colors, linewidths=1.2))
-        else:
-            axes.scatter(*points.T, color=colors, s=1.0)
+    for place, (section, outline) in enumerate(zip(sheet.sections, sheet.outlines, strict=True)):
+        colors = sheet.colors(outline.limits)
+        axes.add_collection(LineCollection(list(outline.corners), colors=colors, linewidths=1.2, capstyle="round"))
         if sheet.workspace.space.stacked:
             # each level stands on its own line, in a direction of its own
-            x, y = points[int((place + 0.25) * len(points) / len(sheet.shown))]
+            points = sheet.points(section)
+            x, y = points[int((place + 0.25) * len(points) / len(sheet.sections))]
             box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
             level = float(drawn(section.level, sheet.units[2]))
             text = f"{level:.3f}" if sheet.units[2] == "m" else f"{level:.1f}"

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.collections import Collection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
-from pm3dof_pin.figures.style import INK, LIMIT_COLORS, save_figure
-from pm3dof_pin.figures.workspace import PrintedRanges, _faces, _Sheet, workspace_figure
+from pm3dof_pin.figures.style import LIMIT_COLORS, save_figure
+from pm3dof_pin.figures.workspace import PrintedRanges, _Sheet, workspace_figure
+from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.workspace import Workspace, workspace
+from pm3dof_pin.maps.workspace_section import workspace_sections
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +52,7 @@ def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspac
     assert len(set(labels) & heights) == 6
     for collection, label in zip(outlines.collections, labels, strict=False):
         section = min(whole.sections, key=lambda section: abs(section.level - float(label)))
-        np.testing.assert_allclose(
-            [segment[0] for segment in collection.get_segments()], np.degrees(section.points), atol=1e-12
-        )
+        assert _enclosed(collection) == pytest.approx(_areas(whole.space, [section.level])[0], rel=3e-3)
 
 
 def test_printed_ranges_are_drawn(figure: Figure) -> None:
@@ -83,35 +84,48 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
 
 def test_colours_meet_along_the_edge_of_the_body(whole: Workspace) -> None:
     """No teeth: the corners of every face lie on the boundary, and its own limit is broken just beyond them."""
-    sheet = _Sheet(whole, None)
-    faces, colors = _faces(sheet)
-    space, names = whole.space, whole.space.limits
-    corners = faces.reshape(-1, 3)
+    sheet, space = _Sheet(whole, None), whole.space
+    assert sheet.solid is not None
+    corners = sheet.solid.corners.reshape(-1, 3)
     points, levels = np.radians(corners[:, :2]), corners[:, 2]
-    middle = 0.5 * (space.points(np.zeros(1), np.zeros(1))[0])
-    assert np.all(middle == 0.0)  # rays leave from there, so that scaling a point moves it along its ray
-    inner = (levels > whole.levels[0]) & (levels < whole.levels[-1])
-    assert np.all(space.within(points[inner] * (1.0 - 1e-5), levels[inner]))
-    assert not np.any(space.within(points[inner] * (1.0 + 1e-5), levels[inner]))
+    assert np.all(space.centre == 0.0)  # rays leave from there, so that scaling a point moves it along its ray
+    inner = np.abs(levels - 0.5 * np.sum(whole.level_range)) < 0.45 * np.ptp(whole.level_range)
+    near = 0.02 * np.ptp(whole.ranges)  # less than half a cell of curved faces and grazing edges
+    assert np.mean(space.within(points[inner] * (1.0 - near), levels[inner])) > 0.99
+    assert np.mean(space.within(points[inner] * (1.0 + near), levels[inner])) < 0.01
     beyond = space.flags(points * 1.05, levels)
     for name in ("stroke", "spherical"):
-        of_it = np.repeat(np.all(colors == to_rgba(LIMIT_COLORS[name]), axis=1), 4) & inner
+        bit = np.uint32(1 << space.limits.index(name))
+        of_it = np.repeat(sheet.solid.limits == bit, 4) & inner
         assert of_it.any()
-        assert (
-            np.mean((beyond[of_it] >> names.index(name)) & 1) > 0.98
-        )  # where both meet at a grazing angle it is farther
+        assert np.mean(beyond[of_it] & bit > 0) > 0.98  # where both meet at a grazing angle it is farther
 
 
 def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
-    """Islands and holes are drawn as points, and no surface is drawn across them."""
-    whole = workspace(tripod_space(hollow_tripod), 15, 90)
+    """Islands and holes are part of the solid, and of the outlines."""
+    whole = workspace(tripod_space(hollow_tripod), 15, 60)
+    assert not all(section.star_shaped for section in whole.sections)
+    sheet = _Sheet(whole, None)
+    assert sheet.solid is not None
+    x, y, z = np.moveaxis(sheet.solid.corners, -1, 0)
+    from_above = 0.5 * np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1)
+    levels = np.linspace(*whole.level_range, 32)
+    volume = np.trapezoid(_areas(whole.space, levels), levels)
+    assert np.sum(from_above * z.mean(axis=1)) == pytest.approx(volume, rel=0.02)
     figure = workspace_figure(whole)
     figure.canvas.draw()
-    solid = figure.axes[0]
-    scattered = sum(not section.star_shaped for section in whole.sections)
-    assert 0 < scattered < 14
-    assert len(solid.collections) == 1 + scattered
-    cells = 90 * sum(lower.star_shaped and upper.star_shaped for lower, upper in itertools.pairwise(whole.sections))
-    surface = np.any(solid.collections[0].get_facecolor() != to_rgba(INK), axis=1)
-    # cells in which one limit takes over from another are divided
-    assert np.count_nonzero(surface) >= cells
+    areas = _areas(whole.space, [section.level for section in sheet.sections])
+    for area, lines in zip(areas, figure.axes[1].collections, strict=False):
+        assert _enclosed(lines) == pytest.approx(area, rel=1e-2)
+
+
+def _areas(space: LimitSpace, levels: ArrayLike) -> list[float]:
+    """Areas of sections by rays [deg^2]."""
+    sections = workspace_sections(space, np.asarray(levels), 360, ranges=False)
+    return [float(np.degrees(np.degrees(section.area))) for section in sections]
+
+
+def _enclosed(lines: Collection) -> float:
+    """Area within lines that go round."""
+    starts, ends = np.array([path.vertices for path in lines.get_paths()]).swapaxes(0, 1)
+    return float(0.5 * np.sum(starts[:, 0] * ends[:, 1] - starts[:, 1] * ends[:, 0]))
