@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-import pm3dof_pin
 from pm3dof_pin.chapter.chapter_stiffness import AXES, UNITS, chapter_stiffness, global_index, require_above_clamp
 from pm3dof_pin.chapter.limits import LIMIT_NAMES, limit_flags
 from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes
+from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes
 from pm3dof_pin.maps.named_arrays import NamedArray, NamedArrays
 from pm3dof_pin.maps.workspace_section import workspace_section
 from pm3dof_pin.typing import Array
@@ -143,11 +142,9 @@ def _labels(units: str, long_name: str) -> dict[str, str]:
 
 
 def _attributes(tripod: Tripod) -> dict[str, str]:
+    title = f"Stiffness of {tripod.parameters.name} over a section of its workspace, chapter model"
     return {
-        "Conventions": "CF-1.8",
-        "title": f"Stiffness of {tripod.parameters.name} over a section of its workspace, chapter model",
-        "machine": tripod.parameters.name,
+        **dataset_attributes(title, tripod.parameters.name),
         "model": "chapter",
-        "source": f"pm3dof-pin {pm3dof_pin.__version__}",
         "references": "D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.2.3",
     }

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from pm3dof_pin.cli.map_options import (
     CoordinateRange,
-    EngineName,
     EngineOption,
     Quantities,
     Ranges,
@@ -36,8 +34,6 @@ _TILTS = ("theta_x", "theta_y", "z_e")
 _DEFAULT_POINTS = (91, 91, 61)
 _DEFAULT_TILT = 45.0
 _DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
-
-_Precision = StrEnum("_Precision", {"SINGLE": "single", "DOUBLE": "double"})
 
 
 def atlas(
@@ -67,14 +63,14 @@ def atlas(
     keep_beyond_limits: Annotated[
         bool, typer.Option("--keep-beyond-limits", help="Keep values of poses that break a joint limit.")
     ] = False,
-    precision: Annotated[_Precision, typer.Option(help="Of the numbers on disk.")] = _Precision.SINGLE,
+    precision: Annotated[Literal["single", "double"], typer.Option(help="Of the numbers on disk.")] = "single",
     pictures: Annotated[bool, typer.Option(help="Draw slices through every quantity but matrices.")] = True,
     formats: Formats = None,
     threads: Threads = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on the dask cluster of this scheduler.")
     ] = None,
-    engine: EngineOption = EngineName.PROGRAM,
+    engine: EngineOption = "program",
     list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and exit.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -115,7 +111,7 @@ def atlas(
         raise typer.BadParameter(f"--points, --tilt and --heights are for {', '.join(_TILTS)}: use --range")
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
-    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision.value, engine.value)
+    job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision, engine)
     resumed = job.parts.exists()
     try:
         with progress_bar("poses") as progress:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -22,14 +21,11 @@ if TYPE_CHECKING:
 _ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
 
 
-MethodName = StrEnum("MethodName", {"LM": "lm", "NN": "nn", "GP": "gp", "LM_NN": "lm+nn", "LM_GP": "lm+gp"})
+MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 """How a machine is calibrated."""
 
-
-TargetOffsets = StrEnum("TargetOffsets", {"FIXED": "fixed", "ESTIMATE": "estimate"})
+TargetOffsets: TypeAlias = Literal["fixed", "estimate"]
 """Whether targets are where the file has them."""
-
-_Loss = StrEnum("_Loss", {"SQUARES": "squares", "HUBER": "huber", "TUKEY": "tukey"})
 
 
 def calibrate(
@@ -39,14 +35,14 @@ def calibrate(
     method: Annotated[
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
-    ] = MethodName.LM_GP,
+    ] = "lm+gp",
     own_frame: Annotated[
         bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
     ] = False,
     target_offsets: Annotated[
         TargetOffsets,
         typer.Option(help="Points off the tool point: estimate where they sit, or fixed, where the file has them."),
-    ] = TargetOffsets.ESTIMATE,
+    ] = "estimate",
     target_sigma: Annotated[
         float, typer.Option(min=1e-9, help="How well the file knows where targets sit, each coordinate [m].")
     ] = 1e-3,
@@ -68,7 +64,9 @@ def calibrate(
             "the measurements most likely, from 1 to 3."
         ),
     ] = None,
-    loss: Annotated[_Loss, typer.Option(help="Robustness of the identification.")] = _Loss.TUKEY,
+    loss: Annotated[
+        Literal["squares", "huber", "tukey"], typer.Option(help="Robustness of the identification.")
+    ] = "tukey",
     seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
     as_json: Json = False,
 ) -> None:
@@ -83,7 +81,7 @@ def calibrate(
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
     def read(path: Path) -> Measurements:
-        sigma = target_sigma if target_offsets is TargetOffsets.ESTIMATE else 0.0
+        sigma = target_sigma if target_offsets == "estimate" else 0.0
         return read_measurements(
             path, errors.robot, own_frame=own_frame, target_sigma=sigma, tool_point_sigma=tool_point_sigma
         )
@@ -92,7 +90,7 @@ def calibrate(
         errors = closing_errors(which.load_errors())
         measurements = read(file)
         others = None if validation is None else read(validation)
-        options = Options(method.value, seed, eta, prior, loss.value)
+        options = Options(method, seed, eta, prior, loss)
         with progress_bar("calibrating") as progress:
             calibration, held_out, reasons = calibrate_and_object(
                 measurements, errors, options, lambda done, _: progress(done, 4)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -26,15 +25,9 @@ _TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses unt
 _DEFAULT_POSES = 9
 
 
-class _Strategy(StrEnum):
-    """How poses are chosen."""
-
-    D_OPTIMAL = "d-optimal"
-    TIP_OPTIMAL = "tip-optimal"
-    SPACE_FILLING = "space-filling"
-    PROCESS_VARIANCE = "process-variance"
-    LEAST_SENSITIVE = "least-sensitive"
-    RANDOM = "random"
+_Strategy: TypeAlias = Literal[
+    "d-optimal", "tip-optimal", "space-filling", "process-variance", "least-sensitive", "random"
+]
 
 
 def calibration_plan(
@@ -51,7 +44,7 @@ def calibration_plan(
     method: Annotated[
         MethodName,
         typer.Option(help="The calibration that is planned: lm parameters, nn and gp learned, or both."),
-    ] = MethodName.LM,
+    ] = "lm",
     accuracy: Annotated[
         float | None,
         typer.Option(
@@ -71,7 +64,7 @@ def calibration_plan(
     ] = None,
     target_offsets: Annotated[
         TargetOffsets, typer.Option(help="Where targets sit is estimated, or known and fixed.")
-    ] = TargetOffsets.ESTIMATE,
+    ] = "estimate",
     target_sigma: Annotated[
         float, typer.Option(min=1e-9, help="How well it is known where targets sit, each coordinate [m].")
     ] = 1e-3,
@@ -141,9 +134,9 @@ def calibration_plan(
     if accuracy is not None and (poses is not None or not 0.0 < accuracy < math.inf):
         raise typer.BadParameter("expected a positive --accuracy [m], without --poses")
     whole = not positions and targets is None and not encoder
-    if not whole and (accuracy is not None or method is not MethodName.LM):
+    if not whole and (accuracy is not None or method != "lm"):
         raise typer.BadParameter("--positions, --targets and --encoder are for --method lm, without --accuracy")
-    way = STRATEGY_OF_METHOD[method.value] if strategy is None else strategy.value
+    way = strategy or STRATEGY_OF_METHOD[method]
     errors = which.load_errors()
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
@@ -158,7 +151,7 @@ def calibration_plan(
             Instrument("position" if positions else "pose"), own_frame=own_frame, encoders=tuple(encoder or ())
         )
         if targets is not None:
-            sigma = target_sigma if target_offsets is TargetOffsets.ESTIMATE else 0.0
+            sigma = target_sigma if target_offsets == "estimate" else 0.0
             around = 2.0 * np.pi * np.arange(targets) / targets
             points = TARGET_RADIUS * np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
             circle = tuple((float(x), float(y), float(z)) for x, y, z in points)
@@ -179,7 +172,7 @@ def calibration_plan(
         progress(1, 3)
         tried: dict[int, float] = {}
         if whole:
-            tried = _rehearsed(problem, way, method.value, poses, accuracy, seed)
+            tried = _rehearsed(problem, way, method, poses, accuracy, seed)
         count = max(tried, default=poses or _DEFAULT_POSES)
         plan = problem.plan(count, way, np.random.default_rng(seed))
         progress(2, 3)
@@ -195,7 +188,7 @@ def calibration_plan(
         if picture is not None:
             files += _draw(problem, minimum, picture, formats)
     result = _result(problem, plan, minimum, others)
-    result |= {"method": method.value, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
+    result |= {"method": method, "excess_tip_rms_by_poses_m": {str(n): value for n, value in tried.items()}}
     result |= {"accuracy_m": accuracy, "accuracy_reached": None if accuracy is None else tried[count] <= accuracy}
     print_result(result, _lines(result), as_json=as_json, files=files)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, robot_grid
+from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, RobotOptions, Wrench
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
@@ -105,7 +105,7 @@ def error_map(
     ] = False,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     formats: Formats = None,
-    engine: EngineOption = EngineName.PROGRAM,
+    engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
     """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
@@ -138,7 +138,7 @@ def error_map(
     elif samples is None:
         grid = section_grid(errors.robot, ranges=ranges or None, fixed=fixed, points=points or 41)
     distribution: Any = "uniform" if uniform else "normal"
-    settings: dict[str, Any] = {"eta": eta, "distribution": distribution, "engine": engine.value}
+    settings: dict[str, Any] = {"eta": eta, "distribution": distribution, "engine": engine}
     files: list[Path] = []
     result: dict[str, Any] = {"robot": errors.robot.name, "eta_m_per_rad": eta}
     with progress_bar("error map") as progress:

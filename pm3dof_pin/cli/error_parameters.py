@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _SHOWN = 10
 _LISTED = 3
-_POSES = 20
 
 
 def error_parameters(
@@ -115,13 +114,8 @@ def _places(names: Sequence[str]) -> str:
 
 def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:
     """Return the errors with which the loops close at poses, by default random ones, and say how many are left out."""
-    import numpy as np
-
     from pm3dof_pin.errors.sensitivity import closable
-    from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
-    if poses is None:
-        poses = reachable_poses(errors.robot, _POSES, np.random.default_rng(0))
     fitting = closable(errors, poses)
     if len(fitting) < len(errors) and not quiet:
         dropped = [name for name in errors.names if name not in fitting.names]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.map_options import (
-    EngineName,
     EngineOption,
     Quantities,
     Ranges,
@@ -29,6 +28,7 @@ from pm3dof_pin.description.coordinates import shown_in
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
+    from pm3dof_pin.maps.quantities import MappedRobot
     from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
 
 _POSES = 100_000  # over all coordinates, about
@@ -42,7 +42,7 @@ def evaluate(
     which: MachineOptions,
     model: Annotated[
         Model, typer.Option(help="elastic: felt and principal stiffness; chapter: the diagonal of section 8.2.3.")
-    ] = Model.ELASTIC,
+    ] = "elastic",
     quantity: Quantities = None,
     out: Out = Path("results"),
     ranges: Ranges = None,
@@ -53,7 +53,7 @@ def evaluate(
     pictures: Annotated[bool, typer.Option(help="Draw which spring governs where.")] = True,
     formats: Formats = None,
     threads: Threads = None,
-    engine: EngineOption = EngineName.PROGRAM,
+    engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
     """The stiffness over the whole workspace: mean, spread, extremes and where, global indices, critical springs.
@@ -70,22 +70,22 @@ def evaluate(
     known = known_quantities(quantity)
     loaded = which.load()
     mapped = MappedRobot(loaded)
-    if model is Model.CHAPTER:
+    if model == "chapter":
         if quantity:
             raise typer.BadParameter("--model chapter does not go with --quantity")
         if not known[_OF_CHAPTER[0]].exists(mapped):
             raise typer.BadParameter(f"--model chapter is for tripods of the chapter's family, not {loaded.name}")
-    wanted = _OF_CHAPTER if model is Model.CHAPTER else tuple(quantity) if quantity else None
+    wanted = _OF_CHAPTER if model == "chapter" else tuple(quantity) if quantity else None
     grid = _grid(loaded, ranges, values, points)
     with progress_bar("evaluation") as progress:
-        found = evaluate_workspace(mapped, grid, wanted, springs=wanted is None, engine=engine.value, threads=threads)
+        found = evaluate_workspace(mapped, grid, wanted, springs=wanted is None, engine=engine, threads=threads)
         progress(1, 2)
         files = [
             write_netcdf(found.dataset, out / "evaluation.nc"),
             write_text_atomically(out / "evaluation.csv", _table(found)),
         ]
         if pictures and found.springs and len(grid.axes) > 1:
-            files += _draw(mapped.robot, mapped, grid, out, formats)
+            files += _draw(mapped, grid, out, formats)
         remove_former(out, "critical_springs", files)
         progress(2, 2)
     result = _result(loaded, grid, found, model if not quantity else None)
@@ -113,7 +113,7 @@ def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model |
 
     result: dict[str, Any] = {
         "robot": robot.name,
-        "model": None if model is None else model.value,
+        "model": model,
         "dimensions": grid.dims,
         "fixed": dict(grid.fixed),
         "poses": grid.size,
@@ -123,12 +123,12 @@ def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model |
             entry.label: {
                 "unit": entry.unit,
                 "mean": entry.mean,
-                "standard_deviation": entry.deviation,
+                "standard_deviation": entry.standard_deviation,
                 "least": entry.least,
                 "least_at": place(entry.least_at),
                 "greatest": entry.greatest,
                 "greatest_at": place(entry.greatest_at),
-                "defined_part": entry.defined,
+                "defined_part": entry.defined_part,
             }
             for entry in found.distributions
         },
@@ -138,17 +138,7 @@ def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model |
     if found.springs:
         ranks: dict[str, list[dict[str, Any]]] = {}
         for rank in found.springs:
-            ranks.setdefault(rank.axis, []).append(
-                {
-                    "spring": rank.spring,
-                    "governs_part": rank.governs,
-                    "mean_share": rank.share,
-                    "least_share": rank.least_share,
-                    "greatest_share": rank.greatest_share,
-                    "gain_of_10_percent_at_least": rank.gain,
-                    "gain_of_10_percent_at_most": rank.gain_bound,
-                }
-            )
+            ranks.setdefault(rank.axis, []).append({k: value for k, value in vars(rank).items() if k != "axis"})
         result["springs"] = ranks
     return result
 
@@ -165,7 +155,7 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
         [
             entry.label,
             f"{entry.mean:.4e}",
-            f"{entry.deviation / abs(entry.mean):.1%}" if entry.mean else "",
+            f"{entry.standard_deviation / abs(entry.mean):.1%}" if entry.mean else "",
             *(f"{entry.least:.4e}", place(entry.least_at), f"{entry.greatest:.4e}", place(entry.greatest_at)),
             entry.unit,
         ]
@@ -183,7 +173,7 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
             f"1 / condition number: mean {found.indices['conditioning']:.3e}, "
             f"least {found.indices['least_conditioning']:.3e}",
         ]
-    printed = [rank for rank in found.springs if rank.share >= _LEAST_SHARE or rank.governs >= _LEAST_SHARE]
+    printed = [rank for rank in found.springs if rank.mean_share >= _LEAST_SHARE or rank.governs_part >= _LEAST_SHARE]
     if printed:
         header = ["axis", "spring", "governs", "mean share", "least", "greatest", "10 % stiffer: felt at least"]
         lines += [
@@ -191,9 +181,9 @@ def _lines(grid: Grid, found: WorkspaceEvaluation) -> list[str]:
             *table_lines(
                 header,
                 [
-                    [rank.axis, rank.spring, f"{rank.governs:.1%}"]
-                    + [f"{value:.1%}" for value in (rank.share, rank.least_share, rank.greatest_share)]
-                    + [f"+{rank.gain:.2%}"]
+                    [rank.axis, rank.spring, f"{rank.governs_part:.1%}"]
+                    + [f"{value:.1%}" for value in (rank.mean_share, rank.least_share, rank.greatest_share)]
+                    + [f"+{rank.gain_of_10_percent_at_least:.2%}"]
                     for rank in printed
                 ],
             ),
@@ -212,17 +202,18 @@ def _table(found: WorkspaceEvaluation) -> str:
     at = [f"{end}_at_{name}_{units[name]}" for end in ("least", "greatest") for name in names]
     lines = [["quantity", "unit", "mean", "standard_deviation", "least", "greatest", *at]]
     for entry in found.distributions:
-        numbers = (entry.mean, entry.deviation, entry.least, entry.greatest)
+        numbers = (entry.mean, entry.standard_deviation, entry.least, entry.greatest)
         lines.append([entry.label, f'"{entry.unit}"', *(f"{value:.12g}" for value in numbers), *ends(entry)])
     return "".join(",".join(line) + "\n" for line in lines)
 
 
-def _draw(robot: Robot, mapped: Any, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
+def _draw(mapped: MappedRobot, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
     """Draw which spring governs over the first two coordinates, the others in the middle of their ranges."""
     from pm3dof_pin.figures.critical_springs import critical_springs
     from pm3dof_pin.maps.limit_space import limits_over
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
+    robot = mapped.robot
     ends = {name: (float(values[0]), float(values[-1])) for name, values in grid.axes.items()}
     across = list(ends)[:2]
     home = dict(zip((c.name for c in robot.coordinates), robot.home_coordinates, strict=True))

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
 
-# those of pm3dof_pin.export.formats, which is not imported for the help
-_Format = StrEnum("_Format", "drake gepetto mjcf ros sdf urdf")
-
 
 def export(
     which: MachineOptions,
-    format_name: Annotated[_Format, typer.Argument(metavar="FORMAT", help="What to write.")],
+    format_name: Annotated[
+        Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"],
+        typer.Argument(metavar="FORMAT", help="What to write."),
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Folder to write to; made if it is not there. By default results/FORMAT."),
@@ -33,9 +32,9 @@ def export(
     from pm3dof_pin.exceptions import DescriptionError
     from pm3dof_pin.export.formats import export_robot
 
-    folder = out if out is not None else Path("results") / format_name.value
+    folder = out if out is not None else Path("results") / format_name
     try:
-        written = export_robot(which.path, format_name.value, folder, meshes=meshes, **which.reading)
+        written = export_robot(which.path, format_name, folder, meshes=meshes, **which.reading)
     except DescriptionError as error:
         if meshes and "mesh" in error.element:
             message("pm3dof: --no-meshes exports the robot without them")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 CLOSED_TOLERANCE = 1e-6
 """Residual up to which a closure is called closed [m or rad]."""
 
-_FileKind = StrEnum("_FileKind", {"CLOSURES": "closures", "ERRORS": "errors", "PARAMETERS": "parameters"})
+_FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
 """The YAML files of a robot."""
 
 _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite"), ("Planar", "planar"))
@@ -79,15 +78,15 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
     from pm3dof_pin.description.parameters import ParameterSchema
     from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
 
-    schema: type | None = {_FileKind.CLOSURES: ClosuresSchema, _FileKind.ERRORS: ErrorFileSchema}.get(kind)
-    wanted = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind is _FileKind.CLOSURES else ())]
+    schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
+    wanted = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
     (root, *springs), parts = msgspec.json.schema_components(wanted, ref_template="#/$defs/{name}")
-    if kind is _FileKind.PARAMETERS:  # a file of the tripod: a name and other texts, and sections of parameters
+    if kind == "parameters":  # a file of the tripod: a name and other texts, and sections of parameters
         section = {"if": {"type": "object"}, "then": {"additionalProperties": root}}
         root = {"type": "object", "properties": {"name": {"type": "string"}}, "additionalProperties": section}
     if springs:
         parts["ClosuresSchema"]["properties"]["springs"] = {"type": "array", "items": {"oneOf": springs}}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": kind.value, **root, "$defs": parts}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": kind, **root, "$defs": parts}
 
 
 def _files(files: RobotFiles) -> dict[str, Any]:

@@ -6,8 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.quantities import Quantity
-
-
-EngineName = StrEnum("EngineName", {"PROGRAM": "program", "PINOCCHIO": "pinocchio"})  # what computes a batch
 
 
 @dataclass(frozen=True)
@@ -114,7 +110,8 @@ Quantities = Annotated[
     ),
 ]
 EngineOption = Annotated[
-    EngineName, typer.Option("--engine", help="program: compiled; pinocchio: Pinocchio pose by pose, slow.")
+    Literal["program", "pinocchio"],
+    typer.Option("--engine", help="program: compiled; pinocchio: Pinocchio pose by pose, slow."),
 ]
 Threads = Annotated[
     int | None, typer.Option("--threads", "--workers", min=1, help="Threads; the number of processors by default.")

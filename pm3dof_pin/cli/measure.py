@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result
-
-
-class _Source(StrEnum):
-    """A source of errors."""
-
-    GEOMETRIC = "geometric"
-    WAVINESS = "waviness"
-    THERMAL = "thermal"
-    ELASTIC = "elastic"
-    VIBRATION = "vibration"
-
-
-_World = StrEnum("_World", {"EVERYTHING": "everything", "GEOMETRY": "geometry"})
 
 
 def measure(
@@ -34,10 +20,13 @@ def measure(
         Path | None, typer.Option(metavar="FILE", help="Commands to measure at instead, of `calibration-plan`.")
     ] = None,
     world: Annotated[
-        _World,
+        Literal["everything", "geometry"],
         typer.Option(help="geometry: only the parameters of the error file are wrong; everything: much more."),
-    ] = _World.EVERYTHING,
-    only: Annotated[_Source | None, typer.Option(help="Leave the machine one of its sources of error.")] = None,
+    ] = "everything",
+    only: Annotated[
+        Literal["geometric", "waviness", "thermal", "elastic", "vibration"] | None,
+        typer.Option(help="Leave the machine one of its sources of error."),
+    ] = None,
     load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
     wrench: Annotated[
         tuple[float, float, float, float, float, float] | None,
@@ -71,16 +60,14 @@ def measure(
     sample = reachable_poses(errors.robot, poses, generator)
     commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)
     fitting = closing_errors(errors, sample[:20], quiet=True)
-    truth = World.random(world.value, fitting, np.random.default_rng(machine)).loaded(
-        load, wrench or (0.0,) * 6, large=large
-    )
+    truth = World.random(world, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6, large=large)
     if only is not None:
-        truth = truth.only(only.value)
+        truth = truth.only(only)
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")
     measurements = truth.measure(commands, generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)
     result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
-    print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world.value}'"], as_json=as_json)
+    print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world}'"], as_json=as_json)
     message(f"wrote {path}")

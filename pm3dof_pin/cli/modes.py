@@ -9,7 +9,7 @@ import typer
 from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
 from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_batch
-from pm3dof_pin.cli.stiffness import AXES
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _lines(result: dict[str, Any]) -> list[str]:
         for mode, (frequency, twist) in enumerate(shapes)
     ]
     rows += [["free", "0", *(fixed(entry, 4) for entry in twist)] for twist in result["free_tool_twists"]]
-    lines = table_lines(["mode", "frequency [Hz]", *AXES], rows)
+    lines = table_lines(["mode", "frequency [Hz]", *TOOL_COMPONENTS], rows)
     if result["modes_without_mass"]:
         lines.append(f"motions that strain springs and move no mass: {result['modes_without_mass']}")
     return lines

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -14,6 +13,7 @@ from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, si_values, write_batch
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Array, Matrix, Vector
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 _RIGID = 1e-12  # an axis that gives less than this times the softest of its kind gives nothing
 JSON_UNITS = {
     "K": "N/m, N, N m/rad",
@@ -39,7 +38,7 @@ JSON_UNITS = {
 UNITS = ("N/m", "N/m", "N/m", "N m/rad", "N m/rad", "N m/rad")
 
 
-Model = StrEnum("Model", {"ELASTIC": "elastic", "CHAPTER": "chapter"})
+Model: TypeAlias = Literal["elastic", "chapter"]
 """Stiffness models."""
 
 
@@ -49,7 +48,7 @@ def stiffness(
     model: Annotated[
         Model,
         typer.Option(help="elastic: the 6 x 6 stiffness at the tool; chapter: the diagonal of section 8.2.3 (pm3dof)."),
-    ] = Model.ELASTIC,
+    ] = "elastic",
     as_json: Json = False,
 ) -> None:
     """Stiffness of the tool at a pose: angles in degrees, lengths in metres.
@@ -62,7 +61,7 @@ def stiffness(
     from pm3dof_pin.elastic.report import cartesian_compliance
 
     machine = which.load()
-    if model is Model.CHAPTER:
+    if model == "chapter":
         if not which.is_the_tripod or not chosen.numbers:
             raise typer.BadParameter(f"--model chapter is for a pose of the machine of chapter 8, {THE_TRIPOD}")
         _print_chapter(which.tripod(), si_values(machine, machine.coordinates, chosen.numbers), as_json)
@@ -122,10 +121,10 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     matrices = compliance(elastic, poses, on_failure="nan")
     with np.errstate(divide="ignore"):
         felt = 1.0 / np.einsum("nii->ni", matrices)
-    columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(AXES)}
+    columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(TOOL_COMPONENTS)}
     for row, column in itertools.combinations_with_replacement(range(6), 2):
         unit = ("m/N", "1/N", "rad/(N m)")[(row >= 3) + (column >= 3)]
-        columns[column_of(f"C_{AXES[row]}_{AXES[column]}", unit)] = matrices[:, row, column]
+        columns[column_of(f"C_{TOOL_COMPONENTS[row]}_{TOOL_COMPONENTS[column]}", unit)] = matrices[:, row, column]
     return columns
 
 
@@ -156,8 +155,10 @@ def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dic
     return {
         "model": "elastic",
         "C": compliance,
-        "felt": dict(zip(AXES, felt, strict=True)),
-        "spring_shares": {axis: dict(zip(names, row, strict=True)) for axis, row in zip(AXES, parts, strict=True)},
+        "felt": dict(zip(TOOL_COMPONENTS, felt, strict=True)),
+        "spring_shares": {
+            axis: dict(zip(names, row, strict=True)) for axis, row in zip(TOOL_COMPONENTS, parts, strict=True)
+        },
     }
 
 
@@ -190,14 +191,14 @@ def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
 def _elastic_lines(result: dict[str, Any]) -> list[str]:
     """Return what is read from one stiffness, or from one compliance, as lines for a person."""
     name, units = ("C", "m/N, 1/N, rad/(N m)") if result["K"] is None else ("K", "N/m, N, N m/rad")
-    matrix = _rows(AXES, result[name])
+    matrix = _rows(TOOL_COMPONENTS, result[name])
     felt = [
         [axis, f"{value:.4e}", unit, *(_percent(share) for share in result["spring_shares"][axis].values())]
         for (axis, value), unit in zip(result["felt"].items(), UNITS, strict=True)
     ]
     lines = [
         f"{name} at the tool, axes of the base, order x, y, z, rx, ry, rz [{units}]",
-        *table_lines(["", *AXES], matrix),
+        *table_lines(["", *TOOL_COMPONENTS], matrix),
         "",
         "stiffness that a probe feels, 1 / C_jj, and the part of each spring in the deflection",
         *table_lines(["axis", "felt", "unit", *result["spring_shares"]["x"]], felt),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.map_options import EngineName, EngineOption, Over, Values, declared_ranges, robot_grid
+from pm3dof_pin.cli.map_options import EngineOption, Over, Values, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
@@ -56,7 +56,7 @@ def stiffness_map(
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     formats: Formats = None,
-    engine: EngineOption = EngineName.PROGRAM,
+    engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
     """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
@@ -90,12 +90,12 @@ def stiffness_map(
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
         quantities = (*stiffness_quantities(mapped), "first_frequency")
-        dataset = quantity_map(mapped, grid, quantities, engine=engine.value)
+        dataset = quantity_map(mapped, grid, quantities, engine=engine)
         inside = int((dataset["broken_limits"] == 0).sum())
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
         if pictures:
-            files += _draw(dataset, loaded, grid, out, progress, formats, engine.value)
+            files += _draw(dataset, loaded, grid, out, progress, formats, engine)
         remove_former(out, JOB_PICTURES, files)
     spans = _ranges(dataset)
     result = {
@@ -118,7 +118,7 @@ def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
     """Return least, greatest and mean finite value of every number of the map."""
     import numpy as np
 
-    from pm3dof_pin.maps.units import unit_of_entry
+    from pm3dof_pin.maps.labels import unit_of_entry
 
     ranges = {}
     for name, label, values in _entries(dataset):
@@ -190,14 +190,14 @@ def _map_of_chapter(
     pictures: bool,
     formats: list[PictureFormat] | None,
     as_json: bool,
-    engine: EngineName,
+    engine: Engine,
 ) -> None:
     from pm3dof_pin.chapter.section import section_arrays
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
-    tripod, machine = which.tripod(), which.load() if engine is EngineName.PINOCCHIO else None
+    tripod, machine = which.tripod(), which.load() if engine == "pinocchio" else None
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []

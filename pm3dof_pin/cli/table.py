@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pm3dof_pin.cli.map_options import EngineName, EngineOption
+from pm3dof_pin.cli.map_options import EngineOption
 from pm3dof_pin.cli.options import Config, Json, MachineOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from pm3dof_pin.chapter.table_8_3 import TableRow
 
 
-def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = EngineName.PROGRAM) -> None:
+def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = "program") -> None:
     """Table 8.3, published and computed side by side; with --engine pinocchio on Jacobians of the URDF."""
     from pm3dof_pin.chapter import table_8_3 as table
 
     which = MachineOptions(config=config)
-    robot = which.load() if engine is EngineName.PINOCCHIO else None
+    robot = which.load() if engine == "pinocchio" else None
     rows = table.table_8_3(which.tripod(), robot=robot)
     print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from enum import StrEnum
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
 from pm3dof_pin.cli.poses import check_units, place
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,36 +33,17 @@ _KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 _FOR_EVER = 10_000  # repetitions of a path
 
 
-class _Shown(StrEnum):
-    """What the ellipsoids show."""
-
-    STIFFNESS = "stiffness"
-    COMPLIANCE = "compliance"
-    VELOCITY = "velocity"
-    FORCE = "force"
-    ERROR = "error"
-
-
-_ELASTIC: dict[_Shown, EllipsoidMatrix] = {_Shown.STIFFNESS: "stiffness", _Shown.COMPLIANCE: "compliance"}
-_OF_MOTION: dict[_Shown, MotionQuantity] = {
-    _Shown.VELOCITY: "velocity",
-    _Shown.FORCE: "force",
-    _Shown.ERROR: "error",
-}
-
-
-_Others = StrEnum(
-    "_Others", {"FREE": "free", "HELD": "held"}
-)  # what the other three motions do while an ellipsoid's three are probed
-_Load = StrEnum("_Load", "x y z rx ry rz")  # a unit force or moment at the tool, along or about an axis of the base
+_Shown: TypeAlias = Literal["stiffness", "compliance", "velocity", "force", "error"]
+_ELASTIC: dict[_Shown, EllipsoidMatrix] = {"stiffness": "stiffness", "compliance": "compliance"}
+_OF_MOTION: dict[_Shown, MotionQuantity] = {"velocity": "velocity", "force": "force", "error": "error"}
 
 
 def view(
     chosen: PlaceOptions,
     which: MachineOptions,
-    of: Annotated[_Shown, typer.Option(help="What the ellipsoids show.")] = _Shown.STIFFNESS,
+    of: Annotated[_Shown, typer.Option(help="What the ellipsoids show.")] = "stiffness",
     others: Annotated[
-        _Others | None,
+        Literal["free", "held"] | None,
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
     ] = None,
     forces: Annotated[
@@ -73,7 +54,7 @@ def view(
         bool, typer.Option("--labels", help="Names of the points; of the chapter's machine its lengths and angles too.")
     ] = False,
     shares: Annotated[
-        _Load | None,
+        ToolComponent | None,
         typer.Option(metavar="LOAD", help="Colour the legs by their share in the compliance: x, y, z, rx, ry, rz."),
     ] = None,
     workspace: Annotated[
@@ -127,19 +108,18 @@ def view(
     with Viewer(machine, host=host, port=port) as viewer:
         viewer.display(shown)
         model = _elastic_model(machine)
-        other: OtherMotions | None = None if others is None else others.value
         if along is not None:
             compliance = None if model is None else _compliance_on_path(model, along)
             viewer.play(
                 list(along),
                 compliance=compliance,
                 of=_ELASTIC.get(of, "stiffness"),
-                others=other,
+                others=others,
                 duration=duration,
                 repetitions=_FOR_EVER,
             )
         else:
-            _draw_ellipsoids(viewer, model, of, other)
+            _draw_ellipsoids(viewer, model, of, others)
         if forces and along is None:
             _draw_forces(viewer, shown)
         if model is not None:
@@ -215,21 +195,21 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
                 viewer.motion_ellipsoid(_OF_MOTION.get(of, "velocity"), kind=kind)
     except RigidDirectionError:
         message("pm3dof: the tool is rigid in some direction: ellipsoids of the compliance are drawn")
-        _draw_ellipsoids(viewer, model, _Shown.COMPLIANCE, None)
+        _draw_ellipsoids(viewer, model, "compliance", None)
     except (SingularConfigurationError, DescriptionError) as error:
         message(f"pm3dof: no ellipsoids are drawn: {error}")
 
 
-def _colour_legs(viewer: Viewer, model: ElasticModel, shares: _Load | None) -> None:
+def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
     """Colour the legs under a unit load, or have the page ready to do it when asked."""
     import numpy as np
 
     from pm3dof_pin.exceptions import PM3DofError
 
-    loads = [shares] if shares is not None else [_Load.z, *_Load]
+    loads = [shares] if shares is not None else ["z", *TOOL_COMPONENTS]
     for load in loads:
         try:
-            viewer.colour_legs(model, np.eye(6)[list(_Load).index(load)], visible=shares is not None)
+            viewer.colour_legs(model, np.eye(6)[TOOL_COMPONENTS.index(load)], visible=shares is not None)
             return
         except PM3DofError:  # nothing gives under this load
             if shares is not None:

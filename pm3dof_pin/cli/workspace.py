@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli import completion
-from pm3dof_pin.cli.map_options import CoordinateRange, EngineName, EngineOption, Values, robot_grid
+from pm3dof_pin.cli.map_options import CoordinateRange, EngineOption, Values, robot_grid
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
     from pm3dof_pin.maps.workspace import Workspace
+    from pm3dof_pin.typing import Engine
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
@@ -46,7 +47,7 @@ def workspace(
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     formats: Formats = None,
-    engine: EngineOption = EngineName.PROGRAM,
+    engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
     """The reachable set under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
@@ -58,7 +59,7 @@ def workspace(
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
-    given = which.robot or coordinate or values or which.tool_frame or engine is not EngineName.PROGRAM
+    given = which.robot or coordinate or values or which.tool_frame or engine != "program"
     tripod = None
     with progress_bar("workspace") as progress:
         if given:
@@ -93,14 +94,14 @@ def _chapter_space(tripod: Tripod) -> LimitSpace:
 
 
 def _robot_space(
-    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, engine: EngineName
+    loaded: Robot, names: list[str] | None, values: list[CoordinateRange] | None, engine: Engine
 ) -> LimitSpace:
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.maps.limit_space import robot_space
 
     fixed = robot_grid(loaded, [], values or ()).fixed
     try:
-        return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine.value)
+        return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine)
     except InvalidValueError as error:
         raise typer.BadParameter(f"{loaded.name}: {error}") from None
 

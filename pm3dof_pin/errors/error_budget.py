@@ -21,7 +21,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.error_map import control_basis, least_sensitive
+from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART, control_basis, least_sensitive
 from pm3dof_pin.errors.expected_norm import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
@@ -129,7 +129,7 @@ class ErrorBudget:
         lines = [apart[s.name]._line(s.name, s.error_class, s.long_name, squares[s.name] / whole) for s in self.sources]
         return [*lines, self._line(TOGETHER, "all", "all sources together", 1.0)]
 
-    def least_sensitive(self, part: float = 0.2) -> Mask:
+    def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
         """Tell which poses are among the part with the smallest tip error by these sources, shape=(n,)."""
         return least_sensitive(self.tip_rms, part)
 

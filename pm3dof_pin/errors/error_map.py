@@ -25,6 +25,9 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine, Mask
 
+LEAST_SENSITIVE_PART = 0.2
+"""Part of the poses that counts as the least sensitive region."""
+
 _CONTROL_TOLERANCE = 1e-9
 _ROUNDING = 1e-10  # of an effect, below which what is left of it is nothing
 
@@ -147,7 +150,7 @@ class ErrorMap:
         # parameters of equal share, as those of like legs, stay in their order
         return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
 
-    def least_sensitive(self, part: float = 0.2) -> Mask:
+    def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
         """Tell which poses are among the part with the smallest tip error, shape=(n,)."""
         return least_sensitive(self.tip_rms, part)
 

@@ -24,8 +24,10 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descen
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array, Engine, Mask
 
+_POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
 _PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to find the program and its numbers
@@ -118,16 +120,20 @@ def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
     return loops.tool_motions(rates)
 
 
-def closable(errors: GeometricErrors, poses: Poses) -> GeometricErrors:
+def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricErrors:
     """Return the errors without those with which the loops cannot close, at assembled poses as described.
 
-    A planar four-bar with parallel axes cannot close when one axis is tilted: it would bend or bind. Such an error is
-    no matter of kinematics. Each parameter is judged by itself; one that moves nothing by itself, such as the turn of a
-    rod about its own axis, is judged beside the others as well.
+    By default these are random ones. A planar four-bar with parallel axes cannot close when one axis is tilted: it
+    would bend or bind. Such an error is no matter of kinematics. Each parameter is judged by itself; one that moves
+    nothing by itself, such as the turn of a rod about its own axis, is judged beside the others as well.
     """
+    if not len(errors) or not errors.robot.closures:
+        return errors
+    if poses is None:
+        poses = reachable_poses(errors.robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
     loops = _Loops(errors, poses, errors.zeros)
     fitting = errors.without(_names(errors, loops.strains() > RANK_TOLERANCE))
-    idle = set(_names(errors, loops.idle())) if poses.robot.closures else set()
+    idle = set(_names(errors, loops.idle()))
     if not idle.intersection(fitting.names):
         return fitting
     beside = np.array(

@@ -6,7 +6,7 @@ deviation, each of which moves the tool along some twist. All sources are of thi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -19,7 +19,7 @@ from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
-from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors, GeometricParameter
+from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import (
     Bending,
@@ -32,7 +32,6 @@ from pm3dof_pin.errors.thermal_growth import (
 from pm3dof_pin.errors.vibration import Vibration, covariance_root
 from pm3dof_pin.errors.waviness import beside_guideways
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
@@ -46,7 +45,6 @@ GREATEST_VIBRATION = 3.0
 """Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
 
 _LINKS_SHARE = 0.5  # of the screws' rise
-_POSES_TO_CLOSE_AT = 20
 _ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
 
@@ -124,7 +122,8 @@ class ErrorSources:
         shares = numbers.members
         if shares is None:
             shares = {loop.frame_a: _LINKS_SHARE for loop in robot.closures}
-        closing = {parameter.place for parameter in self._closing(translation_errors(robot, shares, "thermal"))}
+        growing = GeometricErrors(robot, translation_errors(robot, shares, "thermal"))
+        closing = {parameter.place for parameter in closable(growing).parameters}
         kept = {place: share for place, share in shares.items() if place in closing}
         bearings = np.array(self.errors.fixed_bearings)
         bending = {
@@ -171,7 +170,7 @@ class ErrorSources:
             slides = np.repeat(self.slides, 2)
             parameters += [parameter for parameter, sliding in zip(beside, slides, strict=True) if sliding]
         named = [replace(parameter, name=f"{parameter.group} {parameter.name}") for parameter in parameters]
-        return GeometricErrors(robot, self._closing(named))
+        return closable(GeometricErrors(robot, named))
 
     @cached_property
     def kinematic(self) -> KinematicNumbers:
@@ -198,12 +197,6 @@ class ErrorSources:
     def slides(self) -> Array:
         """Which drives slide, shape=(number of drives,)."""
         return np.array([self.robot.single_joint(name).translates for name in self.robot.actuated_joints])
-
-    def _closing(self, parameters: Sequence[GeometricParameter]) -> tuple[GeometricParameter, ...]:
-        if not parameters or not self.robot.closures:
-            return tuple(parameters)
-        poses = reachable_poses(self.robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
-        return closable(GeometricErrors(self.robot, parameters), poses).parameters
 
 
 class _SourcesAtPoses:

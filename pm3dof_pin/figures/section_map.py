@@ -34,8 +34,7 @@ from pm3dof_pin.figures.labels import (
 from pm3dof_pin.figures.outlined_mesh import Within, joined, outlined_mesh
 from pm3dof_pin.figures.space import divided_triangles, towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
-from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

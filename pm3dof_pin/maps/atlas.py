@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-import pm3dof_pin
 from pm3dof_pin.arrays import require_choice, require_count, require_kind
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import (
@@ -44,7 +43,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.atlas_journal import Block, Checksums
 from pm3dof_pin.maps.atlas_lock import exclusive_run
 from pm3dof_pin.maps.atlas_store import AtlasStore, Variable
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes, flag_type, limit_names
+from pm3dof_pin.maps.labels import BROKEN_LIMITS, dataset_attributes, flag_attributes, flag_type, limit_names
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, Quantity, select_quantities
 from pm3dof_pin.typing import Engine
 
@@ -172,9 +171,7 @@ class Atlas:
             "engine": self.engine,
         }
         return {
-            "title": f"Atlas of {robot.name} over ({', '.join(self.grid.dims)})",
-            "machine": robot.name,
-            "source": f"pm3dof-pin {pm3dof_pin.__version__}",
+            **dataset_attributes(f"Atlas of {robot.name} over ({', '.join(self.grid.dims)})", robot.name),
             "specification": json.dumps(specification, sort_keys=True),
             **{f"fixed_{name}": value for name, value in self.grid.fixed.items()},
         }

@@ -28,7 +28,7 @@ import numpy as np
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically
 from pm3dof_pin.maps.atlas_journal import Block, Checksums, Journal, sync
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
+from pm3dof_pin.maps.labels import BROKEN_LIMITS
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import pm3dof_pin
-from pm3dof_pin.maps.limit_flags import flag_attributes, flag_type
+from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
 from pm3dof_pin.maps.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -29,13 +28,8 @@ def workspace_boundary(workspace: Workspace) -> xr.Dataset:
     return xr.Dataset(
         {"binding_limits": ("point", limits, flag_attributes(space.limits, "limits that end the reachable set"))},
         coords={
-            name: ("point", column, {"units": unit, "long_name": f"coordinate {name} of {space.machine}"})
+            name: ("point", column, coordinate_attributes(name, unit, space.machine))
             for name, unit, column in zip(space.names, space.units, columns.T, strict=True)
         },
-        attrs={
-            "Conventions": "CF-1.8",
-            "title": f"Boundary of the workspace of {space.machine} under its limits",
-            "machine": space.machine,
-            "source": f"pm3dof-pin {pm3dof_pin.__version__}",
-        },
+        attrs=dataset_attributes(f"Boundary of the workspace of {space.machine} under its limits", space.machine),
     )

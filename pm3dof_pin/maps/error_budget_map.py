@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pm3dof_pin.errors.error_budget import ErrorBudget, error_budget
+from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.source_errors import ErrorSources
-from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.grid_map import grid_dataset
-from pm3dof_pin.typing import Array
+from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits
+from pm3dof_pin.maps.labels import coordinate_attributes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,12 +24,7 @@ if TYPE_CHECKING:
 LEAST_SENSITIVE = "least_sensitive"
 """Variable that is 1 in the region least sensitive to errors, 0 elsewhere."""
 
-LEAST_SENSITIVE_PART = 0.2
-"""Part of the poses that counts as the least sensitive region."""
-
 _MOST_POSES = 200_000
-
-_Variables = dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]
 
 
 def whole_workspace_grid(robot: Robot, points: int) -> Grid:
@@ -54,12 +50,11 @@ def budget_map(
     *,
     eta: float = TIP_LENGTH,
     names: Sequence[str] = (),
-    part: float = LEAST_SENSITIVE_PART,
 ) -> tuple[xr.Dataset, ErrorBudget]:
     """Compute the errors of all sources, or those named, over a grid of the robot's coordinates, of any dimension.
 
     Returns a dataset over the grid, NaN where a pose breaks a limit: `tip_rms`, `worst_tip`, `left_rms` and `energy` of
-    all sources together, `tip_rms_<source>` of each alone, `least_sensitive` (the best `part` of the poses) and
+    all sources together, `tip_rms_<source>` of each alone, `least_sensitive` (the best fifth of the poses) and
     `broken_limits`; and the budget over the poses within the limits. `eta` weighs the orientation in the tip error
     [m/rad].
 
@@ -68,57 +63,48 @@ def budget_map(
         PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
     """
     robot = sources.robot
-    poses = robot.solve(grid, on_failure="nan")
-    within = np.nonzero(poses.within_limits)
-    if not within[0].size:
-        raise UnreachablePoseError(f"no pose of the grid over {', '.join(grid.dims)} is within the limits")
-    budget = error_budget(sources, poses[within], eta=eta, names=names)
-    variables: _Variables = {}
-    for name, (values, attributes) in _fields(budget, part).items():
-        field = np.full(grid.shape, np.nan)
-        field[within] = values
-        variables[name] = (grid.dims, field, attributes)
+    poses, within = poses_within_limits(robot, grid)
+    budget = error_budget(sources, within, eta=eta, names=names)
     title = f"Errors of {robot.name} by all sources over {', '.join(grid.dims)}"
-    return _labelled(grid_dataset(grid, poses, variables, title), eta, part), budget
+    return _labelled(grid_dataset(grid, poses, _fields(budget), title), eta), budget
 
 
-def budget_table(budget: ErrorBudget, *, part: float = LEAST_SENSITIVE_PART) -> xr.Dataset:
+def budget_table(budget: ErrorBudget) -> xr.Dataset:
     """Return the same along one dimension, `pose`, for poses that are no grid; coordinates and commands beside them."""
     import xarray as xr
 
     robot, poses = budget.poses.robot, budget.poses
     labels = {
-        c.name: ("pose", column, {"units": c.unit, "long_name": f"coordinate {c.name} of {robot.name}"})
+        c.name: ("pose", column, coordinate_attributes(c.name, c.unit, robot.name))
         for c, column in zip(robot.coordinates, poses.coordinates.T, strict=True)
     }
-    variables = {name: ("pose", values, attributes) for name, (values, attributes) in _fields(budget, part).items()}
+    variables = {name: ("pose", values, attributes) for name, (_, values, attributes) in _fields(budget).items()}
     dataset = xr.Dataset(variables, coords=labels, attrs={"title": f"Errors of {robot.name}", "machine": robot.name})
-    return _labelled(dataset, budget.eta, part)
+    return _labelled(dataset, budget.eta)
 
 
-def _fields(budget: ErrorBudget, part: float) -> dict[str, tuple[Array, dict[str, Any]]]:
+def _fields(budget: ErrorBudget) -> dict[str, Variable]:
     words = {
         "tip_rms": "tip error of all sources, root mean square over machines",
         "worst_tip": "tip error of all sources, bound",
         "left_rms": "tip error left with the best commands, root mean square over machines",
         "energy": "energy E of (8.15) of all sources, mean over machines",
     }
-    found = {name: (getattr(budget, name), {"units": "m", "long_name": text}) for name, text in words.items()}
+    found: dict[str, Variable] = {
+        name: ((), getattr(budget, name), {"units": "m", "long_name": text}) for name, text in words.items()
+    }
     for source in budget.sources:
-        alone = budget.select([source.name]).tip_rms
-        found[f"tip_rms_{source.name}"] = (
-            alone,
-            {"units": "m", "long_name": f"tip error by {source.long_name}", "error_class": source.error_class},
-        )
-    region = budget.least_sensitive(part).astype(float)
-    found[LEAST_SENSITIVE] = (region, {"units": "1", "long_name": "region least sensitive to all sources"})
+        words = {"long_name": f"tip error by {source.long_name}", "error_class": source.error_class}
+        found[f"tip_rms_{source.name}"] = ((), budget.select([source.name]).tip_rms, {"units": "m", **words})
+    region = budget.least_sensitive().astype(float)
+    found[LEAST_SENSITIVE] = ((), region, {"units": "1", "long_name": "region least sensitive to all sources"})
     return found
 
 
-def _labelled(dataset: xr.Dataset, eta: float, part: float) -> xr.Dataset:
+def _labelled(dataset: xr.Dataset, eta: float) -> xr.Dataset:
     return dataset.assign_attrs(
         model="error",
         eta_m_per_rad=eta,
-        least_sensitive_part=part,
+        least_sensitive_part=LEAST_SENSITIVE_PART,
         references="D. Zhang, Parallel Robotic Machine Tools, Springer 2010, section 8.3",
     )

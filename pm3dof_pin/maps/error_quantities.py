@@ -21,11 +21,10 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.maps.quantities import Dimension, Evaluation, MappedRobot, quantity
+from pm3dof_pin.maps.quantities import Dimension, Evaluation, MappedRobot, has_drives_and_tool, quantity
 from pm3dof_pin.typing import Array
 
 _CHUNK = 8192  # poses at a time: a pose has some hundred numbers of effects
-_POSES_TO_CLOSE_AT = 20
 
 _sources: WeakKeyDictionary[MappedRobot, ErrorSources] = WeakKeyDictionary()
 
@@ -35,14 +34,8 @@ def _sources_of(mapped: MappedRobot) -> ErrorSources:
     if mapped not in _sources:
         robot = mapped.robot
         declared = GeometricErrors(robot) if robot.files is None else GeometricErrors.of(robot, robot.files.errors)
-        poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
-        _sources[mapped] = ErrorSources(closable(declared, poses))
+        _sources[mapped] = ErrorSources(closable(declared))
     return _sources[mapped]
-
-
-def _has_tool(mapped: MappedRobot) -> bool:
-    """Tell whether a robot has a tool whose errors can be mapped."""
-    return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
 
 
 def _source_names(mapped: MappedRobot) -> tuple[str, ...]:
@@ -92,10 +85,10 @@ _SUMS: dict[str, tuple[KinematicSum, str]] = {
     "geometric_error_energy": ("energy", "energy E of (8.15) of the pose error by geometry, mean"),
 }
 for _name, (_sum, _long_name) in _SUMS.items():
-    quantity(_name, unit="m", long_name=_long_name, exists=_has_tool)(partial(_kinematic, name=_sum))
+    quantity(_name, unit="m", long_name=_long_name, exists=has_drives_and_tool)(partial(_kinematic, name=_sum))
 
 
-@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=_has_tool)
+@quantity("thermal_error", unit="m", long_name="tip error by temperature, root mean square", exists=has_drives_and_tool)
 def _thermal_error(evaluation: Evaluation) -> Array:
     return _over(evaluation, ("thermal",), attrgetter("tip_rms"))
 
@@ -105,7 +98,7 @@ def _thermal_error(evaluation: Evaluation) -> Array:
     dims=(Dimension("error_source", _source_names),),
     unit="m",
     long_name="tip error by each source, and by all together, root mean square",
-    exists=_has_tool,
+    exists=has_drives_and_tool,
 )
 def _error_budget(evaluation: Evaluation) -> Array:
     names = _source_names(evaluation.mapped)

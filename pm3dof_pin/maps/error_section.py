@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
-from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.maps.grid_map import grid_dataset
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits
+from pm3dof_pin.typing import Engine
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,20 +45,14 @@ def error_section(
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
     robot = errors.robot
-    poses = robot.solve(grid, on_failure="nan", engine=engine)
-    within = np.nonzero(poses.within_limits)
-    if not within[0].size:
-        fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
-        raise UnreachablePoseError(f"no pose of the section{' ' if fixed else ''}{fixed} is within the limits")
-    result = error_map(errors, poses[within], eta=eta, distribution=distribution, engine=engine)
-    variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
-    for name, (unit, long_name) in QUANTITIES.items():
-        field = np.full(grid.shape, np.nan)
-        field[within] = getattr(result, name)
-        variables[name] = (grid.dims, field, {"units": unit, "long_name": long_name})
-    dataset = grid_dataset(
-        grid, poses, variables, f"First-order errors of {robot.name} over a section of its workspace"
-    )
+    poses, within = poses_within_limits(robot, grid, engine)
+    result = error_map(errors, within, eta=eta, distribution=distribution, engine=engine)
+    variables: dict[str, Variable] = {
+        name: ((), getattr(result, name), {"units": unit, "long_name": long_name})
+        for name, (unit, long_name) in QUANTITIES.items()
+    }
+    title = f"First-order errors of {robot.name} over a section of its workspace"
+    dataset = grid_dataset(grid, poses, variables, title)
     return dataset.assign_attrs(
         model="error",
         eta_m_per_rad=eta,

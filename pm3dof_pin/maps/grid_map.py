@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-import pm3dof_pin
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS, flag_attributes, flag_type, limit_names
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.labels import (
+    BROKEN_LIMITS,
+    coordinate_attributes,
+    dataset_attributes,
+    flag_attributes,
+    flag_type,
+    limit_names,
+)
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.typing import Array, Engine
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Variable: TypeAlias = tuple[tuple[str, ...], Array, dict[str, Any]]
+"""Own dimensions, values at the poses within the limits, shape=(n, *own dimensions), and attributes."""
 
 
 def quantity_map(
@@ -34,47 +45,52 @@ def quantity_map(
     selected = select_quantities(quantities, mapped)
     poses = mapped.robot.solve(grid, on_failure="nan", engine=engine)
     evaluation = Evaluation(mapped, poses[poses.within_limits], engine=engine, threads=threads)
-    variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
+    variables: dict[str, Variable] = {}
     labels: dict[str, list[str]] = {}
     for entry in selected:
-        values = np.full((*poses.shape, *entry.shape_for(mapped)), np.nan)
-        values[poses.within_limits] = entry.compute(evaluation)
         attributes = {"units": entry.unit_for(mapped), "long_name": entry.long_name}
-        variables[entry.name] = ((*grid.dims, *(dim.name for dim in entry.dims)), values, attributes)
+        variables[entry.name] = (tuple(dim.name for dim in entry.dims), entry.compute(evaluation), attributes)
         labels |= {dim.name: list(dim.labels(mapped)) for dim in entry.dims}
-    dataset = grid_dataset(
-        grid, poses, variables, f"Elastic behaviour of {mapped.robot.name} over {', '.join(grid.dims)}"
-    )
+    title = f"Elastic behaviour of {mapped.robot.name} over {', '.join(grid.dims)}"
+    dataset = grid_dataset(grid, poses, variables, title)
     return dataset.assign_coords(labels).assign_attrs(model="elastic")
 
 
-def grid_dataset(
-    grid: Grid, poses: Poses, variables: Mapping[str, tuple[tuple[str, ...], Array, dict[str, Any]]], title: str
-) -> xr.Dataset:
-    """Return variables (dimensions, values, attributes) over a grid as a dataset, with `broken_limits` of its poses.
+def poses_within_limits(robot: Robot, grid: Grid, engine: Engine = "program") -> tuple[Poses, Poses]:
+    """Solve a grid; return its poses, unsolved ones NaN, and those within the limits, shape=(n,).
+
+    Raises:
+        UnreachablePoseError: no pose of the grid is within the limits.
+    """
+    poses = robot.solve(grid, on_failure="nan", engine=engine)
+    if not poses.within_limits.any():
+        fixed = ", ".join(f"{name} = {value:g}" for name, value in grid.fixed.items())
+        place = f"over {', '.join(grid.dims)}{' at ' if fixed else ''}{fixed}"
+        raise UnreachablePoseError(f"no pose of the grid {place} is within the limits")
+    return poses, poses[poses.within_limits]
+
+
+def grid_dataset(grid: Grid, poses: Poses, variables: Mapping[str, Variable], title: str) -> xr.Dataset:
+    """Return variables over a grid as a dataset, NaN beyond the limits, with `broken_limits` of its poses.
 
     Coordinates have their units; those that stand still are scalars.
     """
     import xarray as xr
 
     robot, names = poses.robot, limit_names(poses.robot)
+    fields = {}
+    for name, (own_dims, values, variable_attributes) in variables.items():
+        field = np.full((*poses.shape, *values.shape[1:]), np.nan)
+        field[poses.within_limits] = values
+        fields[name] = ((*grid.dims, *own_dims), field, variable_attributes)
     attributes = flag_attributes(names, "limits that the pose breaks")
     flags = (grid.dims, poses.broken_limits.astype(flag_type(names)), attributes)
     coordinates = {
         c.name: (
             (c.name,) if c.name in grid.axes else (),
             grid.axes.get(c.name, grid.fixed.get(c.name)),
-            {"units": c.unit, "long_name": f"coordinate {c.name} of {robot.name}"},
+            coordinate_attributes(c.name, c.unit, robot.name),
         )
         for c in grid.coordinates
     }
-    return xr.Dataset(
-        {**variables, BROKEN_LIMITS: flags},
-        coords=coordinates,
-        attrs={
-            "Conventions": "CF-1.8",
-            "title": title,
-            "machine": robot.name,
-            "source": f"pm3dof-pin {pm3dof_pin.__version__}",
-        },
-    )
+    return xr.Dataset({**fields, BROKEN_LIMITS: flags}, coords=coordinates, attrs=dataset_attributes(title, robot.name))

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -36,8 +37,6 @@ from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.typing import Array, Engine
-
-AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 _MODES = 6
 _RIGID = 1e-12  # an axis that gives less than this part of the softest of its kind gives nothing
@@ -196,7 +195,7 @@ def select_quantities(names: Iterable[str], mapped: MappedRobot | None = None) -
     return tuple(known[name] for name in selected)
 
 
-def _has_drives_and_tool(mapped: MappedRobot) -> bool:
+def has_drives_and_tool(mapped: MappedRobot) -> bool:
     """Tell whether there is something that moves the tool."""
     return mapped.robot.tool_frame is not None and bool(mapped.robot.actuated_joints)
 
@@ -223,8 +222,8 @@ def _listed_units(entries: Iterable[tuple[str, str]]) -> str:
 
 
 _SIX = tuple(str(number + 1) for number in range(_MODES))  # ascending values
-AXIS = Dimension("axis", lambda mapped: AXES)
-AXIS_2 = Dimension("axis_2", lambda mapped: AXES)
+AXIS = Dimension("axis", lambda mapped: TOOL_COMPONENTS)
+AXIS_2 = Dimension("axis_2", lambda mapped: TOOL_COMPONENTS)
 PRINCIPAL = Dimension("principal", lambda mapped: ("least", "middle", "greatest"))
 MODE = Dimension("mode", lambda mapped: _SIX)
 NATURAL_MODE = Dimension("natural_mode", lambda mapped: _SIX)
@@ -306,7 +305,7 @@ quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")(
     dims=(DRIVE,),
     unit=_force_unit,
     long_name="forces of the drives that hold the weights",
-    exists=_has_drives_and_tool,
+    exists=has_drives_and_tool,
 )
 def _holding_forces(evaluation: Evaluation) -> Array:
     return actuator_forces(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
@@ -317,7 +316,7 @@ def _holding_forces(evaluation: Evaluation) -> Array:
     dims=(DRIVE, _DRIVE_2),
     unit="kg, kg m, kg m^2",
     long_name="mass matrix that the drives feel",
-    exists=_has_drives_and_tool,
+    exists=has_drives_and_tool,
 )
 def _drive_inertia(evaluation: Evaluation) -> Array:
     return drive_mass_matrices(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
@@ -328,7 +327,7 @@ def _drive_inertia(evaluation: Evaluation) -> Array:
     dims=(SINGULARITY,),
     unit="1",
     long_name="least scaled singular value of each type of singularity, zero where it is singular",
-    exists=_has_drives_and_tool,
+    exists=has_drives_and_tool,
 )
 def _singularity_distance(evaluation: Evaluation) -> Array:
     mapped = evaluation.mapped

@@ -13,8 +13,7 @@ import numpy as np
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
-from pm3dof_pin.maps.units import unit_of_entry
+from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
 if TYPE_CHECKING:

@@ -23,9 +23,8 @@ from pm3dof_pin.elastic.quantities import STIFFNESS
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.maps.grid_map import quantity_map
-from pm3dof_pin.maps.limit_flags import BROKEN_LIMITS
+from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot
-from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array, Engine, Mask
 
 if TYPE_CHECKING:
@@ -51,12 +50,12 @@ class Distribution:
     entry: str  #: label of the entry, "" for a scalar
     unit: str
     mean: float
-    deviation: float
+    standard_deviation: float
     least: float
     greatest: float
     least_at: dict[str, float]
     greatest_at: dict[str, float]
-    defined: float  #: part of the reachable volume in which it has a finite value
+    defined_part: float  #: part of the reachable volume in which it has a finite value
 
     @property
     def label(self) -> str:
@@ -68,16 +67,16 @@ class Distribution:
 class _SpringRank:
     """What one spring means for one axis of the tool, over the reachable set."""
 
-    spring: str  #: its name
     axis: str  #: x, y, z, rx, ry or rz: the tool pushed or turned along it, free in all else
-    governs: float  #: part of the volume in which it gives most; equal ones have equal parts of it
-    share: float  #: its part in the deflection, average over the volume
+    spring: str  #: its name
+    governs_part: float  #: part of the volume in which it gives most; equal ones have equal parts of it
+    mean_share: float  #: its part in the deflection, average over the volume
     least_share: float  #: the least such part
     greatest_share: float  #: the greatest such part
     #: by which part the felt stiffness grows at least if the spring is made stiffer by :data:`STIFFER`, average over
     #: the volume; exactly so where the load path is unique
-    gain: float
-    gain_bound: float  #: and at most
+    gain_of_10_percent_at_least: float
+    gain_of_10_percent_at_most: float  #: and at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +246,8 @@ def _ranks(dataset: xr.Dataset, inside: Mask, weights: Array) -> Iterator[_Sprin
         gains = np.average(1.0 / (1.0 - parts * STIFFER / (1.0 + STIFFER)) - 1.0, axis=0, weights=volume)
         for spring in np.argsort(-means, kind="stable"):
             yield _SpringRank(
-                names[spring],
                 axis,
+                names[spring],
                 float(governs[spring]),
                 float(means[spring]),
                 float(parts[:, spring].min()),

@@ -24,13 +24,10 @@ from pm3dof_pin.errors.vibration import Vibration, correlated_normal
 from pm3dof_pin.errors.waviness import GuideWaviness, beside_guideways
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.geometric_source import GeometricSource
 from pm3dof_pin.typing import Array
-
-_POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +223,7 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
     }
     listed = {(p.place, p.motion): p.tolerance for p in errors.parameters}
     everything = [replace(p, tolerance=listed.get((p.place, p.motion), least[p.motion])) for p in all_parameters(robot)]
-    poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
-    return closable(GeometricErrors(robot, everything), poses)
+    return closable(GeometricErrors(robot, everything))
 
 
 def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
@@ -235,8 +231,7 @@ def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
     if not robot.closures or not waves.straightness:
         return waves
     across = GeometricErrors(robot, beside_guideways(robot))
-    poses = reachable_poses(robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
-    closing = iter(np.isin(across.names, closable(across, poses).names))
+    closing = iter(np.isin(across.names, closable(across).names))
     kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
     return replace(waves, straightness=tuple((first, second) for first, second in kept))
 

@@ -104,7 +104,7 @@ def test_pictures(tripod_errors: GeometricErrors, grid: Grid, tmp_path: Path) ->
 def test_a_section_out_of_reach_is_refused(tripod_errors: GeometricErrors) -> None:
     grid = section_grid(tripod_errors.robot, points=3, fixed={"z_e": 0.9})
     assert grid is not None
-    with pytest.raises(UnreachablePoseError, match=r"no pose of the section z_e = 0\.9"):
+    with pytest.raises(UnreachablePoseError, match=r"no pose of the grid over theta_x, theta_y at z_e = 0\.9"):
         error_section(tripod_errors, grid)
 
 

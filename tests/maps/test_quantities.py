@@ -18,8 +18,8 @@ from pm3dof_pin.elastic import ElasticModel, JointSpring
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.labels import unit_of_entry
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, quantity, select_quantities
-from pm3dof_pin.maps.units import unit_of_entry
 from pm3dof_pin.typing import Array, Engine
 
 MACHINES = Path(__file__).parents[1] / "machines"

@@ -74,7 +74,7 @@ def test_the_tripod(mechanism: Robot) -> None:
     for entry, column in zip(found.distributions, values.T, strict=True):
         mean = w @ column
         assert entry.mean == pytest.approx(mean, rel=2e-5)
-        assert entry.deviation == pytest.approx(np.sqrt(w @ (column - mean) ** 2), rel=2e-5)
+        assert entry.standard_deviation == pytest.approx(np.sqrt(w @ (column - mean) ** 2), rel=2e-5)
         assert (entry.least, entry.greatest) == pytest.approx((column.min(), column.max()), rel=2e-5)
         for place, value in ((entry.least_at, entry.least), (entry.greatest_at, entry.greatest)):
             axis = AXES.index(entry.entry)
@@ -87,11 +87,11 @@ def test_the_tripod(mechanism: Robot) -> None:
     assert len(found.springs) == 42
     for rank in found.springs:  # what a tenth more really brings, solved again, is between both numbers
         true = w @ gains[:, names.index(rank.spring), AXES.index(rank.axis)]
-        assert rank.gain - 1e-6 <= true <= rank.gain_bound + 1e-6
+        assert rank.gain_of_10_percent_at_least - 1e-6 <= true <= rank.gain_of_10_percent_at_most + 1e-6
     for axis in AXES:
         ranks = [rank for rank in found.springs if rank.axis == axis]
-        assert sum(rank.governs for rank in ranks) == pytest.approx(1.0)
-        assert sum(rank.share for rank in ranks) == pytest.approx(1.0)
+        assert sum(rank.governs_part for rank in ranks) == pytest.approx(1.0)
+        assert sum(rank.mean_share for rank in ranks) == pytest.approx(1.0)
     critical, order = found.dataset["critical_spring"].sel(axis="z").values, list(found.dataset["spring"].values)
     for row, number in enumerate(critical[flags == 0]):
         brings = gains[row, :, 2]

@@ -1,4 +1,4 @@
-"""The limits of a robot as flags of a labelled array (CF conventions)."""
+"""What maps say of themselves: attributes of datasets, coordinates and limits (CF conventions); units of entries."""
 
 from __future__ import annotations
 
@@ -6,10 +6,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import pm3dof_pin
+
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 BROKEN_LIMITS = "broken_limits"
+
+
+def dataset_attributes(title: str, machine: str) -> dict[str, str]:
+    """Return the attributes of a dataset of a machine."""
+    source = f"pm3dof-pin {pm3dof_pin.__version__}"
+    return {"Conventions": "CF-1.8", "title": title, "machine": machine, "source": source}
+
+
+def coordinate_attributes(name: str, unit: str, machine: str) -> dict[str, str]:
+    """Return the attributes of a coordinate of a machine."""
+    return {"units": unit, "long_name": f"coordinate {name} of {machine}"}
 
 
 def limit_names(robot: Robot) -> tuple[str, ...]:
@@ -30,3 +43,12 @@ def flag_attributes(names: tuple[str, ...], long_name: str) -> dict[str, object]
         "flag_meanings": " ".join(names),
         "comment": "sum of the flags; zero within all limits",
     }
+
+
+def unit_of_entry(units: str, entry: str) -> str:
+    """Return an entry's unit out of "N/m (x, y, z), N m/rad (rx, ry, rz)"; a unit of all entries stays as it is."""
+    for part in units.split("), "):
+        unit, _, entries = part.rstrip(")").partition(" (")
+        if entry in entries.split(", "):
+            return unit
+    return units
