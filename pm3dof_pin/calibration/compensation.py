@@ -21,7 +21,7 @@ from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.norm_quantiles import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError

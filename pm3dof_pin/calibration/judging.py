@@ -17,7 +17,7 @@ from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, 
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
-from pm3dof_pin.errors.norm_quantiles import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements

@@ -217,17 +217,18 @@ def _summary(mapped: ErrorMap) -> dict[str, Any]:
 
 
 def _allocation(mapped: ErrorMap, target: float, coverage: float | None) -> dict[str, Any]:
-    from pm3dof_pin.errors.tolerances import equal_contributions, least_cost
+    from pm3dof_pin.errors.tolerances import Rule, allocate_tolerances
+
+    def tolerances(rule: Rule, *, compensated: bool = False) -> dict[str, float]:
+        return allocate_tolerances(mapped, target, rule, compensated=compensated, coverage=coverage).tolerances
 
     return {
         "target_m": target,
         "coverage": "rms" if coverage is None else coverage,
         "tolerances_are": "standard deviations" if mapped.distribution == "normal" else "half widths",
-        "equal_contributions": equal_contributions(mapped, target, coverage=coverage).tolerances,
-        "least_cost": least_cost(mapped, target, coverage=coverage).tolerances,
-        "least_cost_with_corrected_commands": least_cost(
-            mapped, target, compensated=True, coverage=coverage
-        ).tolerances,
+        "equal_contributions": tolerances("equal_contributions"),
+        "least_cost": tolerances("least_cost"),
+        "least_cost_with_corrected_commands": tolerances("least_cost", compensated=True),
     }
 
 

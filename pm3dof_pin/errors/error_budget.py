@@ -22,7 +22,7 @@ import numpy as np
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
 from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART, control_basis, least_sensitive
-from pm3dof_pin.errors.expected_norm import expected_norm
+from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
 from pm3dof_pin.exceptions import InvalidValueError

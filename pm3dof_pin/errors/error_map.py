@@ -15,8 +15,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
-from pm3dof_pin.errors.expected_norm import expected_norm
-from pm3dof_pin.errors.norm_quantiles import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import expected_norm, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
 from pm3dof_pin.exceptions import InvalidValueError

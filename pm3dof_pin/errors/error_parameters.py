@@ -17,6 +17,7 @@ from pm3dof_pin.description.error_file import AXES, ErrorFile, read_error_file
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
 Motion = Literal["translation", "rotation"]
@@ -278,24 +279,22 @@ class GeometricErrors:
         return self._index[name]
 
 
-def all_parameters(
-    robot: Robot, *, length_tolerance: float = LENGTH_TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE
-) -> tuple[GeometricParameter, ...]:
+def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
     """Return everything that can sit wrong: six parameters for each joint and for the tool, and the closure points.
 
     A closure point (3d) has three, a closure frame (6d) six. A frame that is a moving link itself has none of its own,
     nor has a joint with six degrees of freedom. Classes: "legs" for what does not carry the tool, "tool_chain" for the
-    joints that do, "platform" for closure frames on them, "tool" for the tool frame. Tolerances are in m and rad.
+    joints that do, "platform" for closure frames on them, "tool" for the tool frame.
     """
     model = robot.model
     carriers = set(model.supports[model.frames[robot.tool_frame_id].parentJoint]) if robot.tool_frame else set()
-    tolerances = {"translation": length_tolerance, "rotation": angle_tolerance}
+    tolerances = {"translation": LENGTH_TOLERANCE, "rotation": ANGLE_TOLERANCE}
     parameters: dict[str, GeometricParameter] = {}
 
     def add(place: str, group: str, motions: Sequence[Motion]) -> None:
         for motion in motions:
             for axis in AXES:
-                parameter = _parameter(place, motion, axis, _unit_vector(axis), group, tolerances[motion])
+                parameter = _parameter(place, motion, axis, unit_vector(axis), group, tolerances[motion])
                 parameters.setdefault(parameter.name, parameter)
 
     for index, joint in enumerate(model.joints):
@@ -335,7 +334,8 @@ def _parameter(
     return GeometricParameter(f"{place}.{motion[0]}{label}", place, motion, axis, group, tolerance)
 
 
-def _unit_vector(axis: str) -> tuple[float, float, float]:
+def unit_vector(axis: str) -> tuple[float, float, float]:
+    """Return the unit vector along an axis, "x", "y" or "z"."""
     x, y, z = (float(axis == name) for name in AXES)
     return (x, y, z)
 
@@ -357,7 +357,7 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
 def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the directions that a word of the file stands for, with their labels."""
     if word in AXES:
-        return [(word, _unit_vector(word))]
+        return [(word, unit_vector(word))]
     if not robot.model.existJointName(place):
         raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":
@@ -406,7 +406,17 @@ def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
     return bool(frames[entry.parentFrame].type == pin.FrameType.FIXED_JOINT and entry.parentFrame > 0)
 
 
-def frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
+def moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
+    """Return the joints and the frames, by index, that move with a place; all frames on these joints do too."""
+    model = mechanism.model
+    frames = [] if model.existJointName(place) else _frame_and_descendants(model, mechanism.frame_id(place))
+    roots = {model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT}
+    if model.existJointName(place):
+        roots = {model.getJointId(place)}
+    return {j for j in range(1, model.njoints) if roots.intersection(model.supports[j])}, set(frames)
+
+
+def _frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
     """Return the frames that hang on a frame, itself first; joints and what they carry are among them."""
     found = [frame]
     for index in range(frame + 1, model.nframes):
@@ -419,7 +429,7 @@ def _displace_frame(model: pin.Model, frame: int, displacement: pin.SE3) -> None
     """Move a frame, and what hangs on the same body beyond it, by a displacement in the frame's axes."""
     placement = model.frames[frame].placement.copy()
     body, moved = model.frames[frame].parentJoint, placement * displacement * placement.inverse()
-    for index in frame_and_descendants(model, frame):
+    for index in _frame_and_descendants(model, frame):
         entry = model.frames[index]
         if entry.type == pin.FrameType.JOINT and model.parents[entry.parentJoint] == body:
             model.jointPlacements[entry.parentJoint] = moved * model.jointPlacements[entry.parentJoint]

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from pm3dof_pin.errors.error_budget import error_budget
-from pm3dof_pin.errors.expected_norm import mean_radius
+from pm3dof_pin.errors.normal_vectors import mean_radius
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources

@@ -138,9 +138,8 @@ def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
     axis = np.array(parameter.axis)
     is_joint = model.existJointName(place)
     if is_joint and place in robot.actuated_joints:
-        prismatic = bool(np.any(model.joints[model.getJointId(place)].createData().S[:3]))
         along = abs(robot.joint_axis(place)[int(np.argmax(np.abs(axis)))]) > 1.0 / np.sqrt(3.0)
-        if along and parameter.motion == ("translation" if prismatic else "rotation"):
+        if along and parameter.unit == robot.single_joint(place).unit:
             return "zero of a drive"
     if place == robot.tool_frame:
         return "tool"

@@ -20,7 +20,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_choice
-from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
+from pm3dof_pin.errors.error_parameters import GeometricErrors, moved_by
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
@@ -161,7 +161,9 @@ class _Loops:
         self._model = poses.robot.model
         self._joints, twists = _tree(self._model, poses.q)
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
-        self._beyond = {place: self._carried(place) for place in dict.fromkeys(p.place for p in errors.parameters)}
+        self._beyond = {
+            place: moved_by(self._robot, place) for place in dict.fromkeys(p.place for p in errors.parameters)
+        }
 
     def strains(self, *, tool_at_rest: bool = True) -> Array:
         """Return how far the loops cannot follow each error, scaled, at the worst pose, shape=(errors,)."""
@@ -233,18 +235,6 @@ class _Loops:
     def _frame(self, frame: int) -> Array:
         entry = self._model.frames[frame]
         return np.asarray(self._joints[:, entry.parentJoint] @ entry.placement.homogeneous)
-
-    def _carried(self, place: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the joints and the frames that move with a place."""
-        model = self._model
-        frames: list[int] = []
-        if model.existJointName(place):
-            roots = [model.getJointId(place)]
-        else:
-            frames = frame_and_descendants(model, self._robot.frame_id(place))
-            roots = [model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT]
-        joints = [j for j in range(1, model.njoints) if any(root in list(model.supports[j]) for root in roots)]
-        return np.array(joints, dtype=np.intp), np.array(frames, dtype=np.intp)
 
     def _carriers(self, frame: int) -> Array:
         """Tell which columns move a frame, 1 or 0, shape=(nv + number of errors,)."""

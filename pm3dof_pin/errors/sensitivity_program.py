@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
-from pm3dof_pin.errors.error_parameters import GeometricErrors, frame_and_descendants
+from pm3dof_pin.errors.error_parameters import GeometricErrors, moved_by
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
@@ -144,18 +143,10 @@ def _place(tree: Tree, place: str) -> Placement:
 def _moved(tree: Tree, place: str) -> frozenset[str]:
     """Return which frames of the closures and the tool move with a place."""
     mechanism, model = tree.mechanism, tree.mechanism.model
-    frames: list[int] = []
-    if model.existJointName(place):
-        roots = [model.getJointId(place)]
-    else:
-        frames = frame_and_descendants(model, mechanism.frame_id(place))
-        roots = [model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT]
-    names = geometry.frame_names(mechanism)
-    ids = {name: mechanism.frame_id(name) for name in names}
+    joints, frames = moved_by(mechanism, place)
+    ids = {name: mechanism.frame_id(name) for name in geometry.frame_names(mechanism)}
     return frozenset(
-        name
-        for name, index in ids.items()
-        if index in frames or any(root in list(model.supports[model.frames[index].parentJoint]) for root in roots)
+        name for name, index in ids.items() if index in frames or model.frames[index].parentJoint in joints
     )
 
 

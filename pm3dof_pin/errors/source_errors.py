@@ -6,7 +6,7 @@ deviation, each of which moves the tool along some twist. All sources are of thi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -20,6 +20,7 @@ from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import (
     Bending,
@@ -29,7 +30,7 @@ from pm3dof_pin.errors.thermal_growth import (
     displacement_names,
     translation_errors,
 )
-from pm3dof_pin.errors.vibration import Vibration, covariance_root
+from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import beside_guideways
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -45,6 +46,7 @@ GREATEST_VIBRATION = 3.0
 """Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
 
 _LINKS_SHARE = 0.5  # of the screws' rise
+_HALF_WIDTH = float(np.sqrt(3.0))  # of a uniform distribution, in standard deviations
 _ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
 
@@ -191,7 +193,7 @@ class ErrorSources:
     @property
     def geometry_factor(self) -> float:
         """How many standard deviations a tolerance of the geometry is."""
-        return float(np.sqrt(3.0)) if self.distribution == "uniform" else 1.0
+        return _HALF_WIDTH if self.distribution == "uniform" else 1.0
 
     @cached_property
     def slides(self) -> Array:
@@ -209,21 +211,21 @@ class _SourcesAtPoses:
         self._moved = sensitivities(sources.others, poses)
         self._by_drives = self._moved.commands * self._scales  # by the drives' joints
 
-    def of(self, error_class: ErrorClass) -> list[SourceErrors]:
+    def of(self, error_class: ErrorClass) -> Iterator[SourceErrors]:
         """Return the sources of a class that the robot has."""
-        found: dict[ErrorClass, Callable[[], list[SourceErrors | None]]] = {
-            "kinematic parameters": lambda: [*self._geometry(), self._waviness()],
-            "thermal": lambda: [*self._thermal()],
-            "stiffness": lambda: [*self._stiffness()],
-            "drives": lambda: [*self._drives(), self._drift_of_zeros()],
-            "vibration": lambda: [*self._vibration()],
+        found: dict[ErrorClass, Callable[[], Iterator[SourceErrors]]] = {
+            "kinematic parameters": self._kinematic,
+            "thermal": self._thermal,
+            "stiffness": self._stiffness,
+            "drives": self._drives,
+            "vibration": self._vibration,
         }
-        return [source for source in found[error_class]() if source is not None]
+        return found[error_class]()
 
     def _source(
         self,
-        name: str,
         error_class: ErrorClass,
+        name: str,
         long_name: str,
         *,
         effects: Array | None = None,
@@ -234,99 +236,76 @@ class _SourcesAtPoses:
         count = len(self._poses)
         columns = np.zeros((count, 6, 0)) if effects is None else effects
         sizes = np.broadcast_to(np.asarray(greatest, dtype=float), columns.shape[2])
-        return SourceErrors(
-            name,
-            error_class,
-            long_name,
-            repeats,
-            np.zeros((count, 6)) if shift is None else shift,
-            columns,
-            sizes,
-        )
+        shift = np.zeros((count, 6)) if shift is None else shift
+        return SourceErrors(name, error_class, long_name, repeats, shift, columns, sizes)
 
-    def _geometry(self) -> list[SourceErrors]:
-        errors, factor = self._sources.errors, self._sources.geometry_factor
-        if not len(errors):
-            return []
-        effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
-        return [
-            self._source(
-                f"geometry_{group}",
-                "kinematic parameters",
-                f"manufacturing and assembly: {group.replace('_', ' ')}",
-                effects=effects[:, :, errors.indices(group)],
-                greatest=factor,
-            )
-            for group in errors.groups
-        ]
-
-    def _waviness(self) -> SourceErrors | None:
-        numbers, slides = self._numbers.waviness, self._sources.slides
-        waves = len(numbers.lengths_m)
-        if not slides.any() or not waves or not (numbers.pitch_m or numbers.straightness_m):
-            return None
-        scatter, most = _of_waves(waves)
-        along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
-        beside = self._others("waviness") * (numbers.straightness_m * scatter)
+    def _uniform(
+        self, error_class: ErrorClass, name: str, long_name: str, reach: Array, *, repeats: bool = True
+    ) -> SourceErrors:
+        """A source of uniform numbers, `reach` being what each does at its greatest value."""
         return self._source(
-            "waviness",
-            "kinematic parameters",
-            "guides and screws, waving along their travel",
-            effects=np.concatenate([along, beside], axis=2),
-            greatest=most,
+            error_class, name, long_name, effects=reach / _HALF_WIDTH, greatest=_HALF_WIDTH, repeats=repeats
         )
 
-    def _thermal(self) -> list[SourceErrors]:
+    def _drift(self, error_class: ErrorClass, name: str, long_name: str, per_hour: Array) -> SourceErrors:
+        """A source that grows with time at a rate, either of which is anywhere up to its greatest value."""
+        effects = per_hour * (self._numbers.drift.hours / 3.0)
+        return self._source(error_class, name, long_name, effects=effects, greatest=3.0, repeats=False)
+
+    def _kinematic(self) -> Iterator[SourceErrors]:
+        errors, factor = self._sources.errors, self._sources.geometry_factor
+        if len(errors):
+            effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
+            for group in errors.groups:
+                words = f"manufacturing and assembly: {group.replace('_', ' ')}"
+                yield self._source(
+                    "kinematic parameters",
+                    f"geometry_{group}",
+                    words,
+                    effects=effects[:, :, errors.indices(group)],
+                    greatest=factor,
+                )
+        numbers, slides = self._numbers.waviness, self._sources.slides
+        if slides.any() and numbers.lengths_m and (numbers.pitch_m or numbers.straightness_m):
+            scatter, most = _of_waves(len(numbers.lengths_m))
+            along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
+            beside = self._others("waviness") * (numbers.straightness_m * scatter)
+            effects = np.concatenate([along, beside], axis=2)
+            yield self._source(
+                "kinematic parameters",
+                "waviness",
+                "guides and screws, waving along their travel",
+                effects=effects,
+                greatest=most,
+            )
+
+    def _thermal(self) -> Iterator[SourceErrors]:
         growth, sources, drift = self._sources.thermal_growth, self._sources, self._numbers.drift
         offsets = np.array([command.offset for command in self._robot.commands])
         travels = (self._poses.commands - offsets) / self._scales
         per_kelvin = np.where(sources.slides, growth.travel_errors(travels, np.ones_like(travels)), 0.0)
         by_screw = self._by_drives * per_kelvin[:, None, :]
-        together = by_screw.sum(axis=2)
-        members = growth.growth_per_kelvin(self._robot)
-        if members:
-            amounts = [members[self._plain_name(name)] for name in self._names("thermal")]
-            together = together + self._others("thermal") @ amounts
-        found = []
+        together = by_screw.sum(axis=2, keepdims=True)
+        if members := growth.growth_per_kelvin(self._robot):
+            amounts = np.array([members[name.split(" ", 1)[1]] for name in self._names("thermal")])
+            together = together + self._others("thermal") @ amounts[:, None]
         if together.any() and sources.rise:
-            found.append(
-                self._source(
-                    "thermal_growth",
-                    "thermal",
-                    "growth of screws and members with the mean temperature",
-                    effects=together[:, :, None] * (sources.rise / np.sqrt(3.0)),
-                    greatest=np.sqrt(3.0),
-                )
-            )
+            words = "growth of screws and members with the mean temperature"
+            yield self._uniform("thermal", "thermal_growth", words, together * sources.rise)
         if together.any() and drift.warming_K_per_h * drift.hours:
-            per_hour = together[:, :, None] * drift.warming_K_per_h
-            found.append(self._drift("thermal_drift", "thermal", "warming in the course of the job", per_hour))
-        between = self._numbers.thermal.between_drives_K
-        if between and by_screw.any() and by_screw.shape[2] > 1:
+            yield self._drift(
+                "thermal", "thermal_drift", "warming in the course of the job", together * drift.warming_K_per_h
+            )
+        between, count = self._numbers.thermal.between_drives_K, by_screw.shape[2]
+        if between and by_screw.any() and count > 1:
             # independent rises less their mean, which is the source above
-            count = by_screw.shape[2]
             differences = by_screw @ (np.eye(count) - 1.0 / count)
-            found.append(
-                self._source(
-                    "thermal_gradient",
-                    "thermal",
-                    "screws warmer or colder than their mean",
-                    effects=differences * (between / np.sqrt(3.0)),
-                    greatest=np.sqrt(3.0),
-                )
+            yield self._uniform(
+                "thermal", "thermal_gradient", "screws warmer or colder than their mean", differences * between
             )
         bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
         if bent.any():
-            found.append(
-                self._source(
-                    "thermal_bending",
-                    "thermal",
-                    "members bent by gradients across them",
-                    effects=bent / np.sqrt(3.0),
-                    greatest=np.sqrt(3.0),
-                )
-            )
-        return found
+            yield self._uniform("thermal", "thermal_bending", "members bent by gradients across them", bent)
 
     def _bent(self) -> Array:
         """What each kelvin across each member does, over its expansion, shape=(n, 6, 2 members that bend)."""
@@ -345,29 +324,15 @@ class _SourcesAtPoses:
                         columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))
 
-    def _drift_of_zeros(self) -> SourceErrors | None:
-        drift = self._numbers.drift
-        rates = np.where(self._sources.slides, drift.zeros_m_per_h, drift.zeros_rad_per_h)
-        if not (rates.any() and drift.hours):
-            return None
-        return self._drift("drift", "drives", "zeros of the drives drifting during the job", self._by_drives * rates)
-
-    def _drift(self, name: str, error_class: ErrorClass, long_name: str, per_hour: Array) -> SourceErrors:
-        """A source that grows with time at a rate, either of which is anywhere up to its greatest value."""
-        effects = per_hour * (self._numbers.drift.hours / 3.0)
-        return self._source(name, error_class, long_name, effects=effects, greatest=3.0, repeats=False)
-
-    def _stiffness(self) -> list[SourceErrors]:
+    def _stiffness(self) -> Iterator[SourceErrors]:
         if not self._robot.springs:
-            return []
-        load, sources, found = self._numbers.load, self._sources, []
+            return
+        load, sources = self._numbers.load, self._sources
         weight = ElasticDeflection(load.own_weight, load.payload_kg, sources.large)
         under_weight = np.zeros((len(self._poses), 6))
         if load.own_weight or load.payload_kg:
             under_weight = weight.displacements(self._poses)
-            found.append(
-                self._source("weight", "stiffness", "deflection under weight, and the payload's", shift=under_weight)
-            )
+            yield self._source("stiffness", "weight", "deflection under weight, and the payload's", shift=under_weight)
         if sources.wrench.any():
             wrenches = np.tile(sources.wrench, (len(self._poses), 1))
             if sources.large:
@@ -375,52 +340,28 @@ class _SourcesAtPoses:
             else:
                 deflection = ElasticDeflection(own_weight=False).displacements(self._poses, wrenches)
             size = "large" if sources.large else "small"
-            found.append(
-                self._source("wrench", "stiffness", f"deflection under the wrench at work ({size})", shift=deflection)
-            )
-        return found
+            yield self._source("stiffness", "wrench", f"deflection under the wrench at work ({size})", shift=deflection)
 
-    def _drives(self) -> list[SourceErrors | None]:
-        numbers, slides = self._numbers.drives, self._sources.slides
+    def _drives(self) -> Iterator[SourceErrors]:
+        numbers, slides, drift = self._numbers.drives, self._sources.slides, self._numbers.drift
         backlash = np.where(slides, numbers.backlash_m, numbers.backlash_rad)
         step = np.where(slides, numbers.encoder_step_m, numbers.encoder_step_rad)
-        found: list[SourceErrors | None] = []
         if backlash.any():
-            found.append(
-                self._source(
-                    "backlash",
-                    "drives",
-                    "backlash of the drives",
-                    effects=self._by_drives * (0.5 * backlash),
-                    repeats=False,
-                )
-            )
+            effects = self._by_drives * (0.5 * backlash)
+            yield self._source("drives", "backlash", "backlash of the drives", effects=effects, repeats=False)
         if step.any():
-            found.append(
-                self._source(
-                    "encoder",
-                    "drives",
-                    "steps of the encoders",
-                    effects=self._by_drives * (step / np.sqrt(12.0)),
-                    greatest=np.sqrt(3.0),
-                    repeats=False,
-                )
+            yield self._uniform(
+                "drives", "encoder", "steps of the encoders", self._by_drives * (0.5 * step), repeats=False
             )
-        found.append(self._servo())
+        yield from self._servo()
         if self._names("clearance"):
-            found.append(
-                self._source(
-                    "clearance",
-                    "drives",
-                    "clearance of passive joints",
-                    effects=self._others("clearance") * (self._numbers.clearance.play_m / np.sqrt(3.0)),
-                    greatest=np.sqrt(3.0),
-                    repeats=False,
-                )
-            )
-        return found
+            reach = self._others("clearance") * self._numbers.clearance.play_m
+            yield self._uniform("drives", "clearance", "clearance of passive joints", reach, repeats=False)
+        rates = np.where(slides, drift.zeros_m_per_h, drift.zeros_rad_per_h)
+        if rates.any() and drift.hours:
+            yield self._drift("drives", "drift", "zeros of the drives drifting during the job", self._by_drives * rates)
 
-    def _servo(self) -> SourceErrors | None:
+    def _servo(self) -> Iterator[SourceErrors]:
         """Drives that follow with an error as large as their load over the servo's stiffness."""
         numbers, slides = self._numbers.drives, self._sources.slides
         stiffness = np.array(
@@ -430,7 +371,7 @@ class _SourcesAtPoses:
             ]
         )
         if np.isinf(stiffness).all():
-            return None
+            return
         load = self._numbers.load
         wrench = self._sources.wrench.copy()
         wrench[:3] += load.payload_kg * self._robot.model.gravity.linear
@@ -438,30 +379,24 @@ class _SourcesAtPoses:
         if load.own_weight:
             pushed -= actuator_forces(self._robot, self._poses)
         shift = np.einsum("nij,nj->ni", self._by_drives, pushed / stiffness)
-        return self._source("servo", "drives", "servos giving way under weight and wrench", shift=shift)
+        yield self._source("drives", "servo", "servos giving way under weight and wrench", shift=shift)
 
-    def _vibration(self) -> list[SourceErrors]:
+    def _vibration(self) -> Iterator[SourceErrors]:
         vibration = self._sources.vibration
-        if vibration is None:
-            return []
         words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, by the floor"}
-        return [
-            self._source(
-                f"vibration_{cause}",
+        for cause, covariance in ({} if vibration is None else vibration.covariances_by_cause(self._poses)).items():
+            effects = covariance_root(covariance)
+            yield self._source(
                 "vibration",
+                f"vibration_{cause}",
                 words[cause],
-                effects=covariance_root(covariance),
+                effects=effects,
                 greatest=GREATEST_VIBRATION,
                 repeats=False,
             )
-            for cause, covariance in vibration.covariances_by_cause(self._poses).items()
-        ]
 
     def _names(self, group: str) -> list[str]:
         return [parameter.name for parameter in self._sources.others.parameters if parameter.group == group]
-
-    def _plain_name(self, name: str) -> str:
-        return name.split(" ", 1)[1]
 
     def _others(self, group: str) -> Array:
         chosen = [k for k, parameter in enumerate(self._sources.others.parameters) if parameter.group == group]

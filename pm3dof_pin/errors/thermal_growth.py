@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import AXES
-from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, unit_vector
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Vector
@@ -102,13 +102,14 @@ def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple
     Raises:
         FrameNotFoundError: the robot has no such joint or frame.
     """
-    parameters = []
+    places = list(places)
     for place in places:
         _placement_on_body(robot, place)
-        for k, axis in enumerate(AXES):
-            x, y, z = np.eye(3)[k].tolist()
-            parameters.append(GeometricParameter(f"{place}.t{axis}", place, "translation", (x, y, z), group, 1.0))
-    return tuple(parameters)
+    return tuple(
+        GeometricParameter(f"{place}.t{axis}", place, "translation", unit_vector(axis), group, 1.0)
+        for place in places
+        for axis in AXES
+    )
 
 
 def displacement_names(place: str) -> list[str]:

@@ -20,13 +20,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.source_numbers import Spectrum, VibrationNumbers
 from pm3dof_pin.dynamics.modes import Modes, natural_modes
 from pm3dof_pin.elastic.batch import elastic_model
-from pm3dof_pin.exceptions import FreeDirectionError, InvalidValueError
+from pm3dof_pin.errors.normal_vectors import correlated_normal
+from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
@@ -48,22 +47,6 @@ class Vibration:
     drive_sigma: float = 0.0  #: standard deviation of each drive's coordinate [m, rad]
     spectra: VibrationNumbers | None = None  #: what shakes the natural modes besides, at each pose; None for nothing
     payloads: Payloads | None = None  #: bodies fixed to frames that vibrate with the machine
-
-    @classmethod
-    def from_spectrum(
-        cls, frequencies: ArrayLike, amplitudes: ArrayLike, *, averaging_time: float = 0.0, drive_sigma: float = 0.0
-    ) -> Vibration:
-        """Make a vibration out of lines [Hz] of a spectrum of the tool, shape=(k, 6) [m, rad], with random phases.
-
-        Averaging over a time T [s] leaves sin(pi f T) / (pi f T) of a line at f.
-
-        Raises:
-            InvalidValueError: lines of different number or that are not finite.
-        """
-        lines = finite_array("amplitudes", amplitudes, (np.size(frequencies), 6))
-        left = np.sinc(finite_array("frequencies", frequencies, (len(lines),)) * averaging_time)
-        reduced = lines * left[:, None]
-        return cls(0.5 * reduced.T @ reduced, drive_sigma)
 
     def tool_displacements(self, poses: Poses, generator: np.random.Generator) -> Matrix:
         """Draw displacements of the tool at n poses, those of the drives left out, shape=(n, 6) [m, rad]."""
@@ -129,27 +112,6 @@ def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Mat
         bands = sum(level * (b - a) for level, a, b in zip(spectrum.levels, logarithms, logarithms[1:], strict=False))
         products += (residue * bands).real
     return products / (2.0 * np.pi)
-
-
-def correlated_normal(covariance: ArrayLike, count: int, generator: np.random.Generator) -> Matrix:
-    """Draw normal vectors, shape=(count, k), of a covariance as :func:`covariance_root` takes."""
-    root = covariance_root(np.asarray(covariance, dtype=float))
-    draws: Matrix = generator.standard_normal((count, len(root))) @ root.T
-    return draws
-
-
-def covariance_root(covariance: Array) -> Array:
-    """Return A with A A^T a covariance, which may be singular, shape=(..., k, k).
-
-    Raises:
-        InvalidValueError: the covariance is not symmetric and positive semidefinite.
-    """
-    scale = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
-    unit = np.where(scale > 0.0, scale, 1.0)
-    values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
-    if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:
-        raise InvalidValueError("covariance", covariance.tolist(), "a symmetric positive semidefinite matrix")
-    return np.asarray(unit[..., :, None] * axes * np.sqrt(values.clip(min=0.0))[..., None, :])
 
 
 class _Forcing:

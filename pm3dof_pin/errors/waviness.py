@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.description.source_numbers import Waviness
 from pm3dof_pin.errors.error_parameters import GeometricParameter, across_directions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
@@ -57,26 +58,19 @@ class GuideWaviness:
         return offsets
 
     @classmethod
-    def random(
-        cls,
-        drives: int,
-        generator: np.random.Generator,
-        *,
-        pitch_amplitude: float = 3e-6,
-        straightness_amplitude: float = 3e-6,
-        lengths: Sequence[float] = (0.12, 0.05, 0.02),
-    ) -> GuideWaviness:
-        """Draw waves of lengths [m] with random phases; amplitudes along and across are standard deviations [m]."""
+    def random(cls, drives: int, generator: np.random.Generator) -> GuideWaviness:
+        """Draw waves with random phases, of the lengths and amplitudes that an error file has by default."""
+        numbers = Waviness()
 
         def waves(amplitude: float) -> tuple[Wave, ...]:
             return tuple(
                 Wave(amplitude * generator.standard_normal(), length, generator.uniform(0.0, 2.0 * np.pi))
-                for length in lengths
+                for length in numbers.lengths_m
             )
 
         return cls(
-            tuple(waves(pitch_amplitude) for _ in range(drives)),
-            tuple((waves(straightness_amplitude), waves(straightness_amplitude)) for _ in range(drives)),
+            tuple(waves(numbers.pitch_m) for _ in range(drives)),
+            tuple((waves(numbers.straightness_m), waves(numbers.straightness_m)) for _ in range(drives)),
         )
 
 

@@ -17,10 +17,11 @@ from pm3dof_pin.errors.error_parameters import (
     GeometricErrors,
     all_parameters,
 )
+from pm3dof_pin.errors.normal_vectors import correlated_normal
 from pm3dof_pin.errors.pose_error import moved_pose
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
-from pm3dof_pin.errors.vibration import Vibration, correlated_normal
+from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness, beside_guideways
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses

@@ -18,7 +18,7 @@ from pm3dof_pin.calibration.planning import order_with_references
 from pm3dof_pin.calibration.repeatability import drift_and_hysteresis
 from pm3dof_pin.calibration.verdict import Verdict, verdict
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.norm_quantiles import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.calibration_report import report_as_html

@@ -19,7 +19,7 @@ from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_budget import TOGETHER, ErrorBudget, error_budget
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.expected_norm import expected_norm
+from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import energy, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.source_errors import ErrorSources, SourceErrors, numbers_of
 from pm3dof_pin.errors.waviness import GuideWaviness

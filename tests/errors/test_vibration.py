@@ -10,7 +10,8 @@ import scipy.linalg
 import pm3dof_pin as pm
 from pm3dof_pin.description.source_numbers import Spectrum, VibrationNumbers
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.errors.vibration import CAUSES, Vibration, covariance_root, response_products
+from pm3dof_pin.errors.normal_vectors import covariance_root
+from pm3dof_pin.errors.vibration import CAUSES, Vibration, response_products
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
