@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.report import cartesian_compliance

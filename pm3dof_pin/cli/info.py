@@ -161,11 +161,11 @@ def _closures(robot: Robot) -> dict[str, Any]:
 def _mobility(robot: Robot) -> dict[str, Any]:
     """Count degrees of freedom at home; nothing of it is known where the loops are open."""
     from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+    from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 
     keys = ("mobility", "tool_mobility", "redundant_constraints", "free_degrees_of_freedom", "idle_degrees_of_freedom")
     try:
-        dof = DegreesOfFreedom(robot.home, RANK_TOLERANCE)
+        dof = DegreesOfFreedom(robot.home)
     except InvalidValueError:
         return dict.fromkeys(keys)
     has_tool = robot.tool_frame is not None

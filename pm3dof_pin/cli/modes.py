@@ -13,7 +13,7 @@ from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
-    from pm3dof_pin.dynamics import Modes
+    from pm3dof_pin.dynamics.modes import Modes
     from pm3dof_pin.typing import Vector
 
 
@@ -32,7 +32,8 @@ def modes(
     """
     import numpy as np
 
-    from pm3dof_pin.dynamics import natural_frequencies, natural_modes
+    from pm3dof_pin.dynamics.batch import natural_frequencies
+    from pm3dof_pin.dynamics.modes import natural_modes
     from pm3dof_pin.elastic.elastic_model import ElasticModel
 
     machine = which.load()

@@ -10,7 +10,7 @@ from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
-    from pm3dof_pin.dynamics import ActuatorForces
+    from pm3dof_pin.dynamics.force_balance import ActuatorForces
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.typing import Array
@@ -28,7 +28,7 @@ def statics(
     first one: for the legs of pm3dof, that of a link on the platform, z along the link. A pose that breaks a joint
     limit is still answered, with a message and exit status 1.
     """
-    from pm3dof_pin.dynamics import holding_forces
+    from pm3dof_pin.dynamics.statics import holding_forces
 
     machine = which.load()
     payloads = payloads_of(machine, payload)
@@ -49,7 +49,7 @@ def statics(
 def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str, Array]:
     import numpy as np
 
-    from pm3dof_pin.dynamics import actuator_forces
+    from pm3dof_pin.dynamics.batch import actuator_forces
 
     forces = np.full((len(poses), len(robot.actuated_joints)), np.nan)
     forces[poses.solved] = actuator_forces(robot, poses.q[poses.solved], payloads=payloads)

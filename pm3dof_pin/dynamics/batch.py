@@ -34,7 +34,7 @@ def actuator_forces(
 
     Example:
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.dynamics import actuator_forces
+        >>> from pm3dof_pin.dynamics.batch import actuator_forces
         >>> robot = pm.load("pm3dof")
         >>> actuator_forces(robot, robot.solve(robot.grid(z_e=(0.45, 0.55, 3)))).round(3)[1]
         array([5.998, 5.998, 5.998])

@@ -8,7 +8,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen, listed
 from pm3dof_pin.exceptions import ConvergenceError, SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Vector
@@ -40,9 +40,7 @@ class ActuatorForces:
     unbalanced_idle: bool = False
 
 
-def balance(
-    configuration: Configuration, load: Vector, *, reference: float, tolerance: float = RANK_TOLERANCE
-) -> ActuatorForces:
+def balance(configuration: Configuration, load: Vector, *, reference: float) -> ActuatorForces:
     """Solve A^T f + G^T lambda = load for the forces of the actuators and of the loop closures.
 
     A picks the actuated joints' rates out of v, G is the constraint Jacobian. With Z a basis of the motions that keep
@@ -56,7 +54,7 @@ def balance(
         InvalidValueError: the loops are not closed.
     """
     mechanism = configuration.mechanism
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     scaled = dof.scale * load
     rounding = BALANCE_TOLERANCE * (reference + float(np.linalg.norm(scaled)))
     idle = dof.idle.motions if mechanism.tool_frame is not None else dof.at_actuators.motions[:, :0]
@@ -65,7 +63,7 @@ def balance(
     work = float(np.linalg.norm(dof.at_actuators.motions.T @ scaled))
     if work > rounding:
         raise SingularConfigurationError(
-            f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, dof, tolerance)}; "
+            f"{mechanism.name}: no actuator forces balance the load: {_name(configuration, dof)}; "
             f"residual {work / mechanism.characteristic_length:.3e} N; at q = {listed(configuration.q)}"
         )
     actuators = dof.at_actuators.inverse.T @ scaled
@@ -82,14 +80,14 @@ def balance(
     )
 
 
-def _name(configuration: Configuration, dof: DegreesOfFreedom, tolerance: float) -> str:
+def _name(configuration: Configuration, dof: DegreesOfFreedom) -> str:
     """Say what is wrong with a configuration whose actuated joints do not hold it."""
     count = dof.at_actuators.motions.shape[1]
     free = f"{count} degree{'s' if count > 1 else ''} of freedom left with the actuated joints at rest"
     if configuration.mechanism.tool_frame is None:
         return free
     try:
-        kinds = [singularity.type for singularity in singularities(configuration, tolerance=tolerance)]
+        kinds = [singularity.type for singularity in singularities(configuration)]
     except ConvergenceError:
         return free
     return f"{' and '.join(kinds)} singularity, {free}" if kinds else free

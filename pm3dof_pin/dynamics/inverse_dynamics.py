@@ -14,7 +14,7 @@ from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Matrix, Vector
@@ -51,7 +51,6 @@ def inverse_dynamics(
     joints: Iterable[str] | None = None,
     payloads: Payloads | None = None,
     wrenches: Wrenches | None = None,
-    tolerance: float = RANK_TOLERANCE,
 ) -> InverseDynamics:
     """Compute the actuator forces of a motion, given by some joints' rates and accelerations.
 
@@ -75,7 +74,6 @@ def inverse_dynamics(
             actuated joints by default.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
         wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: the joints do not determine the motion, or no actuator forces drive it.
@@ -87,7 +85,7 @@ def inverse_dynamics(
     """
     mechanism = configuration.mechanism
     mechanism.require_possible_inertias()
-    motion = loop_motion(configuration, rates, accelerations, joints=joints, tolerance=tolerance)
+    motion = loop_motion(configuration, rates, accelerations, joints=joints)
     model = model_with_payloads(mechanism, payloads)
     external = generalised_forces(configuration, wrenches)
     load = pin.rnea(model, model.createData(), np.array(configuration.q), motion.velocity, motion.acceleration)
@@ -99,7 +97,7 @@ def inverse_dynamics(
         load = load + mass @ free
     reference = weight_scale(model, mechanism.characteristic_length)
     reference += float(np.linalg.norm(mechanism.velocity_scale * external))
-    forces = balance(configuration, load, reference=reference, tolerance=tolerance)
+    forces = balance(configuration, load, reference=reference)
     return InverseDynamics(forces, motion.velocity, frozen(motion.acceleration + free))
 
 
@@ -109,7 +107,6 @@ def loop_motion(
     accelerations: ArrayLike,
     *,
     joints: Iterable[str] | None = None,
-    tolerance: float = RANK_TOLERANCE,
 ) -> JointMotion:
     """Compute the motion of all joints from that of some, with the loops kept closed: G v = 0, G dv/dt + dG/dt v = 0.
 
@@ -118,7 +115,6 @@ def loop_motion(
         rates: of the given joints, shape=(number of them,) [m/s, rad/s].
         accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
         joints: single-DoF joints; the actuated joints by default.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: actuated joints or the tool can move while the given joints are at rest.
@@ -130,9 +126,9 @@ def loop_motion(
     mechanism = configuration.mechanism
     names = mechanism.actuated_joints if joints is None else tuple(joints)
     indices = mechanism.velocity_indices(names)
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     given = dof.over(np.eye(len(dof.scale))[indices])
-    if Restriction(dof.actuators_and_tool, given.motions, tolerance).rank.rank > 0:
+    if Restriction(dof.actuators_and_tool, given.motions).rank.rank > 0:
         raise SingularConfigurationError(
             f"{mechanism.name}: actuated joints or the tool can move while {', '.join(names) or 'no joint'} "
             f"are at rest; at q = {listed(configuration.q)}"

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, null_space
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, null_space
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Matrix
@@ -58,7 +58,7 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
         SingularConfigurationError: the tool can move with the actuated joints at rest.
         PM3DofError: see :func:`manifold_mass_matrix`.
     """
-    mechanism, dof = configuration.mechanism, DegreesOfFreedom(configuration, RANK_TOLERANCE)
+    mechanism, dof = configuration.mechanism, DegreesOfFreedom(configuration)
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
     if dof.at_actuators.motions.shape[1] > idle:
         raise SingularConfigurationError(

@@ -21,7 +21,6 @@ from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads
 from pm3dof_pin.typing import Matrix, Vector
@@ -51,7 +50,6 @@ def natural_modes(
     *,
     count: int | None = None,
     payloads: Payloads | None = None,
-    tolerance: float = RANK_TOLERANCE,
 ) -> Modes:
     """Compute the natural modes at a configuration.
 
@@ -66,7 +64,6 @@ def natural_modes(
         configuration: an assembled one, see :meth:`ElasticModel.configuration`.
         count: number of modes to return, from the lowest on; all by default.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         InvalidValueError: the loops are not closed, a payload or `count` is not a valid number, or a length that a
@@ -77,7 +74,7 @@ def natural_modes(
     if count is not None and count < 0:
         raise InvalidValueError("count", count, "a number of modes, not negative")
     elastic = model.configuration(configuration)
-    motions = elastic_motions(model, elastic, tolerance=tolerance)
+    motions = elastic_motions(model, elastic)
     mass = mass_matrix(elastic, payloads=payloads)
     inverse_squares, shapes = _vibrations(motions.elastic, motions.unstrained, mass)
     kept = inverse_squares > NO_MASS * inverse_squares.max(initial=0.0)

@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Vector
@@ -17,7 +16,6 @@ def holding_forces(
     *,
     payloads: Payloads | None = None,
     wrenches: Wrenches | None = None,
-    tolerance: float = RANK_TOLERANCE,
 ) -> ActuatorForces:
     """Compute the forces that hold a configuration against gravity, payloads and wrenches.
 
@@ -35,7 +33,6 @@ def holding_forces(
         configuration: an assembled configuration.
         payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
         wrenches: wrenches [f; m] from outside, by frame, at its origin, world axes, shape=(6,) [N, N m].
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: no actuator forces hold the mechanism, as at a parallel singularity.
@@ -48,7 +45,7 @@ def holding_forces(
     external = generalised_forces(configuration, wrenches)
     reference = weight_scale(model, mechanism.characteristic_length)
     reference += float(np.linalg.norm(mechanism.velocity_scale * external))
-    return balance(configuration, gravity - external, reference=reference, tolerance=tolerance)
+    return balance(configuration, gravity - external, reference=reference)
 
 
 def weight_scale(model: pin.Model, length: float) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import FIRST_STEP, LoadPath, PathStep
-from pm3dof_pin.elastic.loaded import EQUILIBRIUM_TOLERANCE, LoadedEquilibrium
+from pm3dof_pin.elastic.loaded import LoadedEquilibrium
 from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError, InvalidValueError, SingularConfigurationError
@@ -54,28 +54,27 @@ class BucklingSearch:
     end: str  #: why the search ended there
 
 
-def buckling_load(
+def search_buckling(
     model: ElasticModel,
     configuration: Configuration | ArrayLike,
     loads: Loads,
     *,
     permanent: Loads | None = None,
     largest_factor: float | None = None,
-    tolerance: float = EQUILIBRIUM_TOLERANCE,
-    max_steps: int = 60,
-) -> BucklingLoad | None:
-    """Find the first buckling load on the path of equilibria from no loads on.
+) -> BucklingSearch:
+    """Find the first buckling load on the path of equilibria from no loads on, or say how far there is none.
 
     The path is followed by its arc length until the least eigenvalue of Z^T H Z changes its sign, and the bracket is
     closed in on from the nearest point found. An imperfect structure has no bifurcation: it bends away, and its path is
-    followed as it bends.
+    followed as it bends. The search ends at the largest factor, where a spring that stands for a body is deflected
+    further than a body can be, or where the mechanism runs into a dead point.
 
     Example:
         >>> import pm3dof_pin as pm
-        >>> from pm3dof_pin.elastic.buckling import buckling_load
+        >>> from pm3dof_pin.elastic.buckling import search_buckling
         >>> hexapod = pm.ElasticModel.load("hexapod")
         >>> down = pm.Loads(wrenches={"O_e": [0.01, 0.0, -1.0, 0.0, 0.0, 0.0]})
-        >>> found = buckling_load(hexapod, hexapod.rigid.home, down)
+        >>> found = search_buckling(hexapod, hexapod.rigid.home, down).load
         >>> print(f"{found.kind} at {found.factor:.0f} N")
         limit point at 656061 N
 
@@ -86,13 +85,6 @@ def buckling_load(
         permanent: loads that always act in full.
         largest_factor: factor to look up to; by default ten times the linear estimate, or, where the loads add
             stiffness only, ten times the factor at which they double one.
-        tolerance: see :func:`~pm3dof_pin.elastic.loaded.loaded_equilibrium`.
-        max_steps: Newton steps under the permanent loads to give up after.
-
-    Returns:
-        The buckling load, or None if the mechanism is stable up to the largest factor, or until a spring that stands
-        for a body is deflected further than a body can be, or the mechanism runs into a dead point;
-        :func:`search_buckling` says how far that was, and why it ended there.
 
     Raises:
         InvalidValueError: the loads have no potential (a moment that keeps its direction in the world), or see
@@ -101,29 +93,7 @@ def buckling_load(
         ConvergenceError: it has no equilibrium under the permanent loads alone.
         FrameNotFoundError: a load acts on a frame that the model does not have.
     """
-    return search_buckling(
-        model,
-        configuration,
-        loads,
-        permanent=permanent,
-        largest_factor=largest_factor,
-        tolerance=tolerance,
-        max_steps=max_steps,
-    ).load
-
-
-def search_buckling(
-    model: ElasticModel,
-    configuration: Configuration | ArrayLike,
-    loads: Loads,
-    *,
-    permanent: Loads | None = None,
-    largest_factor: float | None = None,
-    tolerance: float = EQUILIBRIUM_TOLERANCE,
-    max_steps: int = 60,
-) -> BucklingSearch:
-    """Find the first buckling load as :func:`buckling_load` does, and say how far it was sought if there is none."""
-    path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
+    path = LoadPath(model, configuration, loads, permanent)
     start = path.unloaded()
     if start.least_eigenvalue <= 0.0:
         raise SingularConfigurationError(

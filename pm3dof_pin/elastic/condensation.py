@@ -64,13 +64,11 @@ class CartesianCompliance:
         model: ElasticModel,
         configuration: Configuration | Vector,
         frame: str,
-        tolerance: float,
         matrices: Matrix | None = None,
     ) -> None:
         self.frame = frame
         self._model = model
         self._given = configuration
-        self._tolerance = tolerance
         self._matrices = matrices  # C and K by the program, where nothing is in doubt
 
     @cached_property
@@ -136,7 +134,7 @@ class CartesianCompliance:
     @cached_property
     def decomposition(self) -> _Decomposition:
         """The decisions on ranks, and what is computed with them."""
-        return _decomposed(self._model, self.configuration, self.frame, self._tolerance)
+        return _decomposed(self._model, self.configuration, self.frame)
 
     @cached_property
     def compliance(self) -> Matrix:
@@ -200,7 +198,6 @@ def condensed(
     configuration: Configuration | ArrayLike,
     *,
     frame: str | None = None,
-    tolerance: float = RANK_TOLERANCE,
 ) -> CartesianCompliance:
     """Compute the elastic behaviour of a frame from Pinocchio's Jacobians and singular values.
 
@@ -208,17 +205,17 @@ def condensed(
     """
     name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
-    report = CartesianCompliance(model, given, name, tolerance)
+    report = CartesianCompliance(model, given, name)
     _ = report.decomposition  # errors come at once
     return report
 
 
-def _decomposed(model: ElasticModel, configuration: Configuration, frame: str, tolerance: float) -> _Decomposition:
-    motions = elastic_motions(model, configuration, tolerance=tolerance)
+def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -> _Decomposition:
+    motions = elastic_motions(model, configuration)
     jacobian = configuration.frame_jacobian(frame)
     twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
     scaled = jacobian / twist_scale[:, None]
-    reference = tolerance * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
+    reference = RANK_TOLERANCE * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
     free, held, free_rank = range_and_complement(scaled @ motions.unstrained, reference)
     moved, rigid, elastic_rank = range_and_complement(held.T @ scaled @ motions.kinematic, reference)
 

@@ -13,7 +13,7 @@ from pm3dof_pin.elastic.directions import direction_names
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import tool_motions
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
@@ -33,9 +33,7 @@ class FreeMotionStiffness:
     stiffness: Matrix  #: symmetric, shape=(p, p) [N/m, N, N m/rad]
 
 
-def free_motion_stiffness(
-    model: ElasticModel, configuration: Configuration, *, tolerance: float = RANK_TOLERANCE
-) -> FreeMotionStiffness:
+def free_motion_stiffness(model: ElasticModel, configuration: Configuration) -> FreeMotionStiffness:
     """Compute the stiffness of the motions that a mechanism is free to make, K = J^T k J with springs k at the drives.
 
     The motions are those of the coordinates that the description declares, if there is one for each of the tool's
@@ -51,7 +49,6 @@ def free_motion_stiffness(
     Args:
         model: the mechanism with its springs.
         configuration: an assembled configuration of the rigid mechanism.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: the motions are not independent there, or the tool moves without them; or it is free
@@ -59,14 +56,14 @@ def free_motion_stiffness(
         DescriptionError: the robot has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    tool = condensed(model, configuration, tolerance=tolerance)
+    tool = condensed(model, configuration)
     coordinates = configuration.mechanism.declared_coordinates
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     if len(coordinates) == dof.at_tool.rank.rank:
         names, units = tuple(c.name for c in coordinates), tuple(c.unit for c in coordinates)
         twists = _coordinate_twists(configuration, dof, coordinates)
     else:
-        twists = tool_motions(configuration, tolerance=tolerance)
+        twists = tool_motions(configuration)
         turns = np.abs(twists[3:]).max(axis=0) > _NO_PART
         twists = twists / np.where(turns, 1.0, np.linalg.norm(twists[:3], axis=0))
         names = tuple(_name(twist) for twist in twists.T)

@@ -31,25 +31,6 @@ class Ellipsoid:
     axes: Array  #: their directions as columns, a right-handed frame, shape=(..., 3, 3)
 
 
-def directional_stiffness(compliance: ArrayLike, direction: ArrayLike, motion: Motion = "translation") -> Array:
-    """Return the stiffness that a probe feels, 1 / (d^T C d), shape=(...): the tool pushed or turned along d.
-
-    It is free in all else. Directions d, shape=(..., 3), are normalised here; a "translation" is by a force along d, a
-    "rotation" by a moment about d.
-
-    Raises:
-        InvalidValueError: a direction of length zero or not finite.
-    """
-    d = np.asarray(direction, dtype=float)
-    length = np.linalg.norm(d, axis=-1, keepdims=True)
-    if not np.all(np.isfinite(length) & (length > 0.0)):
-        raise InvalidValueError("direction", d.tolist(), "finite vectors longer than zero")
-    d = d / length
-    block = _block(compliance, motion)
-    felt: Array = 1.0 / np.einsum("...i,...ij,...j->...", d, block, d)
-    return felt
-
-
 def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", others: OtherMotions = "free") -> Array:
     """Return the 3 x 3 stiffness of the translations or the rotations by themselves [N/m or N m/rad].
 

@@ -106,8 +106,6 @@ class LoadPath:
         configuration: where the springs are at rest.
         loads: loads, which are multiplied by a factor.
         permanent: loads that always act in full.
-        tolerance: imbalance that counts as none, as a part of the size of the loads.
-        max_steps: Newton steps to give up after.
 
     Attributes:
         rest: configuration with the springs at rest, of the mechanism with virtual joints.
@@ -120,15 +118,11 @@ class LoadPath:
         configuration: Configuration | ArrayLike,
         loads: Loads,
         permanent: Loads | None,
-        *,
-        tolerance: float,
-        max_steps: int,
     ) -> None:
         self.rest = model.configuration(configuration)
         self.growing = AppliedLoads(model.mechanism, [(1.0, loads)])
         self._model = model
         self._loads, self._permanent = loads, permanent or Loads()
-        self._tolerance, self._max_steps = tolerance, max_steps
         self._typical_factor = self._typical_strain = 1.0
 
     def equilibrium(self, factor: float, guess: Configuration) -> tuple[LoadedState, int]:
@@ -138,7 +132,7 @@ class LoadPath:
             ConvergenceError: there was none near by.
         """
         start = LoadedState(self._model, self.rest, self._applied(factor), guess)
-        return find_equilibrium(start, tolerance=self._tolerance, max_steps=self._max_steps)
+        return find_equilibrium(start)
 
     def begin(self, state: LoadedState, typical_factor: float) -> _PathPoint:
         """Return the beginning of the path, at factor 0, in the direction of growing load, by a typical factor."""
@@ -182,7 +176,7 @@ class LoadPath:
             if state.out_of_range:
                 break
             least, residual = state.least_eigenvalue, state.bearing_residual
-            if least > 0.0 and state.balanced(self._tolerance):
+            if least > 0.0 and state.balanced:
                 return state, step
             shift = max(0.0, _LEAST_DAMPING - 2.0 * least)
             move = -np.linalg.solve(state.tangent + shift * np.eye(len(residual)), residual)
@@ -203,9 +197,7 @@ class LoadPath:
         Raises:
             PM3DofError: see :meth:`settle`.
         """
-        path = LoadPath(
-            self._model, self.rest, self._permanent, None, tolerance=self._tolerance, max_steps=self._max_steps
-        )
+        path = LoadPath(self._model, self.rest, self._permanent, None)
         state, _ = path.settle()
         return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
 
@@ -358,7 +350,7 @@ class LoadPath:
         for count in range(_CORRECTIONS):
             if state is None or drift > _GREATEST_DRIFT * length:
                 return None
-            balanced = state.balanced(self._tolerance)
+            balanced = state.balanced
             change = self._correction(state, held=target is not None)
             drift += float(np.linalg.norm(change))
             rise = self._typical_factor * float(change[-1])

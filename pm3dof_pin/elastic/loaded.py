@@ -45,9 +45,6 @@ from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 
-EQUILIBRIUM_TOLERANCE = 1e-10
-"""Equilibrium tolerance, relative to the load."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -171,8 +168,6 @@ def loaded_equilibrium(
     loads: Loads,
     *,
     guess: Configuration | None = None,
-    tolerance: float = EQUILIBRIUM_TOLERANCE,
-    max_steps: int = 60,
 ) -> LoadedEquilibrium:
     """Find where an elastic mechanism stands under loads.
 
@@ -200,8 +195,6 @@ def loaded_equilibrium(
         loads: what acts on it.
         guess: configuration to start Newton's method from, of the mechanism with virtual joints, instead of following
             the equilibrium from rest.
-        tolerance: imbalance that counts as none, as a part of the size of the loads.
-        max_steps: Newton steps to give up after.
 
     Raises:
         ConvergenceError: no stable equilibrium was found: the loads may be more than the mechanism bears.
@@ -211,7 +204,7 @@ def loaded_equilibrium(
             joint changes is not positive.
         DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
     """
-    path = LoadPath(model, configuration, loads, None, tolerance=tolerance, max_steps=max_steps)
+    path = LoadPath(model, configuration, loads, None)
     if guess is None:
         state, steps = path.settle()
     else:
@@ -230,8 +223,6 @@ def load_deflection(
     factors: ArrayLike,
     *,
     permanent: Loads | None = None,
-    tolerance: float = EQUILIBRIUM_TOLERANCE,
-    max_steps: int = 60,
 ) -> tuple[LoadedEquilibrium, ...]:
     """Follow the equilibrium while the loads grow: the load-deflection curve at given factors of the loads, shape=(n,).
 
@@ -247,7 +238,7 @@ def load_deflection(
         InvalidValueError: the factors are not finite or no list.
     """
     targets = finite_array("factors", factors, (np.size(factors),))
-    path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
+    path = LoadPath(model, configuration, loads, permanent)
     point = path.begin(path.unloaded(), float(np.abs(targets).max(initial=0.0)) or 1.0)
     curve = []
     for target in targets:
@@ -264,8 +255,6 @@ def equilibrium_path(
     count: int,
     *,
     permanent: Loads | None = None,
-    tolerance: float = EQUILIBRIUM_TOLERANCE,
-    max_steps: int = 60,
 ) -> tuple[LoadedEquilibrium, ...]:
     """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
 
@@ -279,7 +268,7 @@ def equilibrium_path(
     """
     if not (np.isfinite(increment) and increment > 0.0):
         raise InvalidValueError("increment", increment, "a positive number")
-    path = LoadPath(model, configuration, loads, permanent, tolerance=tolerance, max_steps=max_steps)
+    path = LoadPath(model, configuration, loads, permanent)
     points = [path.begin(path.unloaded(), increment)]
     for _ in range(count):
         points.append(path.straight(points[-1], 1.0))

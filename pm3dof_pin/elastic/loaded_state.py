@@ -12,18 +12,21 @@ from pm3dof_pin.elastic.loads import AppliedLoads
 from pm3dof_pin.elastic.motions import elastic_motions
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
 CLOSED = 1e-11
 """Closure residual of an equilibrium [characteristic lengths, or rad]."""
 
+EQUILIBRIUM_TOLERANCE = 1e-10
+"""Imbalance of an equilibrium, relative to the size of the loads."""
+
 LARGEST_BEND = 1.0
 """Rotation, in one spring that stands for a body, up to which small-deflection stiffness is used at all [rad]."""
 
 _IDLE = 1e-9  # stiffness of a motion with the springs at rest, as a part of the loads or of the greatest stiffness
 _SYMMETRY = 1e-6
+_MOST_STEPS = 60  # of Newton's method
 _CLOSING_STEPS = 20
 _CLOSING_ROUNDS = 4
 _LONGEST_STEP = 0.3  # rad, or characteristic lengths
@@ -63,7 +66,7 @@ class LoadedState:
     ) -> None:
         self.model, self.rest, self.configuration = model, rest, configuration
         self._loads = loads
-        self.motions = elastic_motions(model, configuration, tolerance=RANK_TOLERANCE)
+        self.motions = elastic_motions(model, configuration)
         self.deflections: Vector = pin.difference(
             model.mechanism.model, np.array(rest.q), np.array(configuration.q)
         ).reshape(model.mechanism.model.nv)
@@ -87,9 +90,10 @@ class LoadedState:
         self.rounding = float(np.linalg.norm(np.abs(self.basis).T @ rounding))
         """What the last digits of q put out of balance."""
 
-    def balanced(self, tolerance: float) -> bool:
-        """Tell whether the imbalance is within a part of the loads, or of what can be told from rounding."""
-        return self.imbalance <= tolerance * self.load_size + self.rounding
+    @property
+    def balanced(self) -> bool:
+        """Whether the imbalance is within a part of the loads, or of what can be told from rounding."""
+        return self.imbalance <= EQUILIBRIUM_TOLERANCE * self.load_size + self.rounding
 
     @cached_property
     def hessian(self) -> Matrix:
@@ -190,7 +194,7 @@ class LoadedState:
                 configuration = _closed(configuration, motions.closing)
                 if configuration.closure_residual <= tolerance:
                     return LoadedState(self.model, self.rest, loads or self._loads, configuration, near)
-                motions = elastic_motions(self.model, configuration, tolerance=RANK_TOLERANCE)
+                motions = elastic_motions(self.model, configuration)
         except InvalidValueError:  # loops far from closed, or a spring whose length is gone
             return None
         return None
@@ -255,17 +259,17 @@ def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
     return configuration
 
 
-def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) -> tuple[LoadedState, int]:
+def find_equilibrium(state: LoadedState) -> tuple[LoadedState, int]:
     """Go from a state to the equilibrium by Newton's method, with a line search on the imbalance; return the steps too.
 
-    The tolerance is relative to the size of the loads. One more step is tried beyond it.
+    One more step is tried beyond :data:`EQUILIBRIUM_TOLERANCE`.
 
     Raises:
-        ConvergenceError: no equilibrium was found in `max_steps`.
+        ConvergenceError: no equilibrium was found.
     """
     state = state.moved(np.zeros_like(state.deflections)) or state
-    for step in range(max_steps):
-        balanced = state.balanced(tolerance)
+    for step in range(_MOST_STEPS):
+        balanced = state.balanced
         better = _line_search(state)
         if balanced:
             return better or state, step + 1
@@ -277,7 +281,7 @@ def find_equilibrium(state: LoadedState, *, tolerance: float, max_steps: int) ->
         "the equilibrium under load",
         residual,
         "N or N m",
-        max_steps,
+        _MOST_STEPS,
         "the loads may be more than the mechanism bears, or want to be applied in steps",
     )
 

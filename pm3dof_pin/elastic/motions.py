@@ -24,7 +24,7 @@ import scipy.linalg
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
@@ -52,10 +52,10 @@ class ElasticMotions:
         return len(self.closing.T) - self.passive_rank.rank - self.relation_rank.rank
 
 
-def elastic_motions(model: ElasticModel, configuration: Configuration, *, tolerance: float) -> ElasticMotions:
+def elastic_motions(model: ElasticModel, configuration: Configuration) -> ElasticMotions:
     """Compute how an elastic mechanism can move at an assembled configuration of its `mechanism`.
 
-    Singular values below the tolerance times the greatest one of the scaled constraint Jacobian count as zero.
+    Singular values below RANK_TOLERANCE times the greatest one of the scaled constraint Jacobian count as zero.
 
     Raises:
         InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
@@ -68,11 +68,11 @@ def elastic_motions(model: ElasticModel, configuration: Configuration, *, tolera
     passive, springs = model.passive_indices, model.spring_indices
     reference = float(np.linalg.norm(closures[:, np.concatenate([passive, springs])], 2)) if closures.size else 0.0
 
-    left, right, passive_rank = _decompose(closures[:, passive], tolerance * reference)
+    left, right, passive_rank = _decompose(closures[:, passive], RANK_TOLERANCE * reference)
     kept = passive_rank.rank
     inverse = (right[:, :kept] / passive_rank.singular_values[:kept]) @ left[:, :kept].T
     relations = left[:, kept:].T @ closures[:, springs]
-    relation_left, relation_right, relation_rank = _decompose(relations, tolerance * reference)
+    relation_left, relation_right, relation_rank = _decompose(relations, RANK_TOLERANCE * reference)
     kept = relation_rank.rank
 
     root = model.scaled_compliance_root(configuration) / scale[springs, None]

@@ -10,7 +10,6 @@ from pm3dof_pin.elastic.condensation import CartesianCompliance, condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
 from pm3dof_pin.exceptions import ProgramError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Engine, Matrix, Vector
 
@@ -20,7 +19,6 @@ def cartesian_compliance(
     configuration: Configuration | ArrayLike,
     *,
     frame: str | None = None,
-    tolerance: float = RANK_TOLERANCE,
     engine: Engine = "program",
 ) -> CartesianCompliance:
     """Compute the elastic behaviour of a frame, unloaded but for the wrenches that probe it.
@@ -40,7 +38,6 @@ def cartesian_compliance(
         configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a
             configuration of the mechanism with virtual joints.
         frame: the frame; the tool by default.
-        tolerance: singular values below this times their reference count as zero.
         engine: "program", or "pinocchio" for singular values in any case.
 
     Raises:
@@ -54,14 +51,14 @@ def cartesian_compliance(
     name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
     matrices = None
-    if engine == "program" and name == tool and tolerance == RANK_TOLERANCE:
+    if engine == "program" and name == tool:
         if not isinstance(given, Configuration):
             matrices = _from_program(model, given)
         elif given.mechanism is model.rigid:
             matrices = _from_program(model, given.q)
     if matrices is None:
-        return condensed(model, given, frame=name, tolerance=tolerance)
-    return CartesianCompliance(model, given, name, tolerance, matrices)
+        return condensed(model, given, frame=name)
+    return CartesianCompliance(model, given, name, matrices)
 
 
 def _from_program(model: ElasticModel, q: Vector) -> Matrix | None:

@@ -53,13 +53,6 @@ def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -
     return [_SpringShare(names[j], float(parts[j] / parts.sum()), float(parts[j]) / size) for j in order]
 
 
-def stiffness_derivatives(contributions: ArrayLike, stiffnesses: ArrayLike) -> Array:
-    """Return dC / dk_j = -C_j / k_j for springs of one constant each, shape=(..., s, 6, 6)."""
-    k = np.asarray(stiffnesses, dtype=float)
-    derivatives: Array = -np.asarray(contributions, dtype=float) / k[:, None, None]
-    return derivatives
-
-
 def _energies(contributions: ArrayLike, wrench: ArrayLike) -> Array:
     w = np.asarray(wrench, dtype=float)
     if w.shape[-1:] != (6,) or not np.all(np.isfinite(w)) or not np.all(np.any(w != 0.0, axis=-1)):

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.elastic.springs import (
     AxialSpring,
     BeamSpring,
@@ -27,9 +28,7 @@ from pm3dof_pin.elastic.springs import (
 )
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
-
-MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
-"""Motions of virtual joints in the order of stiffness matrices: along and about the axes."""
+from pm3dof_pin.mechanism.joint_types import VELOCITY_CONSTANTS
 
 _JOINT_MODELS = {
     "x": pin.JointModelPX,
@@ -39,18 +38,6 @@ _JOINT_MODELS = {
     "ry": pin.JointModelRY,
     "rz": pin.JointModelRZ,
 }
-_VELOCITY_CONSTANTS = (
-    "armature",
-    "damping",
-    "rotorInertia",
-    "rotorGearRatio",
-    "lowerEffortLimit",
-    "upperEffortLimit",
-    "lowerVelocityLimit",
-    "upperVelocityLimit",
-    "lowerDryFrictionLimit",
-    "upperDryFrictionLimit",
-)
 _POSITION_CONSTANTS = {"lowerPositionLimit": -np.inf, "upperPositionLimit": np.inf, "positionLimitMargin": 0.0}
 """With their values for virtual joints."""
 
@@ -108,7 +95,7 @@ def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSprin
         return [_Chain(name, name, spring.at, ("z",), _axes_with_z_along(spring.axis))]
     if isinstance(spring, CantileverSpring):
         rigid = () if spring.axial_stiffness is not None else ("z",)
-        motions = tuple(motion for motion in MOTIONS if motion not in rigid)
+        motions = tuple(motion for motion in TOOL_COMPONENTS if motion not in rigid)
         axes, count = _axes_with_z_along(spring.axis), spring.elements
         if count == 1 or isinstance(spring.length, JointLength):
             return [_Chain(name, name, spring.at, motions, axes)]
@@ -116,7 +103,7 @@ def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSprin
         places = [axes * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])) for end in ends]
         return [_Chain(name, f"{name}.{k}", spring.at, motions, place) for k, place in enumerate(places, start=1)]
     if isinstance(spring, BeamSpring):
-        return [_Chain(name, name, spring.at, MOTIONS, pin.SE3.Identity())]
+        return [_Chain(name, name, spring.at, TOOL_COMPONENTS, pin.SE3.Identity())]
     if spring.closure >= len(mechanism.closures):
         count = len(mechanism.closures)
         raise DescriptionError(
@@ -130,7 +117,7 @@ def _chains(mechanism: Robot, spring: AxialSpring | CantileverSpring | BeamSprin
             f"spring '{spring.name}': matrix",
             f"expected {size} x {size} for a {closure.type} closure",
         )
-    return [_Chain(name, name, closure.frame_a, MOTIONS[:size], pin.SE3.Identity(), spring.closure)]
+    return [_Chain(name, name, closure.frame_a, TOOL_COMPONENTS[:size], pin.SE3.Identity(), spring.closure)]
 
 
 def _axes_with_z_along(axis: tuple[float, float, float]) -> pin.SE3:
@@ -342,7 +329,7 @@ class _Builder:
             old, new = self._old.joints[body.body], self._new.joints[body.joint]
             q_indices[old.idx_q : old.idx_q + old.nq] = np.arange(new.idx_q, new.idx_q + new.nq)
             v_indices[old.idx_v : old.idx_v + old.nv] = np.arange(new.idx_v, new.idx_v + new.nv)
-        for name in _VELOCITY_CONSTANTS:
+        for name in VELOCITY_CONSTANTS:
             self._set(name, v_indices, getattr(self._old, name), getattr(self._new, name))
         for name, unlimited in _POSITION_CONSTANTS.items():
             self._set(name, q_indices, getattr(self._old, name), np.full(self._new.nq, unlimited))

@@ -11,7 +11,6 @@ from pm3dof_pin.elastic.batch import compliance, elastic_model
 from pm3dof_pin.elastic.loaded import loaded_equilibrium
 from pm3dof_pin.elastic.loads import AppliedLoads, Loads
 from pm3dof_pin.elastic.motions import elastic_motions
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Matrix
 
@@ -53,7 +52,7 @@ class ElasticDeflection:
         weights = AppliedLoads(model.mechanism, [(1.0, Loads({}, {tool: self.payload}, self.own_weight))])
         for row, q in enumerate(poses.q):
             configuration = model.configuration(q)
-            motions = elastic_motions(model, configuration, tolerance=RANK_TOLERANCE).elastic
+            motions = elastic_motions(model, configuration).elastic
             displacements[row] = configuration.tool_jacobian @ motions @ (motions.T @ weights.forces(configuration))
         return displacements
 

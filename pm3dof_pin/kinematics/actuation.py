@@ -7,14 +7,14 @@ import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
 _PIVOT_DIGITS = 9
 
 
-def independent_motions(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:
+def independent_motions(configuration: Configuration) -> Matrix:
     """Compute the velocities of all joints that belong to the platform's independent motions, shape=(nv, p).
 
     If the mechanism has motion coordinates, column k is the velocity at which coordinate k has rate 1 and the others 0.
@@ -28,7 +28,6 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
 
     Args:
         configuration: an assembled configuration.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         SingularConfigurationError: the motion coordinates are not independent there, or actuated joints or the tool can
@@ -36,7 +35,7 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     names = configuration.mechanism.motion_coordinates
     if names:
         indices = configuration.mechanism.velocity_indices(names)
@@ -50,7 +49,7 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
     else:
         driven = dof.at_tool
         velocities = driven.inverse @ _aligned_basis(driven.image)
-    if Restriction(dof.actuators_and_tool, driven.motions, tolerance).rank.rank > 0:
+    if Restriction(dof.actuators_and_tool, driven.motions).rank.rank > 0:
         raise SingularConfigurationError(
             f"actuated joints or the tool can move at {configuration} while "
             + (f"the motion coordinates {', '.join(names)} are" if names else "the tool is")
@@ -59,22 +58,22 @@ def independent_motions(configuration: Configuration, *, tolerance: float = RANK
     return frozen(dof.scale[:, None] * velocities)
 
 
-def tool_motions(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:
+def tool_motions(configuration: Configuration) -> Matrix:
     """Compute the tool's twists [v; omega], world axes, shape=(6, p), in the platform's :func:`independent_motions`.
 
     The tool's twist is this times the rates of the motions. Arguments and errors are those of
     :func:`independent_motions`.
     """
-    return frozen(configuration.tool_jacobian @ independent_motions(configuration, tolerance=tolerance))
+    return frozen(configuration.tool_jacobian @ independent_motions(configuration))
 
 
-def actuation_jacobian(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Matrix:
+def actuation_jacobian(configuration: Configuration) -> Matrix:
     """Compute the actuated joints' rates, over those of the motions, in the :func:`independent_motions`.
 
     Shape=(number of actuated joints, p). For the tripod this is J_t, (8.9) of D. Zhang, Parallel Robotic Machine Tools
     (2010). Arguments and errors are those of :func:`independent_motions`.
     """
-    motions = independent_motions(configuration, tolerance=tolerance)
+    motions = independent_motions(configuration)
     return frozen(motions[configuration.mechanism.actuated_indices])
 
 

@@ -2,7 +2,7 @@
 
 Degrees of freedom are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: velocities
 along an axis, and rows of Jacobians that are such velocities, are divided by :attr:`Mechanism.characteristic_length`;
-angular velocities stay as they are. A singular value counts as zero when it is below the tolerance times a reference,
+angular velocities stay as they are. A singular value counts as zero below :data:`RANK_TOLERANCE` times a reference,
 see :class:`RankDecision`.
 """
 
@@ -31,8 +31,7 @@ class RankDecision:
     """How the rank of a scaled matrix was decided."""
 
     rank: int  #: number of singular values above the threshold
-    #: the tolerance times the reference, which is the greatest singular value of the matrix before it was restricted to
-    #: the dof
+    #: :data:`RANK_TOLERANCE` times the reference, the greatest singular value of the matrix before it was restricted
     threshold: float
     singular_values: Vector  #: singular values of the scaled matrix, falling, shape=(min(rows, columns),)
 
@@ -54,13 +53,13 @@ class RankDecision:
         return float(self.singular_values[expected_rank - 1]) if 0 < expected_rank <= len(self.singular_values) else 0.0
 
 
-def null_space(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> tuple[Matrix, RankDecision]:
+def null_space(configuration: Configuration) -> tuple[Matrix, RankDecision]:
     """Compute a basis Z, G Z = 0, orthonormal in scaled numbers; and how the rank of G was decided.
 
     Raises:
         InvalidValueError: the loops are not closed.
     """
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     return frozen(dof.scale[:, None] * dof.basis), dof.constraint_rank
 
 
@@ -71,7 +70,7 @@ class DegreesOfFreedom:
         InvalidValueError: the loops are not closed.
     """
 
-    def __init__(self, configuration: Configuration, tolerance: float) -> None:
+    def __init__(self, configuration: Configuration) -> None:
         require_kind("configuration", configuration, Configuration, "Poses.configuration")
         mechanism = configuration.mechanism
         if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
@@ -79,9 +78,8 @@ class DegreesOfFreedom:
         self.scale = mechanism.velocity_scale
         self.twist_scale = np.repeat([mechanism.characteristic_length, 1.0], 3)
         self._configuration = configuration
-        self._tolerance = tolerance
         closures = configuration.constraint_jacobian * self.scale / mechanism.closure_scale[:, None]
-        self.closures = Restriction(closures, np.eye(mechanism.model.nv), tolerance)
+        self.closures = Restriction(closures, np.eye(mechanism.model.nv))
         self.constraint_rank = self.closures.rank
         self.basis = self.closures.motions
         self.count = self.basis.shape[1]
@@ -124,7 +122,7 @@ class DegreesOfFreedom:
 
     def over(self, rows: Matrix) -> Restriction:
         """See the degrees of freedom at rows of scaled numbers, shape=(k, nv)."""
-        return Restriction(rows, self.basis, self._tolerance)
+        return Restriction(rows, self.basis)
 
 
 class Restriction:
@@ -133,7 +131,6 @@ class Restriction:
     Args:
         rows: shape=(k, nv).
         basis: orthonormal motions, shape=(nv, f).
-        tolerance: singular values of `rows @ basis` below this times the greatest of `rows` count as zero.
 
     Attributes:
         rows: the rows, shape=(k, nv).
@@ -145,10 +142,10 @@ class Restriction:
         inverse: shortest motion of the basis for given values of the rows, shape=(nv, k).
     """
 
-    def __init__(self, rows: Matrix, basis: Matrix, tolerance: float) -> None:
+    def __init__(self, rows: Matrix, basis: Matrix) -> None:
         self.rows = rows
         left, values, right = np.linalg.svd(rows @ basis)
-        threshold = tolerance * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
+        threshold = RANK_TOLERANCE * float(np.linalg.norm(rows, 2)) if rows.size else 0.0
         self.rank = RankDecision.of(values, threshold)
         rank = self.rank.rank
         self.directions: Matrix = basis @ right.T

@@ -10,7 +10,7 @@ import pinocchio as pin
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.kinematics.assembly import assemble
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, RankDecision
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
@@ -36,7 +36,7 @@ class Mobility:
     idle_rank: RankDecision  #: the decision on both together
 
 
-def instantaneous_mobility(configuration: Configuration, *, tolerance: float = RANK_TOLERANCE) -> Mobility:
+def instantaneous_mobility(configuration: Configuration) -> Mobility:
     """Count the degrees of freedom of a configuration.
 
     Example:
@@ -47,13 +47,12 @@ def instantaneous_mobility(configuration: Configuration, *, tolerance: float = R
 
     Args:
         configuration: an assembled configuration.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     return Mobility(
         count=dof.count,
         tool_mobility=dof.at_tool.rank.rank,

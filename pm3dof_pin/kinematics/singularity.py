@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
@@ -41,9 +41,7 @@ class SingularityDistance:
     twist: Vector  #: twist [v; omega] of the tool in this motion, world axes, shape=(6,)
 
 
-def singularities(
-    configuration: Configuration, *, generic: Mobility | None = None, tolerance: float = RANK_TOLERANCE
-) -> tuple[Singularity, ...]:
+def singularities(configuration: Configuration, *, generic: Mobility | None = None) -> tuple[Singularity, ...]:
     """Name the singularities of a configuration; none if it is regular.
 
     What is exceptional is judged against a generic configuration near by, so that redundant constraints, redundant
@@ -72,14 +70,13 @@ def singularities(
         configuration: an assembled configuration.
         generic: mobility at a generic configuration of the same assembly mode, worth giving when many configurations
             are judged; by default that at :func:`generic_configuration`.
-        tolerance: singular values below this times their reference count as zero.
 
     Raises:
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
         ConvergenceError: no generic configuration was found near by.
     """
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     bases: dict[SingularityType, Matrix] = {
         "constraint": _by_movement(dof.basis, dof.actuators)[:, ::-1],
         "parallel": _by_movement(dof.at_actuators.motions, dof.tool),
@@ -88,13 +85,13 @@ def singularities(
     }
     return tuple(
         _singularity(dof, judged.type, judged.measure, bases[judged.type][:, : judged.lost])
-        for judged in _judged(dof, _usual(configuration, generic, tolerance))
+        for judged in _judged(dof, _usual(configuration, generic))
         if judged.lost > 0
     )
 
 
 def singularity_distances(
-    configuration: Configuration, *, generic: Mobility | None = None, tolerance: float = RANK_TOLERANCE
+    configuration: Configuration, *, generic: Mobility | None = None
 ) -> tuple[SingularityDistance, ...]:
     """Measure how far a configuration is from each type of singularity.
 
@@ -119,7 +116,6 @@ def singularity_distances(
     Args:
         configuration: an assembled configuration.
         generic: see :func:`singularities`.
-        tolerance: see there.
 
     Returns:
         One for each type that the mechanism can have at all: one without closures has no constraint singularity.
@@ -127,9 +123,9 @@ def singularity_distances(
     Raises:
         PM3DofError: see there.
     """
-    dof = DegreesOfFreedom(configuration, tolerance)
+    dof = DegreesOfFreedom(configuration)
     found = []
-    for judged in _judged(dof, _usual(configuration, generic, tolerance)):
+    for judged in _judged(dof, _usual(configuration, generic)):
         if judged.rank > 0:
             motion = judged.seen.directions[:, min(judged.rank, judged.seen.directions.shape[1]) - 1]
             twist = dof.twist_scale * (dof.twist @ motion)
@@ -151,8 +147,8 @@ class _Judged:
         return self.seen.rank.least(self.rank)
 
 
-def _usual(configuration: Configuration, generic: Mobility | None, tolerance: float) -> Mobility:
-    return generic or instantaneous_mobility(generic_configuration(configuration), tolerance=tolerance)
+def _usual(configuration: Configuration, generic: Mobility | None) -> Mobility:
+    return generic or instantaneous_mobility(generic_configuration(configuration))
 
 
 def _judged(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_Judged, ...]:

@@ -12,10 +12,11 @@ from pm3dof_pin.exceptions import DescriptionError, JointNotFoundError
 
 _AXES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 _LIMITS_OF_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
-_LIMITS_OF_V = (
+VELOCITY_CONSTANTS = (
     *("lowerEffortLimit", "upperEffortLimit", "lowerVelocityLimit", "upperVelocityLimit"),
     *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
 )
+"""What a model has for each entry of v."""
 
 
 def with_joint_types(model: pin.Model, joint_types: Mapping[str, str], source: Path | str) -> pin.Model:
@@ -68,7 +69,7 @@ def _copy_limits(model: pin.Model, old: int, changed: pin.Model, new: int) -> No
     source, target = model.joints[old], changed.joints[new]
     for names, (first, to, count) in (
         (_LIMITS_OF_Q, (source.idx_q, target.idx_q, source.nq)),
-        (_LIMITS_OF_V, (source.idx_v, target.idx_v, source.nv)),
+        (VELOCITY_CONSTANTS, (source.idx_v, target.idx_v, source.nv)),
     ):
         for name in names:
             getattr(changed, name)[to : to + count] = getattr(model, name)[first : first + count]

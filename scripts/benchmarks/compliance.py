@@ -11,7 +11,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance, compliance, stiffness
+from pm3dof_pin.elastic.batch import compliance, stiffness
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.mechanism.mechanism import Mechanism

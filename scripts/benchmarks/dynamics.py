@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from pm3dof_pin.dynamics import actuator_forces, drive_mass_matrices, natural_frequencies
-from pm3dof_pin.elastic import ElasticModel
+from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array
 

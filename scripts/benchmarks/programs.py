@@ -14,8 +14,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from pm3dof_pin.elastic import ElasticModel
 from pm3dof_pin.elastic.compiled import elastic_program, traced_quantity
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
 from pm3dof_pin.programs import cache, llvm
 

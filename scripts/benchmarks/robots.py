@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from cpp_pinocchio import jacobians_microseconds
 
-from pm3dof_pin.elastic import ElasticModel, compliance
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -37,7 +38,8 @@ FEW = 50
 
 USE = """
 import sys, time
-from pm3dof_pin.elastic import ElasticModel, compliance
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.robot import Robot
 robot = Robot.load(sys.argv[1])
 model = ElasticModel(robot)

@@ -21,8 +21,10 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.elastic import AxialSpring, ClosureSpring, ElasticModel, JointSpring, evaluate, stiffness
+from pm3dof_pin.elastic.batch import evaluate, stiffness
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
+from pm3dof_pin.elastic.springs import AxialSpring, ClosureSpring, JointSpring
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import UnreachablePoseError

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 
 Answer = Callable[..., Any]
 FIVE_BAR = str(Path(__file__).parents[1] / "machines" / "five_bar" / "five_bar.urdf")

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.dynamics import actuator_forces, drive_mass_matrices, natural_frequencies
+from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses

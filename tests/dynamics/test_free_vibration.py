@@ -12,7 +12,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import joint_positions
-from pm3dof_pin.dynamics import Modes, natural_modes
+from pm3dof_pin.dynamics.modes import Modes, natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring
 from pm3dof_pin.kinematics.robot import Robot

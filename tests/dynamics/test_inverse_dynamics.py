@@ -11,14 +11,9 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.dynamics import (
-    drive_mass_matrix,
-    holding_forces,
-    inverse_dynamics,
-    loop_motion,
-    manifold_mass_matrix,
-    mass_matrix,
-)
+from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics, loop_motion
+from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, manifold_mass_matrix, mass_matrix
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import independent_motions
 from pm3dof_pin.kinematics.robot import Robot

@@ -13,7 +13,9 @@ import scipy.linalg
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import joint_positions, link_vectors, placement
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.dynamics import manifold_mass_matrix, mass_matrix, natural_frequencies, natural_modes
+from pm3dof_pin.dynamics.batch import natural_frequencies
+from pm3dof_pin.dynamics.mass_matrix import manifold_mass_matrix, mass_matrix
+from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, JointSpring, Spring
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError

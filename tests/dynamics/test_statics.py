@@ -17,7 +17,7 @@ from pm3dof_pin.chapter.kinematics import (
     placement,
     slider_jacobian,
 )
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.exceptions import FrameNotFoundError, InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration

@@ -10,7 +10,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import joint_positions
-from pm3dof_pin.elastic import ElasticModel
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.kinematics.robot import Robot
 
 TripodPositions = Callable[[np.ndarray], np.ndarray]

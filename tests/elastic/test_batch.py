@@ -10,21 +10,10 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    AxialSpring,
-    BeamSpring,
-    ClosureSpring,
-    ElasticModel,
-    JointSpring,
-    Spring,
-    cartesian_compliance,
-    compliance,
-    evaluate,
-    indices,
-    shares,
-    stiffness,
-)
+from pm3dof_pin.elastic import indices, shares
+from pm3dof_pin.elastic.batch import compliance, evaluate, stiffness
 from pm3dof_pin.elastic.compiled import elastic_program
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
 from pm3dof_pin.elastic.quantities import (
     COMPLIANCE,
@@ -34,6 +23,8 @@ from pm3dof_pin.elastic.quantities import (
     free_stiffness,
     spring_shares,
 )
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.exceptions import FreeDirectionError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot

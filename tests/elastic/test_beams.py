@@ -13,15 +13,10 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    BeamSpring,
-    CantileverSpring,
-    ElasticModel,
-    JointSpring,
-    Spring,
-    cartesian_compliance,
-    compliance,
-)
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import BeamSpring, CantileverSpring, JointSpring, Spring
 from pm3dof_pin.kinematics.robot import Robot
 
 RigidTree = Callable[..., Robot]

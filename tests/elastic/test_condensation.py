@@ -13,20 +13,12 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    AxialSpring,
-    BeamSpring,
-    ClosureSpring,
-    ElasticModel,
-    JointSpring,
-    Spring,
-    cartesian_compliance,
-    compliance,
-    transformed_compliance,
-    transformed_stiffness,
-    twist_transform,
-)
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.condensation import transformed_compliance, transformed_stiffness, twist_transform
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.exceptions import (
     FrameNotFoundError,
     FreeDirectionError,

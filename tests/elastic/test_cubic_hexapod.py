@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import ElasticModel
 from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Engine

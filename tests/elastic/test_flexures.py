@@ -9,16 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.elastic import (
-    CantileverSpring,
-    ElasticModel,
-    JointLength,
-    Loads,
-    cartesian_compliance,
-    load_deflection,
-    search_buckling,
-)
 from pm3dof_pin.elastic.bow import Bow
+from pm3dof_pin.elastic.buckling import search_buckling
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loaded import load_deflection
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import CantileverSpring, JointLength
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 

@@ -8,8 +8,10 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.elastic import ElasticModel, JointSpring, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities

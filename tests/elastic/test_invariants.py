@@ -15,19 +15,10 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    AxialSpring,
-    BeamSpring,
-    CantileverSpring,
-    ClosureSpring,
-    ElasticModel,
-    JointSpring,
-    Spring,
-    cartesian_compliance,
-    transformed_compliance,
-    transformed_stiffness,
-    twist_transform,
-)
+from pm3dof_pin.elastic.condensation import transformed_compliance, transformed_stiffness, twist_transform
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.kinematics.robot import Robot
 
 Positions = Callable[[np.ndarray], np.ndarray]

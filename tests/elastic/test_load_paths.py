@@ -10,14 +10,11 @@ import pytest
 from scipy.optimize import minimize_scalar, root
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.elastic import (
-    ElasticModel,
-    JointSpring,
-    Loads,
-    load_deflection,
-    loaded_equilibrium,
-    search_buckling,
-)
+from pm3dof_pin.elastic.buckling import search_buckling
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loaded import load_deflection, loaded_equilibrium
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import ConvergenceError, DeflectionRangeError
 from pm3dof_pin.kinematics.robot import Robot
 

@@ -12,20 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    AxialSpring,
-    BeamSpring,
-    CantileverSpring,
-    ElasticModel,
-    JointSpring,
-    Loads,
-    buckling_load,
-    cartesian_compliance,
-    equilibrium_path,
-    load_deflection,
-    loaded_equilibrium,
-    search_buckling,
-)
+from pm3dof_pin.elastic.buckling import search_buckling
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.loaded import equilibrium_path, load_deflection, loaded_equilibrium
+from pm3dof_pin.elastic.loads import Loads
+from pm3dof_pin.elastic.report import cartesian_compliance
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, JointSpring
 from pm3dof_pin.exceptions import (
     ConvergenceError,
     DescriptionError,
@@ -292,7 +284,7 @@ def test_a_shallow_truss_snaps_through_at_its_limit_load(rigid_tree: RigidTree) 
     limit = stiffness * (rest / length - 1.0) * np.sqrt(length**2 - half**2)
     q = np.zeros(3)
     down = Loads({"apex": [0, 0, -1.0, 0, 0, 0]})
-    found = buckling_load(model, q, down)
+    found = search_buckling(model, q, down).load
     assert found is not None
     assert found.kind == "limit point"
     assert found.factor == pytest.approx(limit, rel=1e-6)
@@ -333,18 +325,18 @@ def test_a_double_inverted_pendulum_with_springs_buckles(rigid_tree: RigidTree) 
     springs = [JointSpring(name, f"{name}_joint", 50.0, "N m/rad") for name in ("lower", "upper")]
     model = ElasticModel(tree, springs)
     exact = 0.5 * (3.0 - np.sqrt(5.0)) * 50.0 / 0.4
-    found = buckling_load(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}))
+    found = search_buckling(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]})).load
     assert found is not None
     assert found.kind == "bifurcation"
     assert found.factor == pytest.approx(exact, rel=1e-9)
     assert found.linear_estimate == pytest.approx(exact, rel=1e-12)
     # both links lean to the same side, the upper one by the golden ratio more against the lower one
     assert found.mode[0] / found.mode[1] == pytest.approx(2.0 / (np.sqrt(5.0) - 1.0), rel=1e-4)
-    by_payload = buckling_load(model, [0.0, 0.0], Loads(payloads={"top": 1.0}))
+    by_payload = search_buckling(model, [0.0, 0.0], Loads(payloads={"top": 1.0})).load
     assert by_payload is not None
     assert by_payload.factor == pytest.approx(exact / 9.81, rel=1e-9)
     half = Loads({"top": [0, 0, -0.5 * exact, 0, 0, 0]})
-    with_half = buckling_load(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=half)
+    with_half = search_buckling(model, [0.0, 0.0], Loads({"top": [0, 0, -1.0, 0, 0, 0]}), permanent=half).load
     assert with_half is not None
     assert with_half.factor == pytest.approx(0.5 * exact, rel=1e-9)
 
@@ -361,7 +353,7 @@ def test_a_column_buckles_at_the_load_of_euler(rigid_tree: RigidTree) -> None:
     """A cantilever column cut into beams, each of which gets shorter as it bends; see also test_flexures."""
     for count in (4, 8):
         model, exact = column(rigid_tree, count)
-        found = buckling_load(model, [], Loads({model.rigid.tool_frame: [0, 0, -1.0, 0, 0, 0]}))
+        found = search_buckling(model, [], Loads({model.rigid.tool_frame: [0, 0, -1.0, 0, 0, 0]})).load
         assert found is not None
         assert found.factor == pytest.approx(exact, rel=1e-4)
 
@@ -369,7 +361,7 @@ def test_a_column_buckles_at_the_load_of_euler(rigid_tree: RigidTree) -> None:
 def test_a_column_in_tension_gets_stiffer(rigid_tree: RigidTree) -> None:
     model, exact = column(rigid_tree, 4)
     pull = Loads({model.rigid.tool_frame: [0, 0, 1.0, 0, 0, 0]})
-    assert buckling_load(model, [], pull, largest_factor=10.0 * exact) is None
+    assert search_buckling(model, [], pull, largest_factor=10.0 * exact).load is None
     (stretched,) = load_deflection(model, [], pull, [exact])
     slack = cartesian_compliance(model, []).compliance
     assert stretched.tangent_compliance()[0, 0] < slack[0, 0]
@@ -380,7 +372,7 @@ def test_loads_that_only_stiffen_have_no_buckling_load(rigid_tree: RigidTree) ->
         [("rod", "universe", IDENTITY, pin.JointModelRY()), ("top", "rod", at(0, 0, 1), None)], tool_frame="top"
     )
     model = ElasticModel(tree, [JointSpring("foot", "rod_joint", 5.0, "N m/rad")])
-    assert buckling_load(model, [0.0], Loads({"top": [0, 0, 1.0, 0, 0, 0]})) is None
+    assert search_buckling(model, [0.0], Loads({"top": [0, 0, 1.0, 0, 0, 0]})).load is None
 
 
 def test_large_deflections_of_a_cantilever(rigid_tree: RigidTree) -> None:
@@ -401,7 +393,7 @@ def test_large_deflections_of_a_cantilever(rigid_tree: RigidTree) -> None:
 def test_moments_without_a_potential_have_no_buckling_load(elastic: ElasticModel) -> None:
     home = elastic.rigid.home
     with pytest.raises(InvalidValueError, match="potential"):
-        buckling_load(elastic, home, Loads({"O_e": [0, 0, -1e4, 50.0, 30.0, 20.0]}), largest_factor=5.0)
+        search_buckling(elastic, home, Loads({"O_e": [0, 0, -1e4, 50.0, 30.0, 20.0]}), largest_factor=5.0)
 
 
 def test_a_mechanism_that_cannot_stand_upright(rigid_tree: RigidTree, caplog: pytest.LogCaptureFixture) -> None:

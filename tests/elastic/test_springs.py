@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.elastic import (
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.springs import (
     AxialSpring,
     BeamSpring,
     CantileverSpring,
     ClosureSpring,
-    ElasticModel,
     JointLength,
     JointSpring,
     read_springs,

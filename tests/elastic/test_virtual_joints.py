@@ -10,16 +10,9 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
-from pm3dof_pin.elastic import (
-    AxialSpring,
-    BeamSpring,
-    CantileverSpring,
-    ClosureSpring,
-    ElasticModel,
-    JointSpring,
-    Spring,
-    compliance,
-)
+from pm3dof_pin.elastic.batch import compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.springs import AxialSpring, BeamSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import joint_positions
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 

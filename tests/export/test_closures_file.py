@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure, read_closures
 from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup
-from pm3dof_pin.elastic import BeamSpring, CantileverSpring, JointSpring, read_springs
+from pm3dof_pin.elastic.springs import BeamSpring, CantileverSpring, JointSpring, read_springs
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.closures_file import closures_text
 

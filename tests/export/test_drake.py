@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces, inverse_dynamics
+from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.kinematics.robot import Robot
 

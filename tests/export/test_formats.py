@@ -20,7 +20,7 @@ from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputErr
 from pm3dof_pin.export.description import description_files, same_but_rounding
 from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
@@ -97,7 +97,7 @@ def test_mjcf_with_a_ball_comes_back_as_the_same_mechanism(tmp_path: Path, kind:
         bent = robot.assemble(robot.home, joints={"motor": 0.3})
         reach = 0.1 * np.cos(0.3) + np.sqrt(0.4**2 - (0.1 * np.sin(0.3)) ** 2)
         assert bent.frame_placement("slider").translation[0] == pytest.approx(reach, abs=1e-10)
-        assert DegreesOfFreedom(bent, RANK_TOLERANCE).count == 2
+        assert DegreesOfFreedom(bent).count == 2
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces, inverse_dynamics
+from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.formats import export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot

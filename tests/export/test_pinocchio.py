@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.kinematics.robot import Robot
 

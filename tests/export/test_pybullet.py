@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.exceptions import FrameNotFoundError, UnknownRobotError
 from pm3dof_pin.export.formats import export_robot
 from pm3dof_pin.export.pybullet import close_loops

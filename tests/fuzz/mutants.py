@@ -248,7 +248,7 @@ def _require(holds: Any, what: str) -> None:
 def _read_robot(path: Path) -> Any:
     import numpy as np
 
-    from pm3dof_pin.dynamics import holding_forces
+    from pm3dof_pin.dynamics.statics import holding_forces
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.kinematics.robot import Robot
 

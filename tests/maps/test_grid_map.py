@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.grid_map import quantity_map
 from pm3dof_pin.maps.quantities import MappedRobot

@@ -13,8 +13,9 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness, global_index
 from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.chapter.kinematics import inverse_kinematics
-from pm3dof_pin.dynamics import natural_frequencies
-from pm3dof_pin.elastic import ElasticModel, JointSpring
+from pm3dof_pin.dynamics.batch import natural_frequencies
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.kinematics.robot import Robot

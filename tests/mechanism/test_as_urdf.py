@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.as_urdf import NEGLIGIBLE_MASS, as_urdf
 
@@ -73,7 +73,7 @@ def test_what_is_beside_the_tree_is_the_same(leg: Robot) -> None:
     index = plain.q_names.index("turn")
     assert (plain.lower_limits[index], plain.upper_limits[index]) == (-1.0, 1.0)
     assert plain.upper_limits[plain.q_names.index("slide")] == np.inf
-    closed = [DegreesOfFreedom(robot.assemble(robot.home), RANK_TOLERANCE).count for robot in (leg, plain)]
+    closed = [DegreesOfFreedom(robot.assemble(robot.home)).count for robot in (leg, plain)]
     assert closed == [2, 2]
 
 

@@ -15,7 +15,7 @@ from pm3dof_pin.description.closures import read_closures
 from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.parameters import read_quantities
 from pm3dof_pin.description.yaml_file import read_mapping
-from pm3dof_pin.dynamics import mass_matrix
+from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.springs import read_springs
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot

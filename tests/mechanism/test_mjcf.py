@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, JointNotFoundError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
 LEG = """
@@ -135,12 +135,12 @@ def test_a_walker_with_universal_ankles(tmp_path: Path) -> None:
     assert len(standing.actuated_joints) == 8
     assert standing.model.gravity.linear.tolist() == [0.0, 0.0, -1.62]
     assert standing.home.closure_residual < 1e-12
-    degrees = DegreesOfFreedom(standing.home, RANK_TOLERANCE)
+    degrees = DegreesOfFreedom(standing.home)
     assert degrees.count == 2 * (2 + 2 + 2), "hip and knee, an ankle of two, and two rods that spin, in each leg"
     assert degrees.count - degrees.at_actuators.rank.rank == 4, "the motors hold all but the spin of four rods"
     assert np.degrees(standing.lower_limits[standing.q_names.index("hip_l")]) == pytest.approx(-60.0, rel=1e-14)
     floating, _ = _load(tmp_path, FLOATING)
-    assert DegreesOfFreedom(floating.home, RANK_TOLERANCE).count == 6 + 12
+    assert DegreesOfFreedom(floating.home).count == 6 + 12
     assert np.isinf(floating.upper_limits[:7]).all()
 
 

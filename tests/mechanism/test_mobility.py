@@ -72,13 +72,6 @@ def test_null_space_is_orthonormal_in_scaled_numbers(five_bar: Robot) -> None:
         basis[0, 0] = 1.0
 
 
-def test_the_tolerance_decides(five_bar: Robot) -> None:
-    configuration = five_bar.assemble(FIVE_BAR_GUESS)
-    values = null_space(configuration)[1].singular_values
-    between = np.sqrt(values[2] * values[3]) / values[0]
-    assert null_space(configuration, tolerance=between)[1].rank == 3
-
-
 def test_a_generic_configuration_is_assembled_near_by_and_reproducible(five_bar: Robot) -> None:
     configuration = five_bar.assemble(FIVE_BAR_GUESS)
     generic = generic_configuration(configuration)

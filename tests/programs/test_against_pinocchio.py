@@ -20,7 +20,7 @@ from agreement import (
     random_values,
 )
 
-from pm3dof_pin.elastic import ElasticModel
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 
 CLOSING, MATRICES, OF_VARIANTS = 100, 120, 60
 

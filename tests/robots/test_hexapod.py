@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.robots import find_robot, robots_directory
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.export.description import description_files
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions

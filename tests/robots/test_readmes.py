@@ -10,7 +10,8 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.description.robots import robot_names, robots_directory
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.actuation import actuation_jacobian, independent_motions
 from pm3dof_pin.kinematics.robot import Robot
 

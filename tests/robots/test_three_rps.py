@@ -13,7 +13,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.robots import find_robot
-from pm3dof_pin.elastic import ElasticModel, cartesian_compliance
+from pm3dof_pin.elastic.elastic_model import ElasticModel
+from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.shares import shares

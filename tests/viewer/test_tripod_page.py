@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.dynamics import holding_forces
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.broken_limits import broken_limits

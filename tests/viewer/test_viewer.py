@@ -38,7 +38,7 @@ def test_another_configuration_takes_away_what_belonged_to_the_last(mechanism: R
 
 def test_only_the_machines_own_goes_on(mechanism: Robot) -> None:
     """The page continues the elastic stiffness, holding forces and shares of the machine itself, and nothing else."""
-    from pm3dof_pin.dynamics import holding_forces
+    from pm3dof_pin.dynamics.statics import holding_forces
 
     viewer = Viewer(mechanism)
     model = ElasticModel(mechanism)
