@@ -38,7 +38,7 @@ _SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are le
 _ZERO = 1e-9
 
 
-def scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Array:
+def _scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Array:
     """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters); of full poses by default.
 
     Raises:
@@ -54,7 +54,7 @@ def stacked_regressor(
     instrument: Instrument | None = None,
     elastic: ElasticTerm | None = None,
 ) -> tuple[Array, Array, Nuisances]:
-    """Return :func:`scaled_regressor` with unknown spring stiffness after the parameters; nuisance rows; the nuisances.
+    """Return the scaled regressor, unknown spring stiffness after the parameters; nuisance rows; the nuisances.
 
     The nuisance parameters are in their scales, their rows of shape=(n, rows of a pose, k). `elastic` has the known
     wrenches at these poses.
@@ -146,11 +146,11 @@ class Identifiability:
 
     def indices(self) -> ObservabilityIndices:
         """Return the observability indices over the identifiable combinations."""
-        return observability_indices(self.decision.singular_values[: self.rank], self.poses)
+        return _observability_indices(self.decision.singular_values[: self.rank], self.poses)
 
 
 def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike | None = None) -> Identifiability:
-    """Judge what a :func:`scaled_regressor` identifies; what nuisances can stand for counts as not seen.
+    """Judge what a :func:`_scaled_regressor` identifies; what nuisances can stand for counts as not seen.
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.
@@ -178,7 +178,7 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
     )
 
 
-def rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
+def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
     """Return the rank after the first pose, the first two, and so on, shape=(n,); see :func:`identifiability`."""
     blocks = np.asarray(regressor, dtype=float)
     others = None if nuisances is None else np.asarray(nuisances, dtype=float)
@@ -197,7 +197,7 @@ def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> i
 
     Of such poses any will do: counted are the first ones, until they have the rank of all.
     """
-    growth = rank_growth(regressor, nuisances)
+    growth = _rank_growth(regressor, nuisances)
     return int(np.argmax(growth == growth[-1])) + 1
 
 
@@ -212,7 +212,7 @@ class ObservabilityIndices:
     O5: float  #: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality
 
 
-def observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
+def _observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
     """Compute the five indices from the positive singular values over what is identifiable, shape=(L,).
 
     Raises:

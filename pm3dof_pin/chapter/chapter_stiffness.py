@@ -24,19 +24,17 @@ AXES = ("theta_x", "theta_y", "t_z", "t_x", "t_y", "theta_z")
 UNITS = {"theta_x": "N m/rad", "theta_y": "N m/rad", "t_z": "N/m", "t_x": "N/m", "t_y": "N/m", "theta_z": "N m/rad"}
 
 
-def chapter_stiffness(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
-) -> Array:
+def chapter_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return the chapter's diagonal stiffness, shape=(..., 6), in the order of :data:`AXES`, units of :data:`UNITS`.
 
-    Arguments are those of :func:`~pm3dof_pin.chapter.kinematics.inverse_kinematics`.
+    Poses are (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m].
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    legs = Legs.at(tripod, pose_array, modes)
+    pose_array = tripod.checked(poses)
+    legs = Legs.at(tripod, pose_array)
     if on_failure == "raise":
         require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)

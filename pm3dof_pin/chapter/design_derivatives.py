@@ -42,7 +42,7 @@ def design_derivatives(
         InvalidValueError: an unknown parameter.
         UnreachablePoseError: a pose is out of reach, or so near to it that a step of the parameter loses it.
     """
-    pose_array, _ = tripod.checked(poses, -1)
+    pose_array = tripod.checked(poses)
     tool = inverse_definite(elastic_stiffness(tripod, pose_array))
     derivatives = {}
     for name in parameters:

@@ -25,7 +25,7 @@ _DISTINCT = 1e-7  # solutions nearer to each other than this are one [rad, m]
 
 
 @dataclass(frozen=True)
-class DirectKinematics:
+class _DirectKinematics:
     """Result of Newton's method."""
 
     poses: Array  #: (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m]
@@ -36,7 +36,7 @@ class DirectKinematics:
 
 def newton(
     tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = MOST_STEPS
-) -> DirectKinematics:
+) -> _DirectKinematics:
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
 
     The equations are (|k_i|^2 - l^2) / (2 l) = 0, in metres, and their derivative k_i . J_i / l (8.5); with more than
@@ -64,7 +64,7 @@ def newton(
         moving = moving[far]
         poses[moving] -= _shortened(_least_squares_step(jacobian[far], errors[far]))
         steps[moving] += 1
-    return DirectKinematics(
+    return _DirectKinematics(
         poses.reshape(*shape, 3), residual.reshape(shape), steps.reshape(shape), (residual <= TOLERANCE).reshape(shape)
     )
 

@@ -19,20 +19,17 @@ from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array, OnFailure
 
 
-def elastic_stiffness(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
-) -> Array:
+def elastic_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return the Cartesian stiffness K = dW/dX at O_e, axes of the base, symmetric, in the order x, y, z, rx, ry, rz.
 
-    Shape=(..., 6, 6) [N/m, N, N m/rad]; arguments are those of
-    :func:`~pm3dof_pin.chapter.kinematics.inverse_kinematics`, with one assembly mode for all poses.
+    Poses are (theta_x, theta_y, z_e), shape=(..., 3) [rad, rad, m]; K has shape=(..., 6, 6) [N/m, N, N m/rad].
 
     Raises:
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    legs = Legs.at(tripod, pose_array, modes)
+    pose_array = tripod.checked(poses)
+    legs = Legs.at(tripod, pose_array)
     if on_failure == "raise":
         require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
@@ -81,7 +78,7 @@ def contribution_names(tripod: Tripod) -> tuple[str, ...]:
     return (*actuators, *links, "passive_leg")
 
 
-def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def spring_contributions(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return what each spring contributes to the compliance C = K^-1; the contributions add up to C.
 
     A wrench W at the tool puts the force f_i = k_i w_i^T C W on leg i, the part f_i (n_i . e_i) of it on the actuator,
@@ -90,10 +87,10 @@ def spring_contributions(tripod: Tripod, poses: ArrayLike, *, assembly_mode: Arr
     1/N, rad/(N m)], NaN out of reach.
 
     Raises:
-        InvalidValueError: poses or modes of a wrong shape.
+        InvalidValueError: poses of a wrong shape.
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    p, legs = tripod.parameters, Legs.at(tripod, pose_array, modes)
+    pose_array = tripod.checked(poses)
+    p, legs = tripod.parameters, Legs.at(tripod, pose_array)
     of_legs = _of_legs(legs)
     total = of_legs + _of_passive_leg(tripod, pose_array)
     tool = inverse_definite(total)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,8 +61,8 @@ class Legs:
     links: Array  #: k_i = D_i E_i, base axes, (8.7), shape=(..., n, 3) [m]
 
     @classmethod
-    def at(cls, tripod: Tripod, poses: Array, modes: Array) -> Legs:
-        """Place the legs at poses, shape=(..., 3), in assembly modes, shape=(n,); (8.4), (8.6), (8.7)."""
+    def at(cls, tripod: Tripod, poses: Array, modes: Array | float = -1.0) -> Legs:
+        """Place the legs at poses, shape=(..., 3), in assembly modes, shape=(n,) or (); (8.4), (8.6), (8.7)."""
         orientation = rotation(poses[..., 0], poses[..., 1])
         arms = _dotted(orientation, tripod.platform_joints)
         reach = arms - tripod.base_joints  # w_i = E_i - B_i
@@ -135,15 +134,11 @@ def inverse_kinematics(
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    return _legs(tripod, poses, assembly_mode, on_failure).travels
-
-
-def _legs(tripod: Tripod, poses: ArrayLike, assembly_mode: ArrayLike, on_failure: OnFailure) -> Legs:
-    pose_array, modes = tripod.checked(poses, assembly_mode)
+    pose_array, modes = tripod.checked(poses), tripod.checked_modes(assembly_mode)
     legs = Legs.at(tripod, pose_array, modes)
     if on_failure == "raise":
         require_reach(tripod, pose_array, legs.travels)
-    return legs
+    return legs.travels
 
 
 def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
@@ -166,30 +161,14 @@ def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
     )
 
 
-def inverse_kinematics_modes(tripod: Tripod, pose: ArrayLike) -> dict[tuple[int, ...], Array]:
-    """Return the slider travels of one pose for each of its 2^n assembly modes; UnreachablePoseError without any."""
-    modes = itertools.product((-1, 1), repeat=tripod.leg_count)
-    return {mode: inverse_kinematics(tripod, pose, assembly_mode=mode) for mode in modes}
-
-
-def assembly_mode_of(tripod: Tripod, poses: ArrayLike, u: ArrayLike) -> Array:
-    """Return the `assembly_mode` of every leg, -1 or +1, at poses with their travels u, shape=(..., n)."""
-    pose_array, _ = tripod.checked(poses, -1)
-    transform = placement(pose_array)
-    joints = _dotted(transform[..., :3, :3], tripod.platform_joints) + transform[..., None, :3, 3]
-    along = _dot(joints - tripod.base_joints, tripod.guide_directions)
-    return np.where(np.asarray(u, dtype=float) > along, 1.0, -1.0)
-
-
-def link_vectors(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> Array:
+def link_vectors(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return k_i = D_i E_i in the base frame, (8.7), NaN out of reach, shape=(..., n, 3) [m]."""
-    pose_array, modes = tripod.checked(poses, assembly_mode)
-    return Legs.at(tripod, pose_array, modes).links
+    return Legs.at(tripod, tripod.checked(poses)).links
 
 
 def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return J_i, the motion of E_i against (theta_x, theta_y, z_e), (8.5), shape=(..., n, 3, 3) [m/rad, m/rad, 1]."""
-    pose_array, _ = tripod.checked(poses, -1)
+    pose_array = tripod.checked(poses)
     arms = _dotted(rotation(pose_array[..., 0], pose_array[..., 1]), tripod.platform_joints)
     twists = motion_twists(pose_array)[..., None, :, :]
     # column k is v_k + omega_k x R p_i
@@ -197,48 +176,38 @@ def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
     return twists[..., :3, :] + np.swapaxes(turned, -1, -2)
 
 
-def link_jacobian(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
-) -> Array:
+def link_jacobian(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
-    Shape=(..., n, 3) [m/rad, m/rad, 1]; arguments and errors are those of :func:`inverse_kinematics`.
+    NaN out of reach, shape=(..., n, 3) [m/rad, m/rad, 1].
     """
-    legs = _legs(tripod, poses, assembly_mode, on_failure)
-    return legs.wrenches @ motion_twists(poses)
+    pose_array = tripod.checked(poses)
+    return Legs.at(tripod, pose_array).wrenches @ motion_twists(pose_array)
 
 
-def slider_jacobian(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
-) -> Array:
-    """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9).
-
-    Arguments, shape and errors as for :func:`link_jacobian`.
-    """
-    legs = _legs(tripod, poses, assembly_mode, on_failure)
-    return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]
+def slider_jacobian(tripod: Tripod, poses: ArrayLike) -> Array:
+    """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9), as J_a."""
+    return link_jacobian(tripod, poses) / Legs.at(tripod, tripod.checked(poses)).cosines[..., None]
 
 
-def passive_joint_angles(
-    tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1, on_failure: OnFailure = "raise"
-) -> Array:
+def passive_joint_angles(tripod: Tripod, poses: ArrayLike) -> Array:
     """Return (first, second, swing), the angles of the passive joints of every leg, shape=(..., n, 3) [rad].
 
     The universal joint at D_i first turns about the horizontal axis normal to the link's home direction, then about the
     axis normal to both; both angles count from home. The swing of the spherical joint is the angle between the link and
-    the joint's axis in the platform. Arguments and errors are those of :func:`inverse_kinematics`.
+    the joint's axis in the platform. NaN out of reach.
     """
-    return _legs(tripod, poses, assembly_mode, on_failure).passive_angles
+    return Legs.at(tripod, tripod.checked(poses)).passive_angles
 
 
-def joint_positions(tripod: Tripod, pose: ArrayLike, *, assembly_mode: ArrayLike = -1) -> dict[str, float]:
+def joint_positions(tripod: Tripod, pose: ArrayLike) -> dict[str, float]:
     """Return the coordinate of every joint of the URDF by name [m, rad], all loops closed at one pose; zero at home.
 
-    Arguments and errors are those of :func:`inverse_kinematics`.
+    Errors are those of :func:`inverse_kinematics`.
     """
     theta_x, theta_y, z_e = tripod.checked_pose(pose)
-    u = inverse_kinematics(tripod, pose, assembly_mode=assembly_mode)
-    angles = passive_joint_angles(tripod, pose, assembly_mode=assembly_mode)
+    u = inverse_kinematics(tripod, pose)
+    angles = passive_joint_angles(tripod, pose)
     positions = {
         "platform_x_joint": float(theta_x),
         "platform_y_joint": float(theta_y),

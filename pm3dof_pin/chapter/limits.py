@@ -36,15 +36,15 @@ LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
 """Names of the limits, from the lowest bit on."""
 
 
-def limit_flags(tripod: Tripod, poses: ArrayLike, *, assembly_mode: ArrayLike = -1) -> NDArray[np.uint8]:
+def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
     """Return sums of the :class:`Limit` that poses (theta_x, theta_y, z_e) break, shape=(...); zero within every limit.
 
     Raises:
-        InvalidValueError: poses or modes of a wrong shape.
+        InvalidValueError: poses of a wrong shape.
     """
-    pose_array, modes = tripod.checked(poses, assembly_mode)
+    pose_array = tripod.checked(poses)
     u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
-    legs = Legs.at(tripod, pose_array, modes)
+    legs = Legs.at(tripod, pose_array)
     u, angles = legs.travels, legs.passive_angles
     tilts, height = np.abs(pose_array[..., :2]), pose_array[..., 2]
     # comparisons with NaN are false: a leg out of reach breaks REACH alone, a pose that is not a number its own limit

@@ -111,12 +111,11 @@ class Tripod:
             raise UnreachablePoseError(f"with the sliders at {slider:g} m the legs do not meet one level platform")
         return float(heights[0])
 
-    def checked(self, poses: ArrayLike, assembly_mode: ArrayLike) -> tuple[Array, Array]:
-        """Return poses, shape=(..., 3), and assembly modes as arrays.
+    def checked(self, poses: ArrayLike) -> Array:
+        """Return poses as an array, shape=(..., 3).
 
         Raises:
-            InvalidValueError: poses of another shape, not real, or in what looks like degrees or millimetres; or
-                another mode.
+            InvalidValueError: poses of another shape, not real, or in what looks like degrees or millimetres.
         """
         array = real_array("poses", poses)
         if array.ndim == 0 or array.shape[-1] != 3:
@@ -124,12 +123,16 @@ class Tripod:
                 "poses", f"an array of shape {array.shape}", "shape (..., 3): theta_x, theta_y, z_e"
             )
         self._require_units(array)
+        return array
+
+    def checked_modes(self, assembly_mode: ArrayLike) -> Array:
+        """Return an assembly mode for each leg, shape=(n,); InvalidValueError unless -1 or +1, once or for each."""
         modes = real_array("assembly_mode", assembly_mode)
         if not np.all(np.abs(modes) == 1.0) or modes.shape not in ((), (self.leg_count,)):
             raise InvalidValueError(
                 "assembly_mode", assembly_mode, f"-1 or +1, once or for each of {self.leg_count} legs"
             )
-        return array, modes if modes.ndim > 0 else np.full(self.leg_count, modes)
+        return modes if modes.ndim > 0 else np.full(self.leg_count, modes)
 
     def _require_units(self, poses: Array) -> None:
         p = self.parameters
@@ -145,7 +148,7 @@ class Tripod:
 
     def checked_pose(self, pose: ArrayLike) -> Array:
         """Return a single pose as an array, InvalidValueError unless shape=(3,)."""
-        array, _ = self.checked(pose, -1)
+        array = self.checked(pose)
         if array.ndim != 1:
             raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (3,): theta_x, theta_y, z_e")
         return array

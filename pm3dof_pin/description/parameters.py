@@ -167,7 +167,7 @@ class TripodParameters:
         Raises:
             DescriptionError: a number is missing, is not finite, has an unknown unit or a wrong sign or length.
         """
-        path = Path(path) if path is not None else default_parameters_path()
+        path = Path(path) if path is not None else _default_parameters_path()
         sections = read_parameters(path)
         if sections.get("universal_joint", ON_PLATFORM) != ON_PLATFORM:
             expected = f"expected {ON_PLATFORM}: the closed form is that of the chapter's machine"
@@ -212,7 +212,7 @@ class TripodParameters:
         )
 
 
-def default_parameters_path() -> Path:
+def _default_parameters_path() -> Path:
     """Return the path of the chapter's machine."""
     return robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml"
 

@@ -40,7 +40,7 @@ _NO_MASS = 1e-15
 """Part of the mass of all bodies, times the unit of length squared, below which a motion moves no mass."""
 
 
-def drive_motions(tree: Tree, doubt: Doubt) -> Objects:
+def _drive_motions(tree: Tree, doubt: Doubt) -> Objects:
     """Record the shortest motion of all joints, in scaled numbers, at unit rate of each actuated joint, shape=(nv, u).
 
     Raises:
@@ -71,12 +71,12 @@ def drive_motions(tree: Tree, doubt: Doubt) -> Objects:
 
 def _holding(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the forces of the actuators that hold the weights, shape=(u,) [N, N m]."""
-    return product(drive_motions(tree, doubt).T, Masses(tree, model).weights[:, None])[:, 0]
+    return product(_drive_motions(tree, doubt).T, Masses(tree, model).weights[:, None])[:, 0]
 
 
 def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
     """Record the mass matrix of the actuated joints, shape=(u, u) [kg, kg m, kg m^2]."""
-    motions = drive_motions(tree, doubt)
+    motions = _drive_motions(tree, doubt)
     return _symmetric(motions, product(Masses(tree, model).matrix, motions))
 
 

@@ -236,7 +236,7 @@ def control_basis(control: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarlo:
+class _MonteCarlo:
     """Errors of simulated machines, found by closing their loops: no linearisation."""
 
     values: Array  #: p of each machine, shape=(machines, number of parameters) [m, rad]
@@ -254,7 +254,7 @@ def monte_carlo(
     generator: np.random.Generator,
     *,
     distribution: Distribution = "normal",
-) -> MonteCarlo:
+) -> _MonteCarlo:
     """Draw machines within the tolerances and find where their tools really are at poses as described.
 
     Raises:
@@ -265,7 +265,7 @@ def monte_carlo(
         pose_difference(poses.transforms, errors.apply(p).forward(poses.commands, guess=poses.q).transforms)
         for p in values
     ]
-    return MonteCarlo(frozen(values), frozen(np.array(differences)))
+    return _MonteCarlo(frozen(values), frozen(np.array(differences)))
 
 
 def _root_sum_square(effects: Array) -> Array:

@@ -64,7 +64,7 @@ class SourceErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class KinematicNumbers:
+class _KinematicNumbers:
     """The independent numbers of class "kinematic parameters", whose effects are columns of constant sensitivities."""
 
     errors: GeometricErrors  #: errors of the geometry, then waves beside guideways
@@ -106,7 +106,7 @@ class ErrorSources:
     ) -> None:
         self.errors, self.large = errors, large
         self.distribution: Distribution = distribution
-        found = numbers_of(errors.robot) if numbers is None else numbers
+        found = _declared_numbers(errors.robot) if numbers is None else numbers
         load, thermal = found.load, found.thermal
         self.wrench = finite_array("wrench", load.wrench if wrench is None else wrench, (6,))
         self.rise = float(finite_array("rise", thermal.rise_K if rise is None else rise, ()))
@@ -175,7 +175,7 @@ class ErrorSources:
         return closable(GeometricErrors(robot, named))
 
     @cached_property
-    def kinematic(self) -> KinematicNumbers:
+    def kinematic(self) -> _KinematicNumbers:
         """The numbers of class "kinematic parameters", without the poses."""
         errors, numbers = self.errors, self.numbers.waviness
         beside = [parameter for parameter in self.others.parameters if parameter.group == "waviness"]
@@ -184,7 +184,7 @@ class ErrorSources:
         along = np.where(self.slides, numbers.pitch_m, 0.0)
         waves = np.concatenate([np.full(len(beside), numbers.straightness_m), along]) * scatter
         factor = self.geometry_factor
-        return KinematicNumbers(
+        return _KinematicNumbers(
             GeometricErrors(self.robot, (*errors.parameters, *beside)),
             np.concatenate([errors.tolerances / factor, waves]),
             np.repeat([factor, most, most], counts),
@@ -408,7 +408,7 @@ def _of_waves(count: int) -> tuple[float, float]:
     return float(np.sqrt(0.5 * count)), float(np.sqrt(2.0 * count))
 
 
-def numbers_of(robot: Robot) -> SourceNumbers:
+def _declared_numbers(robot: Robot) -> SourceNumbers:
     """Return the numbers of a robot's sources, of its error file, or the defaults; DescriptionError if it is bad."""
     if robot.files is None or not robot.files.errors.is_file():
         return SourceNumbers()

@@ -33,7 +33,7 @@ Rule = Literal["equal_contributions", "least_cost"]
 
 
 @dataclass(frozen=True, eq=False)
-class Allocation:
+class _Allocation:
     """Tolerances that keep the tip error within a target at every pose of a map."""
 
     tolerances: dict[str, float]  #: of each class of parts and unit, by "class [unit]" [m, rad]
@@ -44,7 +44,7 @@ class Allocation:
 
 def allocate_tolerances(
     error_map: ErrorMap, target: float, rule: Rule, *, compensated: bool = False, coverage: float | None = None
-) -> Allocation:
+) -> _Allocation:
     """Allocate tolerances so that the worst pose just meets a target.
 
     Args:
@@ -170,13 +170,13 @@ def _greatest_tips(error_map: ErrorMap, compensated: bool, sigmas: Array) -> Arr
     return np.concatenate(greatest)
 
 
-def _allocation(error_map: ErrorMap, names: list[str], squares: Array, costs: Array, sigmas: Array) -> Allocation:
+def _allocation(error_map: ErrorMap, names: list[str], squares: Array, costs: Array, sigmas: Array) -> _Allocation:
     finite = np.isfinite(sigmas)
     parts = squares[:, finite] * sigmas[finite] ** 2
     shares = np.zeros(len(names))
     shares[finite] = parts.mean(axis=0) / parts.mean(axis=0).sum()
     tolerances = sigmas * (1.0 if error_map.distribution == "normal" else _HALF_WIDTH)
-    return Allocation(
+    return _Allocation(
         tolerances=dict(zip(names, tolerances.tolist(), strict=True)),
         shares=dict(zip(names, shares.tolist(), strict=True)),
         cost=float(np.sum(costs[finite] / tolerances[finite])),

@@ -78,7 +78,7 @@ class Vibration:
         forcing = _Forcing(elastic_model(poses.robot).mechanism, self.payloads)
         for row, modes in enumerate(self._modes(poses)):
             omegas = 2.0 * np.pi * modes.frequencies
-            joint = {s: response_products(omegas, numbers.damping, s) for s in set(spectra.values())}
+            joint = {s: _response_products(omegas, numbers.damping, s) for s in set(spectra.values())}
             for cause, spectrum in spectra.items():
                 inputs = forcing.of(cause, modes)
                 covariances[cause][row] = modes.twists @ (joint[spectrum] * (inputs @ inputs.T)) @ modes.twists.T
@@ -93,7 +93,7 @@ class Vibration:
             yield modes
 
 
-def response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Matrix:
+def _response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Matrix:
     """Return the integrals of G Re(H_r H_s*) over all frequencies, shape=(k, k) [unit^2 s^4].
 
     H are the modes of angular frequencies `omegas` [rad/s] and damping zeta, G the spectrum [unit^2/Hz].

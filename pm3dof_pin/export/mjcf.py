@@ -6,9 +6,10 @@ from pathlib import PurePath
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 
 from pm3dof_pin.export.robot_document import RobotDocument
-from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape, quaternion_product
+from pm3dof_pin.export.urdf_document import WORLD, Inertial, Joint, Link, Origin, Shape, wxyz
 from pm3dof_pin.export.xml_text import document_text, number_text, numbers_text
 
 MESH_KINDS = (".stl", ".obj", ".msh")
@@ -121,13 +122,12 @@ class _Writer:
 
     def _place_in(self, carrier: str, frame: str) -> dict[str, str]:
         """Placement of a frame in the body that carries it by fixed joints."""
-        position, quaternion = np.zeros(3), (1.0, 0.0, 0.0, 0.0)
+        position, turn = np.zeros(3), pin.Quaternion.Identity()
         while frame != carrier and (above := self._robot.urdf.above(frame)) is not None:
             position = above.origin.rotation @ position + above.origin.position
-            quaternion = quaternion_product(above.origin.quaternion, quaternion)
-            frame = above.parent
+            turn, frame = above.origin.turn * turn, above.parent
         place = {"pos": numbers_text(position)} if position.any() else {}
-        return place | ({"quat": numbers_text(quaternion)} if quaternion != (1.0, 0.0, 0.0, 0.0) else {})
+        return place | ({} if turn == pin.Quaternion.Identity() else {"quat": numbers_text(wxyz(turn))})
 
     def _geom(self, body: Element, kind: str, shape: Shape) -> None:
         attributes = {"class": kind}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,8 +10,10 @@ from typing import Any, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+from pm3dof_pin.description.inertia_checks import inertia_matrix
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.xml_text import document_text
 
@@ -38,27 +39,21 @@ class Origin:
         return any(self.roll_pitch_yaw)
 
     @property
+    def turn(self) -> pin.Quaternion:
+        """The rotation; continuous in the angles, so the same on every computer but for rounding."""
+        turns = (pin.Quaternion(pin.AngleAxis(a, axis)) for a, axis in zip(self.roll_pitch_yaw, np.eye(3), strict=True))
+        roll, pitch, yaw = turns
+        return yaw * pitch * roll
+
+    @property
     def quaternion(self) -> Quaternion:
-        """The rotation as w, x, y, z; continuous in the angles, so the same on every computer but for rounding."""
-        (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in self.roll_pitch_yaw)
-        return (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
+        """The rotation as w, x, y, z."""
+        return wxyz(self.turn)
 
     @property
     def rotation(self) -> NDArray[np.float64]:
         """The rotation matrix, shape=(3, 3)."""
-        w, x, y, z = self.quaternion
-        return np.array(
-            [
-                [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-                [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-                [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-            ]
-        )
+        return np.asarray(self.turn.toRotationMatrix())
 
 
 @dataclass(frozen=True)
@@ -77,9 +72,8 @@ class Inertial:
     @property
     def moments_in_link_axes(self) -> tuple[float, ...]:
         """The moments turned into the axes of the link, about the centre of mass."""
-        xx, yy, zz, xy, xz, yz = self.moments
         rotation = self.origin.rotation
-        turned = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+        turned = rotation @ inertia_matrix(self.moments) @ rotation.T
         return tuple(float(turned[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
 
 
@@ -171,15 +165,9 @@ class UrdfDocument:
         return frame if frame in self.links else next(joint.child for joint in self.joints if joint.name == frame)
 
 
-def quaternion_product(one: Quaternion, other: Quaternion) -> Quaternion:
-    """Return the product of two quaternions w, x, y, z: the rotation `one` after `other`."""
-    (a, b, c, d), (w, x, y, z) = one, other
-    return (
-        a * w - b * x - c * y - d * z,
-        a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x,
-        a * z + b * y - c * x + d * w,
-    )
+def wxyz(turn: pin.Quaternion) -> Quaternion:
+    """Return a quaternion as numbers w, x, y, z."""
+    return float(turn.w), float(turn.x), float(turn.y), float(turn.z)
 
 
 def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:

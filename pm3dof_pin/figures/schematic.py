@@ -51,8 +51,8 @@ class _Points:
 
     def __init__(self, tripod: Tripod) -> None:
         self.tripod = tripod
-        pose, modes = tripod.checked(tripod.home, -1)
-        legs = Legs.at(tripod, pose, modes)
+        pose = tripod.home
+        legs = Legs.at(tripod, pose)
         transform = placement(tripod.home)
         rise = tripod.guide_directions[:, 2]
         if np.any(rise <= 0.0):

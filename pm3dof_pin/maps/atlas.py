@@ -328,7 +328,7 @@ def open_atlas(path: Path | str) -> xr.Dataset:
     return dataset
 
 
-def compute_block(atlas: Atlas, block: Block) -> Block:
+def _compute_block(atlas: Atlas, block: Block) -> Block:
     """Compute one block and write it into the store."""
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
@@ -361,7 +361,7 @@ def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Ite
     with ThreadPoolExecutor(count) as pool, ThreadPoolExecutor(_SYNCS) as syncs:
         try:
             for block in todo:
-                computing.append(pool.submit(compute_block, atlas, block))
+                computing.append(pool.submit(_compute_block, atlas, block))
                 if len(computing) > count:
                     sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
                 while sealing and (sealing[0].done() or len(sealing) > _SYNCS):
@@ -425,7 +425,7 @@ def _on_cluster(atlas: Atlas, todo: Sequence[Block], cluster: Client) -> Iterato
 
 
 def _compute_and_seal(atlas: Atlas, block: Block) -> tuple[Block, Checksums]:
-    return atlas.store.seal(compute_block(atlas, block))
+    return atlas.store.seal(_compute_block(atlas, block))
 
 
 def _poses_in(atlas: Atlas, block: Block) -> int:

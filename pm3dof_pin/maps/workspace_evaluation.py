@@ -115,7 +115,7 @@ def evaluate_workspace(
     matrix = ("free_stiffness" if _has_rigid_directions(mapped) else "stiffness",) if springs else ()
     every = tuple(dict.fromkeys((*wanted, *matrix, *((SHARES,) if springs else ()))))
     dataset = quantity_map(mapped, grid, every, engine=engine, threads=threads)
-    weights = cell_volumes(grid)
+    weights = _cell_volumes(grid)
     inside = dataset[BROKEN_LIMITS].values == 0
     if not inside.any():
         raise UnreachablePoseError(
@@ -148,7 +148,7 @@ def _has_rigid_directions(mapped: MappedRobot) -> bool:
     return not has_stiffness and mapped.free_motions is not None
 
 
-def cell_volumes(grid: Grid) -> Array:
+def _cell_volumes(grid: Grid) -> Array:
     """Return the volume that each pose of a grid stands for, by the trapezoidal rule, shape=grid.shape [m, rad]."""
     volumes = np.ones(grid.shape)
     for axis, values in enumerate(grid.axes.values()):

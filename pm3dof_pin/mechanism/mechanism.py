@@ -36,7 +36,7 @@ _NORM_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class SingleJoint:
+class _SingleJoint:
     """A single-DoF joint that slides (`translates`) or turns: where its coordinate and its rate stand in q and v.
 
     Of a continuous joint, q holds cosine and sine from that index on.
@@ -247,7 +247,7 @@ class Mechanism:
         """Return Pinocchio's index of a frame, a link before a joint of its name; FrameNotFoundError without either."""
         return self._frame_id(name, self.name)
 
-    def single_joint(self, name: str) -> SingleJoint:
+    def single_joint(self, name: str) -> _SingleJoint:
         """Return where the coordinate and rate of a single-DoF joint stand.
 
         Raises:
@@ -420,10 +420,10 @@ def _frame_ids(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _single_joints(model: pin.Model) -> dict[str, SingleJoint]:
+def _single_joints(model: pin.Model) -> dict[str, _SingleJoint]:
     translates = _is_translation(model)
     return {
-        model.names[index]: SingleJoint(
+        model.names[index]: _SingleJoint(
             model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2, bool(translates[joint.idx_v])
         )
         for index, joint in enumerate(model.joints)

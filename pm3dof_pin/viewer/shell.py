@@ -53,7 +53,7 @@ class Shell:
         scene.set_object(f"{path}/lines", lines, casts_shadow=False)
 
 
-def tool_tips(poses: Poses, length: float) -> Array:
+def _tool_tips(poses: Poses, length: float) -> Array:
     """Return the tips of tools of a length along the z axis of the tool frame, shape=(..., 3) [m]."""
     return np.asarray(poses.positions + length * poses.rotations[..., 2])
 
@@ -95,7 +95,7 @@ def workspace_shell(
         raise InvalidValueError("quantity", quantity, "one that is finite all over the boundary")
     others = [other.layer(mapped, poses) for other in ScalarQuantity.others(mapped, quantity)]
     layers = (layer, *(other for other in others if np.isfinite(other.values).all()))
-    tips = tool_tips(boundary, tool_length)
+    tips = _tool_tips(boundary, tool_length)
     count, part = len(sections), ""
     if count < heights:
         ends, scale, unit = [sections[0].level, sections[-1].level], 1.0, "m"
@@ -103,7 +103,7 @@ def workspace_shell(
             scale, unit = 180.0 / np.pi, "°"
         part = f"{limits.names[2]} {scale * ends[0]:.4g} .. {scale * ends[1]:.4g} {unit} only"
     lines, faces = _rings(tips, count, directions), _faces(count, directions)
-    return Shell(tips, faces, lines, tool_tips(within, tool_length), layers, part)
+    return Shell(tips, faces, lines, _tool_tips(within, tool_length), layers, part)
 
 
 def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: int) -> Poses:

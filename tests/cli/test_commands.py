@@ -227,14 +227,14 @@ def test_atlas_says_how_it_goes_on_after_an_interrupt(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C as Python raises it, between two blocks; tests/maps sends signals to a real run."""
-    compute, calls = atlas.compute_block, itertools.count()
+    compute, calls = atlas._compute_block, itertools.count()
 
     def interrupted_at_the_second(*arguments: Any) -> Any:
         if next(calls) == 1:
             raise KeyboardInterrupt
         return compute(*arguments)
 
-    monkeypatch.setattr(atlas, "compute_block", interrupted_at_the_second)
+    monkeypatch.setattr(atlas, "_compute_block", interrupted_at_the_second)
     monkeypatch.setattr(atlas, "_BLOCK_POSES", 200)
     target = tmp_path / "atlas.zarr"
     words = ("atlas", "-q", "slider_travel", "--points", "9", "9", "9", "--threads", "1", "--out", str(target))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pm3dof_pin.description.parameters import TripodParameters, default_parameters_path
+from pm3dof_pin.description.parameters import TripodParameters, _default_parameters_path
 from pm3dof_pin.exceptions import DescriptionError
 
 Tree = dict[str, Any]
@@ -21,7 +21,7 @@ Tree = dict[str, Any]
 @pytest.fixture(scope="module")
 def tree() -> Tree:
     """The chapter's parameter file as plain data."""
-    data: Tree = yaml.safe_load(default_parameters_path().read_text(encoding="utf-8"))
+    data: Tree = yaml.safe_load(_default_parameters_path().read_text(encoding="utf-8"))
     return data
 
 

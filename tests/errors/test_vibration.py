@@ -11,7 +11,7 @@ import pm3dof_pin as pm
 from pm3dof_pin.description.source_numbers import Spectrum, VibrationNumbers
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.errors.normal_vectors import covariance_root
-from pm3dof_pin.errors.vibration import CAUSES, Vibration, response_products
+from pm3dof_pin.errors.vibration import CAUSES, Vibration, _response_products
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -24,7 +24,7 @@ def quiet(**spectra: Spectrum | None) -> VibrationNumbers:
 
 def test_the_integral_over_bands_is_that_of_quadrature() -> None:
     omegas, damping = np.array([100.0, 103.0, 2000.0]), 0.03
-    found = response_products(omegas, damping, Spectrum(edges_Hz=(5.0, 30.0, 400.0), levels=(2.0, 0.5)))
+    found = _response_products(omegas, damping, Spectrum(edges_Hz=(5.0, 30.0, 400.0), levels=(2.0, 0.5)))
     expected = np.zeros((3, 3))
     for first, last, level in ((5.0, 30.0, 2.0), (30.0, 400.0, 0.5)):
         edges = np.linspace(first, last, 20_001)
@@ -40,7 +40,7 @@ def test_the_integral_over_bands_is_that_of_quadrature() -> None:
 def test_one_oscillator_under_white_noise() -> None:
     """G / (8 zeta omega^3), S. Crandall and W. Mark, Random Vibration in Mechanical Systems, 1963."""
     white = Spectrum(edges_Hz=(0.0, 1e9), levels=(3.0,))
-    found = response_products(np.array([50.0, 700.0]), 0.02, white).diagonal()
+    found = _response_products(np.array([50.0, 700.0]), 0.02, white).diagonal()
     np.testing.assert_allclose(found, 3.0 / (8.0 * 0.02 * np.array([50.0, 700.0]) ** 3), rtol=1e-9)
 
 

@@ -86,7 +86,7 @@ def test_interrupted_and_resumed_is_the_same_to_the_byte(
 ) -> None:
     whole = compute_atlas(make(mechanism, tmp_path / "whole" / f"atlas{suffix}"))
     job = make(mechanism, tmp_path / "broken" / f"atlas{suffix}")
-    compute, calls = atlas_module.compute_block, []
+    compute, calls = atlas_module._compute_block, []
 
     def fail_at_the_fourth(atlas: Atlas, block: tuple[int, int]) -> tuple[int, int]:
         calls.append(block)
@@ -94,11 +94,11 @@ def test_interrupted_and_resumed_is_the_same_to_the_byte(
             raise KeyboardInterrupt
         return compute(atlas, block)
 
-    monkeypatch.setattr(atlas_module, "compute_block", fail_at_the_fourth)
+    monkeypatch.setattr(atlas_module, "_compute_block", fail_at_the_fourth)
     with pytest.raises(KeyboardInterrupt):
         compute_atlas(job, threads=1)
     assert not job.path.exists()
-    monkeypatch.setattr(atlas_module, "compute_block", compute)
+    monkeypatch.setattr(atlas_module, "_compute_block", compute)
     done: list[int] = []
     resumed = compute_atlas(job, threads=2, progress=lambda poses, total: done.append(poses))
     assert len(done) < len(list(job.blocks()))  # finished blocks were not computed again
@@ -175,11 +175,11 @@ def test_an_unfinished_atlas_of_other_settings_is_not_mixed_in(
     def fail(atlas: Atlas, block: tuple[int, int]) -> tuple[int, int]:
         raise KeyboardInterrupt
 
-    compute = atlas_module.compute_block
-    monkeypatch.setattr(atlas_module, "compute_block", fail)
+    compute = atlas_module._compute_block
+    monkeypatch.setattr(atlas_module, "_compute_block", fail)
     with pytest.raises(KeyboardInterrupt):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc"))
-    monkeypatch.setattr(atlas_module, "compute_block", compute)
+    monkeypatch.setattr(atlas_module, "_compute_block", compute)
     with pytest.raises(OutputError, match="unfinished atlas of other settings"):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc", (13, 11, 8)))
 
@@ -188,7 +188,7 @@ def test_full_disk(mechanism: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyP
     def full(atlas: Atlas, block: tuple[int, int]) -> tuple[int, int]:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(atlas_module, "compute_block", full)
+    monkeypatch.setattr(atlas_module, "_compute_block", full)
     with pytest.raises(OutputError, match=r"No space left on device; finished blocks are kept in .*\.parts"):
         compute_atlas(make(mechanism, tmp_path / "atlas.nc"))
     assert not (tmp_path / "atlas.nc").exists()

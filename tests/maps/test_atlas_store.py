@@ -130,8 +130,8 @@ def test_sound_blocks_are_not_computed_again(
     interrupted(monkeypatch, job)
     flip(a_chunk(job.parts))
     computed = []
-    compute = atlas_module.compute_block
-    monkeypatch.setattr(atlas_module, "compute_block", lambda a, block: computed.append(block) or compute(a, block))
+    compute = atlas_module._compute_block
+    monkeypatch.setattr(atlas_module, "_compute_block", lambda a, block: computed.append(block) or compute(a, block))
     compute_atlas(make(robot, job.path))
     assert len(computed) == 1
     assert "1 finished blocks are damaged; computed again" in caplog.text
@@ -203,8 +203,8 @@ grid = robot.grid(x=(-0.01, 0.01, 9), y=(-0.01, 0.01, 9))
 job = atlas.Atlas(robot, grid, ("felt_stiffness", "condition_number"), Path(sys.argv[1]))
 if "slow" in sys.argv:
     import time
-    compute = atlas.compute_block
-    atlas.compute_block = lambda *a: (time.sleep(0.1), compute(*a))[1]
+    compute = atlas._compute_block
+    atlas._compute_block = lambda *a: (time.sleep(0.1), compute(*a))[1]
 atlas._BETWEEN_ENTRIES = 0.0
 try:
     atlas.compute_atlas(job, threads=1)
@@ -259,7 +259,7 @@ def test_a_cluster_that_dies_is_one_line(robot: Robot, tmp_path: Path, monkeypat
             raise TimeoutError
 
     def lost(_: object) -> None:
-        raise distributed.client.FutureCancelledError("compute_block-1", "scheduler-connection-lost")
+        raise distributed.client.FutureCancelledError("_compute_block-1", "scheduler-connection-lost")
 
     monkeypatch.setattr(distributed, "Client", Cluster)
     monkeypatch.setattr(distributed, "as_completed", lost)

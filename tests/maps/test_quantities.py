@@ -100,9 +100,9 @@ def test_natural_frequencies_are_those_at_each_pose(mechanism: Robot, reachable_
 
 
 def test_another_tripod_has_the_chapters_numbers_too(tmp_path: Path) -> None:
-    from pm3dof_pin.description.parameters import default_parameters_path
+    from pm3dof_pin.description.parameters import _default_parameters_path
 
-    text = default_parameters_path().read_text()
+    text = _default_parameters_path().read_text()
     assert "value: 353.0, unit: mm" in text  # the links
     config = tmp_path / "longer.yaml"
     config.write_text(text.replace("value: 353.0, unit: mm", "value: 354.0, unit: mm"))

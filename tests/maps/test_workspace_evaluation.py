@@ -13,7 +13,7 @@ import pytest
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.maps.workspace_evaluation import cell_volumes, evaluate_workspace
+from pm3dof_pin.maps.workspace_evaluation import _cell_volumes, evaluate_workspace
 
 AXES = ["x", "y", "z", "rx", "ry", "rz"]
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -135,7 +135,7 @@ def test_a_planar_machine() -> None:
 def test_volumes_do_not_depend_on_the_density_of_the_grid(mechanism: Robot) -> None:
     coarse, fine = (mechanism.grid(theta_x=(-0.5, 0.5, n), z_e=(0.45, 0.5, 2 * n)) for n in (4, 9))
     for grid in (coarse, fine):
-        assert cell_volumes(grid).sum() == pytest.approx(1.0 * 0.05)
+        assert _cell_volumes(grid).sum() == pytest.approx(1.0 * 0.05)
 
 
 def test_nothing_within_the_limits(mechanism: Robot) -> None:

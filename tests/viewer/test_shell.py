@@ -15,7 +15,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
-from pm3dof_pin.viewer.shell import Shell, tool_tips, workspace_shell
+from pm3dof_pin.viewer.shell import Shell, _tool_tips, workspace_shell
 
 LENGTH = 0.2
 
@@ -35,7 +35,7 @@ def poses_of(tips: np.ndarray) -> np.ndarray:
 def test_tips_are_on_the_platforms_normal() -> None:
     coordinates = np.random.default_rng(0).uniform([-0.6, -0.6, 0.42], [0.6, 0.6, 0.54], (50, 3))
     expected = placement(coordinates) @ np.array([0.0, 0.0, LENGTH, 1.0])
-    tips = tool_tips(Robot.load("pm3dof").solve(coordinates), LENGTH)
+    tips = _tool_tips(Robot.load("pm3dof").solve(coordinates), LENGTH)
     np.testing.assert_allclose(tips, expected[:, :3], atol=1e-12)
     np.testing.assert_allclose(poses_of(tips), coordinates, atol=1e-11)
 

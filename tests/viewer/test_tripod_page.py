@@ -267,7 +267,7 @@ def test_what_is_not_the_machines_own_is_left_behind(
 
 def test_workspace_in_the_page(page: Any, mechanism: Robot, tmp_path: Path) -> None:
     """The tip of the drawn tool is where the formula puts it, at a slider's pose too, and the box hides the shell."""
-    from pm3dof_pin.viewer.shell import tool_tips
+    from pm3dof_pin.viewer.shell import _tool_tips
 
     viewer = Viewer(mechanism)
     viewer.workspace("condition_number", tool_length=0.2, heights=11, directions=24)
@@ -275,7 +275,7 @@ def test_workspace_in_the_page(page: Any, mechanism: Robot, tmp_path: Path) -> N
     pose = [0.2, -0.3, 0.48]
     page.ask("".join(f"pm3dof.slide({index}, {value});" for index, value in enumerate(pose)) + "0")
     np.testing.assert_allclose(
-        page.matrix("/robot/platform/tool/tip")[:3, 3], tool_tips(mechanism.solve(pose), 0.2), atol=1e-12
+        page.matrix("/robot/platform/tool/tip")[:3, 3], _tool_tips(mechanism.solve(pose), 0.2), atol=1e-12
     )
     assert page.is_visible("/workspace")
     page.tick("workspace")
