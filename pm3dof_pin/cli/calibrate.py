@@ -11,6 +11,7 @@ import typer
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, RobotOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.pictures import PictureFormat, save
 from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -68,6 +69,10 @@ def calibrate(
         Literal["squares", "huber", "tukey"], typer.Option(help="Robustness of the identification.")
     ] = "tukey",
     seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
+    formats: Annotated[
+        list[PictureFormat] | None,
+        typer.Option("--format", help="Write the report's pictures as files too, in this format; may be repeated."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
@@ -77,6 +82,7 @@ def calibrate(
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.calibration.verdict import verdict
     from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.figures.calibration import calibration_pictures
     from pm3dof_pin.figures.calibration_report import report_as_html
     from pm3dof_pin.measuring.measurement_file import read_measurements
 
@@ -105,6 +111,9 @@ def calibrate(
             more: Any = {"validation": judged, "objections": reasons, "judgement": said}
             report = report_as_html(calibration, name, held_out, maps, **more)
             folder = write_calibration(calibration, which.robot, out, held_out, report, **more)
+            if formats:
+                for picture, figure in calibration_pictures(calibration, held_out, maps, validation=judged).items():
+                    save(figure, folder / f"{picture}.png", formats)
             progress(4, 4)
     summary = summary_of(calibration, name, held_out, **more)
     for reason in reasons:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 from matplotlib.tri import Triangulation
 
+from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
@@ -26,6 +27,26 @@ from pm3dof_pin.figures.style import (
 BEFORE, AFTER, FLOOR, NOISE = "#D55E00", "#0072B2", "#009E73", "#999999"  # Okabe and Ito
 
 _MICROMETRES = 1e6
+
+
+def calibration_pictures(
+    calibration: Calibration,
+    held_out: HeldOut | None = None,
+    maps: WorkspaceErrors | None = None,
+    *,
+    validation: HeldOut | None = None,
+) -> dict[str, Figure]:
+    """Return the pictures of a calibration's report, by names for their files."""
+    found = calibration.identification
+    pictures = {} if validation is None else {"tip_error_validation": held_out_picture(validation)}
+    if held_out is not None:
+        pictures["tip_error_held_out"] = held_out_picture(held_out)
+    pictures["residuals"] = residuals_picture(found)
+    if maps is not None:
+        pictures["workspace"] = workspace_picture(maps)
+    if calibration.compensation.values is not None:
+        pictures["parameters"] = parameters_picture(found)
+    return pictures
 
 
 def held_out_picture(held_out: HeldOut) -> Figure:

@@ -16,12 +16,7 @@ from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.calibration.results import statistics
 from pm3dof_pin.calibration.verdict import Verdict
-from pm3dof_pin.figures.calibration import (
-    held_out_picture,
-    parameters_picture,
-    residuals_picture,
-    workspace_picture,
-)
+from pm3dof_pin.figures.calibration import calibration_pictures
 from pm3dof_pin.figures.style import house_style
 
 _STYLE = """
@@ -34,8 +29,11 @@ _NO_FLOOR = (
     "What no command corrects is not drawn: only identified parameters tell where it is. Both maps lack it, but for "
     "its mean, which the second has."
 )
-_CROSS_VALIDATION = "Cross-validation: each fifth of the poses is predicted from the others."
-_VALIDATION = "These measurements had no part in the calibration."
+_CROSS_VALIDATION = (
+    "Accuracy on poses it was not shown",
+    "Cross-validation: each fifth of the poses is predicted from the others.",
+)
+_VALIDATION = ("On the validation file", "These measurements had no part in the calibration.")
 _METHODS = {
     "lm": "geometric parameters by least squares",
     "nn": "a neural network on the joint variables",
@@ -57,6 +55,8 @@ def report_as_html(
 ) -> str:
     """Return the report of a calibration; the same calibration gives the same bytes."""
     options, found = calibration.options, calibration.identification
+    pictures = calibration_pictures(calibration, held_out, maps, validation=validation)
+    of_validation, of_held_out = (pictures.get(f"tip_error_{kind}") for kind in ("validation", "held_out"))
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
         *(f"<p><b>Written by force, although {escape(reason)}.</b></p>" for reason in objections),
@@ -64,10 +64,10 @@ def report_as_html(
         f"<p>{len(calibration.measurements)} measurements ({found.measurements.measured}s), method "
         f"<b>{options.method}</b>: {_METHODS[options.method]}. Tip errors weigh a turn with {options.eta:g} m/rad. "
         f"Seed {options.seed}.</p>",
-        *([] if validation is None else _accuracy(calibration, validation, "On the validation file", _VALIDATION)),
-        *_accuracy(calibration, held_out, "Accuracy on poses it was not shown", _CROSS_VALIDATION),
+        *([] if validation is None else _accuracy(calibration, validation, of_validation, *_VALIDATION)),
+        *_accuracy(calibration, held_out, of_held_out, *_CROSS_VALIDATION),
         *([] if judgement is None else _budget(judgement)),
-        *_data(calibration),
+        *_data(calibration, pictures["residuals"]),
     ]
     if maps is not None:
         floor = "The floor is what no command corrects." if maps.floor is not None else _NO_FLOOR
@@ -75,10 +75,10 @@ def report_as_html(
             "<h2>Over the workspace</h2>",
             "<p>As the calibration knows the machine, the other coordinates in the middle of their ranges. "
             f"{floor}</p>",
-            _image(workspace_picture(maps), "maps of the tip error before and after"),
+            _image(pictures["workspace"], "maps of the tip error before and after"),
         ]
     if calibration.compensation.values is not None:
-        parts += _parameters(found)
+        parts += _parameters(found, pictures["parameters"])
     body = "\n".join(parts)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -86,7 +86,7 @@ def report_as_html(
     )
 
 
-def _data(calibration: Calibration) -> list[str]:
+def _data(calibration: Calibration, residuals: Figure) -> list[str]:
     found = calibration.identification
     remarks = [escape(text) for text in calibration.measurements.warnings]
     if (registration := calibration.measurements.registration) is not None:
@@ -104,8 +104,7 @@ def _data(calibration: Calibration) -> list[str]:
             "the measurements say: the noise is greater, or the machine is richer than its parameters."
         )
     listed = "".join(f"<li>{remark}</li>" for remark in remarks) or "<li>Nothing odd was found.</li>"
-    picture = _image(residuals_picture(found), "residual of each measurement")
-    return ["<h2>The measurements</h2>", f"<ul>{listed}</ul>", picture]
+    return ["<h2>The measurements</h2>", f"<ul>{listed}</ul>", _image(residuals, "residual of each measurement")]
 
 
 def _verdict(judgement: Verdict) -> list[str]:
@@ -155,9 +154,11 @@ def _budget(judgement: Verdict) -> list[str]:
     return parts
 
 
-def _accuracy(calibration: Calibration, held_out: HeldOut | None, title: str, text: str) -> list[str]:
+def _accuracy(
+    calibration: Calibration, held_out: HeldOut | None, picture: Figure | None, title: str, text: str
+) -> list[str]:
     heading = f"<h2>{title}</h2>"
-    if held_out is None:
+    if held_out is None or picture is None:
         return [heading, "<p>Not known: too few poses for a cross-validation.</p>"]
     units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
     joint_unit = ", ".join(f"µ{unit}" for unit in units)
@@ -179,14 +180,14 @@ def _accuracy(calibration: Calibration, held_out: HeldOut | None, title: str, te
         "E, the energy of the pose error, adds position and weighed turn instead of their squares; the best commands "
         "are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
-        _image(held_out_picture(held_out), "share of held-out poses below a tip error"),
+        _image(picture, "share of held-out poses below a tip error"),
         f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside "
         f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are explained by "
         "nothing.</p>",
     ]
 
 
-def _parameters(found: Identification) -> list[str]:
+def _parameters(found: Identification, picture: Figure) -> list[str]:
     rows = [
         (name, f"{1e6 * value:.2f}", f"{1e6 * sigma:.2f}", f"{1e6 * tolerance:.0f}", f"µ{unit}")
         for name, value, sigma, tolerance, unit in zip(
@@ -203,7 +204,7 @@ def _parameters(found: Identification) -> list[str]:
         f"<p>{found.identifiability.rank} combinations of {len(found.errors)} parameters are identifiable. The grey "
         f"band is the tolerance; before the measurements the standard deviation was {found.prior:g} tolerances.</p>",
         f"<ul>{remarks}</ul>",
-        _image(parameters_picture(found), "identified parameters with their uncertainties"),
+        _image(picture, "identified parameters with their uncertainties"),
         _table(("parameter", "value", "sigma", "tolerance", "unit"), rows),
         *_stiffness(found),
     ]

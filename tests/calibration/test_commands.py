@@ -30,8 +30,11 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     folder = tmp_path_factory.mktemp("calibration")
     measured = answer("measure", "--out", "m.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=folder)
     assert measured["poses"] == 30
-    calibrated = answer("calibrate", "m.csv", "--method", "lm+gp", "--out", "calibration", cwd=folder)
+    options = ("--method", "lm+gp", "--out", "calibration", "--format", "pdf")
+    calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"
+    pictures = {file.stem for file in (folder / "calibration").glob("*.pdf")}
+    assert pictures == {"tip_error_held_out", "residuals", "workspace", "parameters"}
     assert calibrated["held_out"]["poses"] == 30
     return folder
 
