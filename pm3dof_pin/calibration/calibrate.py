@@ -184,8 +184,8 @@ def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options:
     try:
         found = pseudo_errors(measurements, nominal, options.eta)
     except UnreachablePoseError as error:
-        problem = f"seen where no commands bring the machine ({error})"
-        raise InvalidValueError("measurements", problem, "poses near those of the commands") from error
+        problem = "where no commands bring the machine"
+        raise InvalidValueError("poses measured", problem, "poses near those of the commands") from error
     seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
     if seen < drives and not measurements.joints:  # which show more, but of the tool by the model alone
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets off the tool point"

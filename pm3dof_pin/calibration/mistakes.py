@@ -232,10 +232,14 @@ def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False)
             text = f"the positions have another scale: {found / right:.6g} times what they should be"
             text += ", and are not in the base's frame" if free else ""
             yield Mistake(text, replace(measurements, positions=seen * right / found), nominal, free)
+    if measurements.rotations is None and not free:
+        shift = np.median(expected - seen, axis=0)
+        text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away"
+        yield Mistake(text, replace(measurements, positions=seen + shift), nominal)
 
 
 def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
-    """Another origin or other axes of the positions where orientations fit."""
+    """Give another origin or other axes of the positions where orientations fit."""
     expected, seen = _expected(measurements, nominal), measurements.positions
     if measurements.rotations is None:
         return

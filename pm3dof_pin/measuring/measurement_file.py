@@ -369,12 +369,17 @@ class _Reader:
         if poses.solved.all():
             return poses
         problem = f"{self._robot.name} cannot take these commands"
-        home = self._robot.home.commands
-        if any(
-            self._robot.forward(other, on_failure="nan").solved.all() for other in (-commands, 2.0 * home - commands)
-        ):
-            problem += ", and could with the sign of all of them that of the other direction"
+        if turned := self._drives_that_count_backwards(commands):
+            problem += f", and could if {turned} counted the other way"
         raise MeasurementError(self._path, problem, self._table.lines_where(~poses.solved))
+
+    def _drives_that_count_backwards(self, commands: Array) -> str:
+        """Return which drives would make the commands possible if they counted the other way, or ""."""
+        mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
+        ways = [("all drives", mirrored), ("all drives", -commands)]
+        ways += [(f"u{k + 1}", np.where(one, mirrored, commands)) for k, one in enumerate(np.diag(every))]
+        found = (name for name, other in ways if self._robot.forward(other, on_failure="nan").solved.all())
+        return next(found, "")
 
     def _rotations(self) -> Array | None:
         if QUATERNION_COLUMNS[0] not in self._table:

@@ -198,7 +198,7 @@ def test_a_row_half_a_metre_off_is_no_more_than_an_outlier(
 
 
 def test_measurements_in_another_frame_are_refused(measured: Measurements, tripod_errors: GeometricErrors) -> None:
-    with pytest.raises(InvalidValueError, match="seen where no commands bring the machine"):
+    with pytest.raises(InvalidValueError, match="where no commands bring the machine"):
         calibrate(replace(measured, positions=measured.positions - 0.3), tripod_errors)
 
 

@@ -54,4 +54,4 @@ def test_a_right_file_in_another_form_stays_right(tmp_path: Path) -> None:
     assert best.kind == "accepted", best.words
     text = script.as_text(good.table)
     strange = "\ufeff" + text.replace(",", ", ").replace("\n", "\r\n\r\n")
-    assert script.outcome(good, strange, tmp_path).missed == best.missed
+    assert script.outcome(good, strange, tmp_path).result == best.result
