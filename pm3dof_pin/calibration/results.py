@@ -60,11 +60,12 @@ def write_calibration(
     validation: HeldOut | None = None,
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
+    errors_file: Path | None = None,
 ) -> Path:
     """Write a calibration of a robot, by name or path, in place of an older one, whole or not at all.
 
     What speaks for and against it goes with it: errors held out or of other measurements, a report, objections, the
-    verdict. Returns the folder.
+    verdict; and the file of error parameters that was taken in place of the robot's own. Returns the folder.
 
     Raises:
         OutputError: the folder cannot be written, or something that is no calibration is there.
@@ -72,9 +73,10 @@ def write_calibration(
     """
     compensation, files = calibration.compensation, find_robot(robot)
     with replace_directory(directory, SUMMARY) as folder:
-        for source in (files.path, files.closures, files.errors, files.srdf):
-            if source is not None and source.is_file():
-                write_text_atomically(folder / "nominal" / source.name, source.read_text(encoding="utf-8"))
+        sources = [(source, source.name) for source in (files.path, files.closures, files.srdf) if source is not None]
+        for source, name in [*sources, (errors_file or files.errors, files.errors.name)]:
+            if source.is_file():
+                write_text_atomically(folder / "nominal" / name, source.read_text(encoding="utf-8"))
         if compensation.values is not None:
             factors = {name: factor for name, (factor, _) in compensation.stiffness.items()}
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated", factors)

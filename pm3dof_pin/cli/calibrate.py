@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, RobotOptions
+from pm3dof_pin.cli.options import Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
 from pm3dof_pin.cli.progress import progress_bar
@@ -32,7 +32,7 @@ TargetOffsets: TypeAlias = Literal["fixed", "estimate"]
 def calibrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
     out: Annotated[Path, typer.Option(help="Folder to write; an older calibration there is replaced.")],
-    which: RobotOptions,
+    which: RobotErrorsOptions,
     method: Annotated[
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
@@ -110,7 +110,9 @@ def calibrate(
             said = verdict(calibration, held_out, judged)
             more: Any = {"validation": judged, "objections": reasons, "judgement": said}
             report = report_as_html(calibration, name, held_out, maps, **more)
-            folder = write_calibration(calibration, which.robot, out, held_out, report, **more)
+            folder = write_calibration(
+                calibration, which.robot, out, held_out, report, errors_file=which.errors, **more
+            )
             if formats:
                 for picture, figure in calibration_pictures(calibration, held_out, maps, validation=judged).items():
                     save(figure, folder / f"{picture}.png", formats)

@@ -10,7 +10,7 @@ import typer
 
 from pm3dof_pin.cli.calibrate import MethodName, TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, RobotOptions
+from pm3dof_pin.cli.options import Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 from pm3dof_pin.cli.progress import progress_bar
@@ -31,7 +31,7 @@ _Strategy: TypeAlias = Literal[
 
 
 def calibration_plan(
-    which: RobotOptions,
+    which: RobotErrorsOptions,
     poses: Annotated[int | None, typer.Option(min=1, help="Number of poses to measure (9).")] = None,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/plan.csv"),
     strategy: Annotated[

@@ -12,7 +12,7 @@ import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
-from pm3dof_pin.cli.options import Json, Out, RobotOptions, Wrench
+from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
 from pm3dof_pin.cli.output import print_result, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.progress import progress_bar
@@ -55,7 +55,7 @@ def _coverage(text: str) -> str:
 
 
 def error_map(
-    which: RobotOptions,
+    which: RobotErrorsOptions,
     out: Out = Path("results"),
     over: Over = None,
     at: Values = None,

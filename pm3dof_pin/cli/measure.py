@@ -8,12 +8,12 @@ from typing import Annotated, Literal
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, RobotOptions
+from pm3dof_pin.cli.options import Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result
 
 
 def measure(
-    which: RobotOptions,
+    which: RobotErrorsOptions,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/measurements.csv"),
     poses: Annotated[int, typer.Option(min=1, help="Number of random poses within all joint limits.")] = 60,
     plan: Annotated[

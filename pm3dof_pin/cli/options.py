@@ -81,6 +81,15 @@ _ToolFrame = Annotated[
 _PackagePath = Annotated[
     list[Path] | None, typer.Option(metavar="DIR", help="Folder that ROS packages are in; may be repeated.")
 ]
+_ErrorFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+        help="What may sit wrong (YAML), in place of the robot's own file; `pm3dof error-parameters` writes one.",
+    ),
+]
 _Pose = Annotated[
     list[float] | None,
     typer.Argument(
@@ -144,6 +153,21 @@ class RobotOptions:
         from pm3dof_pin.description.robots import find_robot
 
         return self.robot == THE_TRIPOD or find_robot(self.robot).path.samefile(find_robot(THE_TRIPOD).path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotErrorsOptions(RobotOptions):
+    """Which robot, and by `--errors` what may sit wrong in it."""
+
+    errors: _ErrorFile = None
+
+    def load_errors(self) -> GeometricErrors:
+        """Load the robot with the error parameters of the file, or else with its own."""
+        if self.errors is None:
+            return super().load_errors()
+        from pm3dof_pin.errors.error_parameters import GeometricErrors
+
+        return GeometricErrors.of(self.load(), self.errors)
 
 
 @dataclass(frozen=True, kw_only=True)

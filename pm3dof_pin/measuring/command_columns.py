@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -71,4 +74,16 @@ def commands_of(table: CsvTable, robot: Robot) -> Array:
         if bad.mean() > 0.5 and np.mean(within(factor * commands[:, k])[bad]) > 0.5:
             problem += f": these look like {other}"
         raise MeasurementError(table.path, problem, table.lines_where(bad))
+    _warn_of_equal_columns(table, command_columns(robot))
     return commands
+
+
+def _warn_of_equal_columns(table: CsvTable, names: Sequence[str]) -> None:
+    """Warn of a drive that stands still while others move, and of two drives that show the same in every row."""
+    still = [name for name in names if np.ptp(table[name]) == 0.0]
+    moving = [name for name in names if name not in still]
+    if moving and still:
+        table.warn(f"{', '.join(still)} {'are' if len(still) > 1 else 'is'} the same in every row, and others are not")
+    pairs = [(a, b) for a, b in itertools.combinations(moving, 2) if np.array_equal(table[a], table[b])]
+    for first, second in pairs:
+        table.warn(f"{first} and {second} show the same in every row")

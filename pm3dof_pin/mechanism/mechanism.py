@@ -240,7 +240,9 @@ class Mechanism:
     def tool_frame_id(self) -> int:
         """Pinocchio's index of the tool frame; DescriptionError where the mechanism has none."""
         if self.tool_frame is None:
-            raise DescriptionError(self._source, "tool_frame", "is missing, expected the name of a frame")
+            raise DescriptionError(
+                self._source, "tool_frame", "is missing: --tool-frame NAME, or tool_frame in a closures file"
+            )
         return self._frame_ids[self.tool_frame]
 
     def frame_id(self, name: str) -> int:

@@ -556,7 +556,7 @@ def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -
             if reasons:
                 raise refusal(reasons, measurements, good.errors, options.eta)
         except PM3DofError as error:
-            return Outcome("refused", str(error))
+            return Outcome("refused", " | ".join([*said, str(error)]))
     return Outcome("doubted" if said else "accepted", " | ".join(said), good.missed(calibration.compensation))
 
 
@@ -575,24 +575,26 @@ def verdict(wrong: Wrong, found: Outcome, best: float) -> str:
 
 
 def trials(good: Good, folder: Path, only: str) -> Iterator[tuple[str, str, Outcome]]:
-    """Try every mistake on whole poses, then some on less: name, verdict, outcome."""
+    """Try mistakes in whole poses: name, verdict, outcome."""
     best = outcome(good, good.table, folder).result.missed
     for name, wrong in WRONG.items():
         if only in name:
             machine = replace(good, zeros=wrong.zero * np.eye(len(good.commands))[0])
             found = outcome(machine, wrong.spoil(good), folder)
             yield name, verdict(wrong, found, best), found
+
+
+def trials_of_less(good: Good, folder: Path, only: str) -> Iterator[tuple[str, str, Outcome]]:
+    """Try some of the mistakes with instruments that see less than poses."""
     for kind, less in LESS.items():
-        if only in f"{kind}: ":
-            best, of_good = good.missed().missed, outcome(good, less(good.table), folder)
-            if of_good.kind != "refused":
-                best = of_good.result.missed
-            yield f"{kind}: good", "", of_good
-            for name in OF_LESS:
-                wrong = WRONG[name]
-                found = outcome(good, less(wrong.spoil(good)), folder)
-                problem = "" if found.kind == "refused" and of_good.kind == "refused" else verdict(wrong, found, best)
-                yield f"{kind}: {name}", problem, found
+        best, of_good = good.missed().missed, outcome(good, less(good.table), folder)
+        if of_good.kind != "refused":
+            best = of_good.result.missed
+        for name in (name for name in OF_LESS if only in f"{kind}: {name}"):
+            wrong = WRONG[name]
+            found = outcome(good, less(wrong.spoil(good)), folder)
+            problem = "" if found.kind == "refused" and of_good.kind == "refused" else verdict(wrong, found, best)
+            yield f"{kind}: {name}", problem, found
 
 
 def main() -> int:
@@ -603,12 +605,14 @@ def main() -> int:
     parser.add_argument("--poses", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--less", action="store_true", help="of positions, heights, distances and targets instead")
     arguments = parser.parse_args()
     bad = tried = 0
+    trying = trials_of_less if arguments.less else trials
     with tempfile.TemporaryDirectory() as folder:
         for robot in arguments.robots:
             good = Good.of(robot, arguments.poses, arguments.seed)
-            for name, problem, found in trials(good, Path(folder), arguments.only):
+            for name, problem, found in trying(good, Path(folder), arguments.only):
                 tried += 1
                 bad += bool(problem)
                 if problem or arguments.verbose:
