@@ -1,29 +1,28 @@
 """A stiffness map of your robot.
 
-A grid over two coordinates; those that are not named stay at home. All loops are closed and the 6 x 6 compliance is
-computed at every pose by programs that are made from the robot's model, microseconds a pose.
+A grid over two coordinates; those that are not named stay at home. All loops are closed and the stiffness is computed
+at every pose by programs that are made from the robot's model, microseconds a pose. The picture ends where limits do.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import pm3dof_pin as pm
+from pm3dof_pin.figures.atlas import atlas_pictures
+from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.maps.grid_map import quantity_map
+from pm3dof_pin.maps.quantities import MappedRobot
 
 robot = pm.load("three_rps")
 for coordinate in robot.coordinates:
     print(f"{coordinate.name} [{coordinate.unit}] from {coordinate.lower:.3f} to {coordinate.upper:.3f}")
 
-tilt = np.radians(20.0)
-poses = robot.solve(robot.grid(rx=(-tilt, tilt, 81), ry=(-tilt, tilt, 81)), on_failure="nan")
-C = pm.compliance(robot, poses, on_failure="nan")  # (81, 81, 6, 6), [v; omega] = C [f; m] at the tool
-C[~poses.within_limits] = np.nan
-felt = 1e-6 / C[..., 2, 2]  # what a probe feels that pushes along z, all else free [N/µm]
-print(f"{poses.within_limits.sum()} of {felt.size} poses are within all limits")
-print(f"felt along z: {np.nanmin(felt):.3g} to {np.nanmax(felt):.3g} N/µm")
+tilt = np.radians(40.0)
+grid = robot.grid(rx=(-tilt, tilt, 81), ry=(-tilt, tilt, 81))
+found = quantity_map(MappedRobot(robot), grid, ["felt_stiffness"])  # an xarray.Dataset
+felt = 1e-6 * found.felt_stiffness.sel(axis="z")  # what a probe feels that pushes along z, all else free [N/µm]
+print(f"{int(felt.notnull().sum())} of {felt.size} poses are within all limits")
+print(f"felt along z: {float(felt.min()):.3g} to {float(felt.max()):.3g} N/µm")
 
-degrees = np.degrees(poses.coordinates)
-figure, axes = plt.subplots(figsize=(4.2, 3.4), layout="constrained")
-drawn = axes.contourf(degrees[..., 1], degrees[..., 2], felt, levels=20)
-axes.set(xlabel="rx [deg]", ylabel="ry [deg]", aspect="equal", title="Stiffness felt along z")
-figure.colorbar(drawn, label="N/µm")
-figure.savefig("stiffness_map.png", dpi=150)
+C = pm.compliance(robot, robot.home.q)  # the whole matrix: [v; omega] = C [f; m] at the tool
+print(f"at home {1e-6 / C[2, 2]:.3g} N/µm")
+save_figure(atlas_pictures(found, robot)["felt_stiffness_z"], "stiffness_map.png")

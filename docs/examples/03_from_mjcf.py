@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import pm3dof_pin as pm
+from pm3dof_pin.figures.style import ONE_COLUMN, house_style, save_figure
 
 MJCF = """
 <mujoco model="four_bar"><compiler angle="radian"/><worldbody>
@@ -27,7 +28,8 @@ print(robot, "- mobility", pm.instantaneous_mobility(robot.home).count)
 turn = robot.forward(np.linspace(0.0, 2.0 * np.pi, 361)[:, None])
 print(f"loop closed to {turn.residual.max():.0e} m over a whole turn of the crank")
 
-figure, axes = plt.subplots(figsize=(4.0, 3.0), layout="constrained")
-axes.plot(1e3 * turn.positions[:, 0], 1e3 * turn.positions[:, 2])
-axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", title="Coupler curve")
-figure.savefig("coupler_curve.png", dpi=150)
+with house_style():
+    figure, axes = plt.subplots(figsize=(ONE_COLUMN, 2.6), layout="constrained")
+    axes.plot(1e3 * turn.positions[:, 0], 1e3 * turn.positions[:, 2])
+    axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", title="Coupler curve")
+save_figure(figure, "coupler_curve.png")

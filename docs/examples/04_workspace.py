@@ -1,31 +1,23 @@
 """Where can it go?
 
-The reachable set under all limits of joints and closures, as lines that are found to the last digit, section by
-section. What limits it, and how much of the boundary, is known by name.
+The reachable set under all limits of joints and closures, section by section: ends and areas, and by name what limits
+it, and how much of the boundary. The picture has every edge where one limit takes over from another.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import pm3dof_pin as pm
+from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.maps.limit_space import robot_space
-from pm3dof_pin.maps.workspace import level_range
-from pm3dof_pin.maps.workspace_section import limit_shares, workspace_sections
+from pm3dof_pin.maps.workspace import workspace
 
 robot = pm.load("pm3dof")
-space = robot_space(robot)  # over the first three coordinates; others stay at home
-low, high = level_range(space)
-print(f"{space.names[2]} from {low:.4f} to {high:.4f} m")
-
-figure, axes = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
-levels = np.linspace(low, high, 8)[1:-2]
-for level, section in zip(levels, workspace_sections(space, levels, 180), strict=True):
-    outline = np.degrees(np.vstack([section.points, section.points[:1]]))
-    axes.plot(*outline.T, label=f"{level:.3f} m")
-shares = limit_shares(space, section.limits)
-print(
-    f"at {level:.3f} m limited by", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items() if share)
-)
-axes.set(xlabel="theta_x [deg]", ylabel="theta_y [deg]", aspect="equal", title="Sections of the workspace")
-axes.legend(title="z_e", loc="center left", bbox_to_anchor=(1.0, 0.5))
-figure.savefig("workspace.png", dpi=150)
+found = workspace(robot_space(robot), levels=15, directions=120)  # the first three coordinates; others stay at home
+low, high = found.level_range
+print(f"{found.space.names[2]} from {low:.4f} to {high:.4f} m")
+for name, (least, greatest) in zip(found.space.names, np.degrees(found.ranges), strict=False):
+    print(f"{name} from {least:.2f} to {greatest:.2f} deg")
+shares = {name: share for name, share in found.limit_shares.items() if share}
+print("limited by", ", ".join(f"{name} ({100 * share:.0f} % of the boundary)" for name, share in shares.items()))
+save_figure(workspace_figure(found), "workspace.png")

@@ -9,6 +9,7 @@ import numpy as np
 
 import pm3dof_pin as pm
 from pm3dof_pin.elastic.shares import shares
+from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, save_figure, spring_colors
 
 robot = pm.load("pm3dof")
 model = pm.ElasticModel(robot)
@@ -21,11 +22,12 @@ for load, row in zip(loads, table, strict=True):
     worst = int(np.argmax(row))
     print(f"{load:15s} {model.spring_names[worst]:12s} gives {100 * row[worst]:5.1f} % of the deflection")
 
-figure, axes = plt.subplots(figsize=(5.0, 2.6), layout="constrained")
-left = np.zeros(len(loads))
-for name, column in zip(model.spring_names, table.T, strict=True):
-    axes.barh(list(loads), 100.0 * column, left=100.0 * left, label=name)
-    left += column
-axes.set(xlabel="share in the deflection [%]", xlim=(0, 100))
-axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-figure.savefig("critical_components.png", dpi=150)
+with house_style():
+    figure, axes = plt.subplots(figsize=(TWO_COLUMNS, 2.4), layout="constrained")
+    left = np.zeros(len(loads))
+    for name, color, column in zip(model.spring_names, spring_colors(table.shape[1]), table.T, strict=True):
+        axes.barh(list(loads), 100.0 * column, left=100.0 * left, color=color, label=name)
+        left += column
+    axes.set(xlabel="share in the deflection [%]", xlim=(0, 100))
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+save_figure(figure, "critical_components.png")

@@ -10,6 +10,7 @@ import numpy as np
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Options
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.figures.style import ONE_COLUMN, house_style, save_figure
 from pm3dof_pin.simulation.worlds import World
 
 generator = np.random.default_rng(1)
@@ -27,9 +28,10 @@ corrected = machine.poses(compensation.compensate(wanted.transforms).commands, {
 before, after = (1e6 * tip_error(pose_difference(wanted.transforms, real)) for real in (uncorrected, corrected))
 print(f"tip error {np.sqrt(np.mean(before**2)):.0f} µm before, {np.sqrt(np.mean(after**2)):.0f} µm after, rms")
 
-figure, axes = plt.subplots(figsize=(4.2, 3.0), layout="constrained")
-axes.plot(np.sort(before), np.linspace(0, 100, 60), label="uncorrected")
-axes.plot(np.sort(after), np.linspace(0, 100, 60), label="calibrated")
-axes.set(xlabel="tip error [µm]", ylabel="poses below [%]", xlim=(0, None))
-axes.legend()
-figure.savefig("calibrated.png", dpi=150)
+with house_style():
+    figure, axes = plt.subplots(figsize=(ONE_COLUMN, 2.6), layout="constrained")
+    axes.plot(np.sort(before), np.linspace(0, 100, 60), label="uncorrected")
+    axes.plot(np.sort(after), np.linspace(0, 100, 60), label="calibrated")
+    axes.set(xlabel="tip error [µm]", ylabel="poses below [%]", xlim=(0, None))
+    axes.legend()
+save_figure(figure, "calibrated.png")

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import pm3dof_pin as pm
+from pm3dof_pin.figures.style import ONE_COLUMN, house_style, save_figure
 
 robot = pm.load("hexapod")
 angle = np.linspace(0.0, 2.0 * np.pi, 361)
@@ -26,9 +27,11 @@ cutting = np.array([30.0, 0.0, 100.0, 0.0, 0.0, 0.0])  # N at the tool
 deflection = 1e6 * np.linalg.norm((C @ cutting)[:, :3], axis=1)
 print(f"deflection {np.nanmin(deflection):.2f} to {np.nanmax(deflection):.2f} µm")
 
-figure, axes = plt.subplots(figsize=(4.6, 3.0), layout="constrained")
-axes.plot(np.degrees(angle), deflection, color="#08519c")
-axes.fill_between(np.degrees(angle), *axes.get_ylim(), where=outside, color="#f4cccc", label="breaks a limit")
-axes.set(xlabel="angle along the circle [deg]", ylabel="deflection [µm]", xlim=(0, 360))
-axes.legend()
-figure.savefig("path.png", dpi=150)
+with house_style():
+    figure, axes = plt.subplots(figsize=(ONE_COLUMN, 2.6), layout="constrained")
+    axes.plot(np.degrees(angle), deflection, color="#08519c")
+    whole = {"transform": axes.get_xaxis_transform(), "color": "#f4cccc"}
+    axes.fill_between(np.degrees(angle), 0.0, 1.0, where=outside, **whole, label="breaks a limit")
+    axes.set(xlabel="angle along the circle [deg]", ylabel="deflection [µm]", xlim=(0, 360))
+    axes.legend()
+save_figure(figure, "path.png")

@@ -95,7 +95,7 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
         ]
         scale = color_scale(values.values / factor, np.concatenate(heights))
         note = f"{scale.note} {written if scale.extend != 'neither' else ''}".strip()
-        figure.suptitle(f"{title}\n{note}" if note else title)
+        figure.suptitle(f"{title}\n{note}" if note else title, wrap=True)
         for (axes, plane, _, equal), mesh, numbers in zip(planes, meshes, heights, strict=True):
             _draw_plane(axes, plane, mesh, numbers, scale, equal=equal)
         _share_labels([axes for axes, *_ in planes])

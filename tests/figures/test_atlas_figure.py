@@ -55,9 +55,11 @@ def test_other_numbers_of_dimensions(dimensions: int, tmp_path: Path) -> None:
     robot = Robot.load("hexapod")
     axes = {"x": (-0.01, 0.01, 5), "y": (-0.01, 0.01, 4), "z": (0.13, 0.14, 3), "rx": (-0.05, 0.05, 3)}
     grid = robot.grid(**dict(list(axes.items())[:dimensions]))
-    with open_atlas(compute_atlas(Atlas(robot, grid, ("condition_number",), tmp_path / "atlas.nc"))) as dataset:
-        (figure,) = atlas_pictures(dataset).values()
+    with open_atlas(compute_atlas(Atlas(robot, grid, ("felt_stiffness",), tmp_path / "atlas.nc"))) as dataset:
+        figure = atlas_pictures(dataset)["felt_stiffness_rz"]
     figure.canvas.draw()
+    title = figure.texts[0].get_window_extent()
+    assert 0 <= title.x0 < title.x1 <= figure.bbox.width
     labels = {axes.get_xlabel() for axes in figure.axes}
     assert {1: "$x$ [m]", 2: "$x$ [m]", 4: "$r_{x}$ [deg]"}[dimensions] in labels | {
         axes.get_ylabel() for axes in figure.axes
