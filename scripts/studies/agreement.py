@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
 from pm3dof_pin.elastic.batch import evaluate, stiffness
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE_AND_STIFFNESS
@@ -29,9 +29,12 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.assembly import assemble
+from pm3dof_pin.kinematics.mobility import generic_configuration
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 POSES = 10_000
@@ -53,6 +56,8 @@ _WIDER = 1.25
 _WIDTH = 0.4  # of the box where poses within limits are not to be had [rad, characteristic lengths]
 _SAME = 1e-7  # difference up to which two poses are the same one, within rounding at a nearly singular pose
 _LEG = 0.01  # of the walk that decides on assembly modes [rad, characteristic lengths]
+_ROUNDING = 1e-13  # difference that is no more looked into
+_SINGULAR = 1e-9  # part of the greatest singular value that counts as zero
 _SMOOTH = 20.0  # times as far as the coordinates a joint may go in one leg
 _IDLE = 1e-3  # part of the most an error moves the tool that counts as size of one that hardly moves it
 _RIGID = 1e-12  # part of the softest direction that counts as rigid
@@ -95,7 +100,7 @@ VARIANTS: dict[str, tuple[str, Callable[[ElasticModel], ElasticModel]]] = {
 
 def load(name: str) -> Robot:
     """Load one of the robots of :data:`DESCRIPTIONS`."""
-    return Robot.load(DESCRIPTIONS[name])
+    return Robot.load(DESCRIPTIONS[name], tool_frame="tool0" if name == "ur5" else None)
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,7 @@ class Closing:
         lost: those for which it is the other way round. All other walks meet a singular pose.
         limits: number of common poses at which they differ on broken limits.
         difference: greatest difference of joints and tool at common poses [rad, characteristic lengths].
+        refined: the same after one more Newton step of both on Pinocchio's Jacobians: what is not for loops left open.
         q: configurations that the program found.
     """
 
@@ -122,6 +128,7 @@ class Closing:
     lost: int
     limits: int
     difference: float
+    refined: float
     q: Matrix
 
 
@@ -134,6 +141,12 @@ def compared_closing(robot: Robot, coordinates: tuple[Coordinate, ...], count: i
     both = found.solved & careful.solved
     same = both & (differences < _SAME)
     otherwise = found.solved != careful.solved
+    after = np.where(same, differences, 0.0)
+    for row in np.flatnonzero(after > _ROUNDING):
+        one, other = (
+            places(robot, refined(robot, coordinates, q[row], values[row])[None]) for q in (found.q, careful.q)
+        )
+        after[row] = np.abs(one - other).max()
     sides = [0, 0]
     for row in np.flatnonzero(otherwise | (both & ~same)):
         walked = places(robot, walk(robot, coordinates, values[row])[None])
@@ -148,6 +161,7 @@ def compared_closing(robot: Robot, coordinates: tuple[Coordinate, ...], count: i
         *sides,
         int((found.broken_limits != careful.broken_limits)[same].sum()),
         float(differences[same].max(initial=0.0)),
+        float(after.max(initial=0.0)),
         found.q[found.solved],
     )
 
@@ -186,6 +200,7 @@ def walk(robot: Robot, coordinates: tuple[Coordinate, ...], target: Vector) -> V
     units = np.array([abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates])
     legs = max(1, int(np.ceil(np.abs((target - home) / units).max() / _LEG)))
     before = places(robot, q[None])
+    rank = np.linalg.matrix_rank(equations(robot, coordinates, generic_configuration(robot.home).q), _SINGULAR)
     for leg in range(1, legs + 1):
         values = home + (target - home) * (leg / legs)
         numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, values, strict=True)]
@@ -193,10 +208,45 @@ def walk(robot: Robot, coordinates: tuple[Coordinate, ...], target: Vector) -> V
         tool = {c.tool: float(n) for c, n in zip(coordinates, numbers, strict=True) if c.tool is not None}
         result = assemble(robot, q, joints=joints, tool=tool)
         here = places(robot, result.configuration.q[None])
-        if not result.converged or np.abs(here - before).max() > _SMOOTH * _LEG:
-            return np.full(robot.model.nq, np.nan)
+        smooth = result.converged and np.abs(here - before).max() <= _SMOOTH * _LEG
         q, before = result.configuration.q, here
+        if not smooth or nearly_singular(equations(robot, coordinates, q), rank):
+            return np.full(robot.model.nq, np.nan)
     return q
+
+
+def equations(robot: Robot, coordinates: tuple[Coordinate, ...], q: Vector) -> Matrix:
+    """Return Pinocchio's Jacobian, by the joints that are not given, of what closes loops and places the tool."""
+    _, rows = robot.loop_kinematics.closures(q)
+    rows = rows / robot.closure_scale[:, None]
+    tool = [TOOL_COMPONENTS.index(c.tool) for c in coordinates if c.tool is not None]
+    if tool:
+        configuration = Configuration(robot, q)
+        moved = configuration.tool_jacobian / np.repeat([robot.characteristic_length, 1.0], 3)[:, None]
+        moved[3:] = angle_rates(angles_of_rotation(configuration.tool_placement.rotation)) @ moved[3:]
+        rows = np.vstack([rows, moved[tool]])
+    given = robot.velocity_indices([c.joint for c in coordinates if c.joint is not None])
+    return np.delete(rows * robot.velocity_scale, given, axis=1)
+
+
+def refined(robot: Robot, coordinates: tuple[Coordinate, ...], q: Vector, values: Vector) -> Vector:
+    """Take the shortest Newton step on Pinocchio's Jacobians."""
+    tool = [k for k, c in enumerate(coordinates) if c.tool is not None]
+    units = np.array([robot.characteristic_length if coordinates[k].unit == "m" else 1.0 for k in tool])
+    transform = Configuration(robot, q).tool_placement.homogeneous if tool else None
+    left = (robot.read(coordinates, q, transform) - values)[tool] / units
+    error = np.concatenate([robot.loop_kinematics.closures(q)[0] / robot.closure_scale, left])
+    move = -np.linalg.pinv(equations(robot, coordinates, q), rcond=_SINGULAR) @ error
+    given = robot.velocity_indices([c.joint for c in coordinates if c.joint is not None])
+    free = np.delete(np.arange(robot.model.nv), given)
+    velocity = np.zeros(robot.model.nv)
+    velocity[free] = robot.velocity_scale[free] * move
+    return np.asarray(pin.integrate(robot.model, q, velocity))
+
+
+def nearly_singular(matrix: Matrix, rank: int) -> bool:
+    """Tell whether a matrix is so near to a lower rank that a leg of the walk may have led across."""
+    return bool(np.linalg.svd(matrix, compute_uv=False)[:rank].min(initial=1.0) < 0.5 * _LEG)
 
 
 def _transform(robot: Robot) -> Array | None:
@@ -280,26 +330,36 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=POSES, help="poses of each robot")
     arguments = parser.parse_args()
     closed: dict[str, Matrix] = {}
-    print("| closing | solved | only one finds | other mode | of these won | lost | limits differ | difference |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(
+        "| closing | solved | only one finds | other mode | of these won | lost | limits differ | difference | one step on |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     for title, row in closing_rows(arguments.names, arguments.poses):
         closed.setdefault(title.split(",")[0], row.q)
         differing = f"{row.found_otherwise} | {row.other_mode} | {row.won} | {row.lost}"
-        print(f"| {title} | {row.solved} | {differing} | {row.limits} | {row.difference:.0e} |", flush=True)
-    print("\n| matrices | poses | in doubt, redone | NaNs differ | $C$ | $K$ | sensitivities |")
-    print("|---|---|---|---|---|---|---|")
-    models = {name: ElasticModel(load(name)) for name in arguments.names if load(name).springs}
-    models |= {title: vary(models[name]) for title, (name, vary) in VARIANTS.items() if name in models}
-    for title, model in models.items():
-        q = closed[title.split(",")[0]]
-        C, K = compared_elasticity(model, q)
-        is_variant = title in VARIANTS
-        moved = "as above" if is_variant else f"{compared_sensitivities(model.rigid, q).difference:.0e}"
         print(
-            f"| {title} | {C.poses} | {C.redone} | {C.missing + K.missing} | {C.difference:.0e} | "
-            f"{'none' if model_is_rigid(model, q) else f'{K.difference:.0e}'} | {moved} |",
+            f"| {title} | {row.solved} | {differing} | {row.limits} | {row.difference:.0e} | {row.refined:.0e} |",
             flush=True,
         )
+    print("\n| matrices | poses | in doubt, redone | NaNs differ | $C$ | $K$ | sensitivities |")
+    print("|---|---|---|---|---|---|---|")
+    for name, q in closed.items():
+        if load(name).tool_frame is None:
+            continue
+        moved = f"{compared_sensitivities(load(name), q).difference:.0e}"
+        if not load(name).springs:
+            print(f"| {name} | {len(q)} | 0 | 0 | none | none | {moved} |", flush=True)
+            continue
+        model = ElasticModel(load(name))
+        variants = {title: vary(model) for title, (base, vary) in VARIANTS.items() if base == name}
+        for title, varied in ({name: model} | variants).items():
+            C, K = compared_elasticity(varied, q)
+            print(
+                f"| {title} | {C.poses} | {C.redone} | {C.missing + K.missing} | {C.difference:.0e} | "
+                f"{'none' if model_is_rigid(varied, q) else f'{K.difference:.0e}'} | "
+                f"{moved if title == name else 'as above'} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
