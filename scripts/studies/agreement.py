@@ -143,10 +143,8 @@ def compared_closing(robot: Robot, coordinates: tuple[Coordinate, ...], count: i
     otherwise = found.solved != careful.solved
     after = np.where(same, differences, 0.0)
     for row in np.flatnonzero(after > _ROUNDING):
-        one, other = (
-            places(robot, refined(robot, coordinates, q[row], values[row])[None]) for q in (found.q, careful.q)
-        )
-        after[row] = np.abs(one - other).max()
+        better = np.array([refined(robot, coordinates, q[row], values[row]) for q in (found.q, careful.q)])
+        after[row] = np.abs(np.diff(places(robot, better), axis=0)).max()
     sides = [0, 0]
     for row in np.flatnonzero(otherwise | (both & ~same)):
         walked = places(robot, walk(robot, coordinates, values[row])[None])
@@ -330,17 +328,13 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=POSES, help="poses of each robot")
     arguments = parser.parse_args()
     closed: dict[str, Matrix] = {}
-    print(
-        "| closing | solved | only one finds | other mode | of these won | lost | limits differ | difference | one step on |"
-    )
+    print("| closing | solved | only one finds | other mode | won | lost | limits differ | difference | one step on |")
     print("|---|---|---|---|---|---|---|---|---|")
     for title, row in closing_rows(arguments.names, arguments.poses):
         closed.setdefault(title.split(",")[0], row.q)
         differing = f"{row.found_otherwise} | {row.other_mode} | {row.won} | {row.lost}"
-        print(
-            f"| {title} | {row.solved} | {differing} | {row.limits} | {row.difference:.0e} | {row.refined:.0e} |",
-            flush=True,
-        )
+        sizes = f"{row.difference:.0e} | {row.refined:.0e}"
+        print(f"| {title} | {row.solved} | {differing} | {row.limits} | {sizes} |", flush=True)
     print("\n| matrices | poses | in doubt, redone | NaNs differ | $C$ | $K$ | sensitivities |")
     print("|---|---|---|---|---|---|---|")
     for name, q in closed.items():
