@@ -164,7 +164,12 @@ def _checked(pose: ArrayLike) -> Array:
     array = np.asarray(pose, dtype=float)
     if array.shape[-2:] != (4, 4):
         raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (..., 4, 4)")
-    if (np.linalg.det(array[..., :3, :3]) < 0.0).any():
+    x, y, z = np.moveaxis(array[..., :3, :3], -2, 0)
+    # the triple product, entry by entry: a determinant by LAPACK takes twenty times as long
+    sides = (
+        x[..., i] * (y[..., j] * z[..., k] - y[..., k] * z[..., j]) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    )
+    if (sum(sides, start=np.zeros(())) < 0.0).any():
         raise InvalidValueError("pose", "a reflection", "rotations, of determinant 1")
     return array
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+_FURTHER_STARTS = 16  # of the inverse kinematics of a serial arm
 _GREATEST = 1e12  # of a coordinate or command, beyond which arithmetic overflows before anything is found
 _HOME = "home"
 _MANY = 32  # poses that are worth a program
@@ -235,7 +236,8 @@ class Robot(Mechanism):
     ) -> Poses:
         """Find the poses at values of the coordinates.
 
-        Without a guess a pose is found by continuation from home, which fixes the assembly mode.
+        Without a guess a pose is found by continuation from home, which fixes the assembly mode. That of a serial arm
+        has many solutions and ways to them that are singular: its single poses are tried from elsewhere too.
 
         Args:
             values: a grid, or values in the order of the coordinates, shape=(..., number of coordinates) [m, rad].
@@ -388,18 +390,36 @@ class Robot(Mechanism):
         rows = targets.reshape(math.prod(shape), len(coordinates))
         continuation = self._continuation(coordinates) if engine == "program" else None
         found: tuple[Any, ...]
-        if continuation is None:
-            found = (close_all(self, self.home.q, coordinates, rows, starts)[0],)
-        elif isinstance(values, Grid) and starts is None:
+        if continuation is not None and isinstance(values, Grid) and starts is None:
             found = continuation.march(values, threads)
         else:
-            found = continuation.walk(rows, starts)
+
+            def walked(rows: Matrix, starts: Matrix | None) -> tuple[Any, ...]:
+                if continuation is None:
+                    return (close_all(self, self.home.q, coordinates, rows, starts)[0],)
+                return continuation.walk(rows, starts)
+
+            found = walked(rows, starts)
+            for start in self._further_starts(coordinates) if starts is None else ():
+                failed = np.flatnonzero(np.isnan(found[0][:, 0]))
+                if failed.size:
+                    again = walked(rows[failed], np.tile(start, (failed.size, 1)))
+                    for kept, value in zip(found, again, strict=True):
+                        if kept is not None:
+                            kept[failed] = value
         failed = np.flatnonzero(np.isnan(found[0][:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             raise self._unreachable(coordinates, rows[failed[0]], index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
+
+    def _further_starts(self, coordinates: tuple[Coordinate, ...]) -> Matrix:
+        """Return where else a serial arm's inverse kinematics starts: it has many solutions, and far ways to them."""
+        if self.closures or all(coordinate.tool is None for coordinate in coordinates):
+            return np.empty((0, self.model.nq))
+        ways = np.random.default_rng(0).uniform(-np.pi, np.pi, (_FURTHER_STARTS, self.model.nv)) * self.velocity_scale
+        return np.array([pin.integrate(self.model, self.home.q, way) for way in ways])
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
         """Refuse values that are in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""

@@ -282,3 +282,14 @@ def test_a_robot_without_a_tool_is_solved():
     poses = robot.forward(commands)
     np.testing.assert_allclose(poses.commands, commands, atol=1e-15)
     assert poses[3:5].residual.max() < 1e-12
+
+
+@pytest.mark.parametrize(("engine", "count"), [("program", 300), ("pinocchio", 6)])
+def test_a_serial_arm_reaches_wherever_its_joints_lead(engine, count):
+    robot = load("ur5")
+    model, data = robot.model, robot.model.createData()
+    wanted = []
+    for q in np.random.default_rng(3).uniform(-np.pi, np.pi, (count, model.nq)):
+        pin.framesForwardKinematics(model, data, q)
+        wanted.append(data.oMf[model.getFrameId("tool0")].homogeneous)
+    np.testing.assert_allclose(robot.reach(wanted, engine=engine).transforms, wanted, atol=1e-9)
