@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.csv_table import CsvTable
+from pm3dof_pin.measuring.csv_table import CsvTable, is_condition
 from pm3dof_pin.typing import Array
 
-_CONDITIONS = ("temperature_", "load_")
 _BEYOND_LIMITS = 0.2  # of a joint's range
 
 
@@ -30,11 +29,6 @@ def approach_columns(robot: Robot) -> tuple[str, ...]:
 def start_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the commands of the pose at which a distance begins: from_u1_m ..."""
     return tuple(f"from_{name}" for name in command_columns(robot))
-
-
-def is_condition(column: str) -> bool:
-    """Tell whether a column is a temperature or a load."""
-    return column.startswith(_CONDITIONS)
 
 
 def conditions_of(table: CsvTable) -> dict[str, Array]:

@@ -1,4 +1,8 @@
-"""A CSV file of numbers on its way to measurements: columns by name, the line of every row, what is odd about them."""
+"""A CSV file of numbers on its way to measurements: columns by name, the line of every row, what is odd about them.
+
+What instruments and spreadsheets make of such a file is read as it is meant: a byte order mark, semicolons or tabs
+between columns, with decimal commas, and columns of other units by the end of their names, `x_mm` or `rz_deg`.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +21,27 @@ from pm3dof_pin.typing import Array, Mask
 
 logger = logging.getLogger(__name__)
 
+_UNITS = {
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "deg": ("rad", np.pi / 180.0),
+    "mrad": ("rad", 1e-3),
+    "urad": ("rad", 1e-6),
+}
+_CONDITIONS = ("temperature_", "load_")
+
+
+def is_condition(column: str) -> bool:
+    """Tell whether a column is a temperature or a load."""
+    return column.startswith(_CONDITIONS)
+
 
 class CsvTable:
-    """Columns of numbers with a header; an empty cell is NaN.
+    """Columns of numbers in metres and radians with a header; an empty cell is NaN.
 
     Attributes:
         path: the file.
-        header: the names of the columns, in the order of the file.
+        header: the names of the columns in these units, in the order of the file.
         lines: the line of each row.
         columns: shape=(n,) each, by name.
         warnings: what is odd about the file.
@@ -39,13 +57,17 @@ class CsvTable:
         self.path = path
         self.warnings: list[str] = []
         try:
-            reader = csv.reader(io.StringIO(read_text(path), newline=""))
+            text = read_text(path)
         except DescriptionError as error:
             raise MeasurementError(path, error.expected) from error
+        first = next(iter(text.splitlines()), "")
+        separator = next((mark for mark in ";\t" if mark in first and "," not in first), ",")
+        self._decimal_commas = separator != ","
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
         self.lines: list[int] = []
         rows = []
         try:
-            self.header = [name.strip() for name in next(reader, [])]
+            self.header, factors = self._in_si([name.strip() for name in next(reader, [])])
             self._check_header(needed)
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
@@ -57,7 +79,7 @@ class CsvTable:
                 rows.append([self._number(cell, name) for cell, name in zip(cells, self.header, strict=True)])
         except csv.Error as error:
             raise MeasurementError(path, f"expected CSV ({error})", [reader.line_num]) from error
-        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header))
+        table = np.array(rows, dtype=float).reshape(len(rows), len(self.header)) * factors
         self.columns = {name: table[:, k] for k, name in enumerate(self.header)}
 
     def __len__(self) -> int:
@@ -114,10 +136,20 @@ class CsvTable:
         self.warnings.append(f"{lines_in_words(lines)}{text}")
         logger.warning("%s: %s", self.path, self.warnings[-1])
 
+    @staticmethod
+    def _in_si(header: Sequence[str]) -> tuple[list[str], Array]:
+        """Return the names of columns in metres and radians, and the factors that make their numbers so."""
+        names, factors = [*header], np.ones(len(header))
+        for k, name in enumerate(header):
+            stem, _, unit = name.rpartition("_")
+            if unit in _UNITS and not is_condition(name):
+                names[k], factors[k] = f"{stem}_{_UNITS[unit][0]}", _UNITS[unit][1]
+        return names, factors
+
     def _check_header(self, needed: Sequence[str]) -> None:
         header = self.header
-        if len(header) == 1 and (found := next((mark for mark in ";\t| " if mark in header[0]), "")):
-            problem = f"columns are separated by {found!r}, expected commas, and points in numbers"
+        if len(header) == 1 and (found := next((mark for mark in "| " if mark in header[0]), "")):
+            problem = f"columns are separated by {found!r}, expected commas, semicolons or tabs"
             raise MeasurementError(self.path, problem, [1])
         if "" in header:
             problem = f"column {header.index('') + 1} has no name: a comma at the end of the lines?"
@@ -129,7 +161,8 @@ class CsvTable:
     def _number(self, cell: str, column: str) -> float:
         word = cell.strip()
         try:
-            return float(word.replace("_", "no digit")) if word else np.nan
+            number = word.replace(",", ".") if self._decimal_commas else word
+            return float(number.replace("_", "no digit")) if word else np.nan
         except ValueError as error:
             problem = f"{column} is '{word}', expected a number"
             raise MeasurementError(self.path, problem, [self.lines[-1]]) from error

@@ -18,10 +18,9 @@ from pm3dof_pin.measuring.command_columns import (
     command_columns,
     commands_of,
     conditions_of,
-    is_condition,
     start_columns,
 )
-from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
+from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text, is_condition
 from pm3dof_pin.measuring.encoders import encoder_column, encoder_joints, readings_of
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
@@ -94,8 +93,8 @@ def read_measurements(
     `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in the tool's axes; `sigma_x_m ... sigma_rz_rad`;
     `temperature_*_K`, `load_*`; `time_s`, by which drift is told; `approach_u1` ..., the direction (1, -1, 0 for
     unknown) from which each drive came: with times alone, that from the pose before; `encoder_<joint>_rad` or `_m`,
-    readings of passive joints, and `sigma_encoder_...`. Rows with missing numbers are left
-    out with a warning that names them.
+    readings of passive joints, and `sigma_encoder_...`. Columns may be in mm, um, deg, mrad or urad where their names
+    say so (`x_mm`, `u1_deg`). Rows with missing numbers are left out with a warning that names them.
 
     Example:
         Measurements of a simulated machine, written and read:
@@ -304,7 +303,9 @@ class _Reader:
         self._table.require(wanted)
         unknown = [name for name in header if name not in wanted and not is_condition(name)]
         if unknown:
-            self._table.warn(f"columns {', '.join(unknown)} are not used")
+            angles = QUATERNION_COLUMNS[0] not in header and any(name.endswith("_rad") for name in unknown)
+            hint = f"; an orientation is expected in {','.join(QUATERNION_COLUMNS)}" if angles else ""
+            self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
 
     def _measured_columns(self, header: list[str]) -> tuple[str, ...]:
         """Return which columns of what was measured the file has to have: of positions alone, some will do."""

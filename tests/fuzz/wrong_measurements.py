@@ -158,6 +158,17 @@ def _renamed(table: Table, names: dict[str, str]) -> Table:
     return {names.get(name, name): values for name, values in table.items()}
 
 
+def _in_other_units(table: Table) -> Table:
+    """Lengths in millimetres and angles in degrees, by the names of their columns."""
+    factors = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
+    found = {}
+    for name, values in table.items():
+        stem, _, unit = name.rpartition("_")
+        other, factor = factors.get(unit, (unit, 1.0))
+        found[f"{stem}_{other}" if stem else name] = factor * values
+    return found
+
+
 def _commands(change: Callable[[np.ndarray, Good], np.ndarray]) -> Spoil:
     def spoil(good: Good) -> Table:
         commands = np.column_stack([good.table[name] for name in good.commands])
@@ -289,11 +300,12 @@ SWAP_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 WRONG: dict[str, Wrong] = {
     # the text
-    "semicolons": Wrong(lambda g: as_text(g.table, ";"), "separated by ';'"),
-    "tabs": Wrong(lambda g: as_text(g.table, "\t"), "separated by"),
+    "semicolons": Wrong(lambda g: as_text(g.table, ";")),
+    "tabs": Wrong(lambda g: as_text(g.table, "\t")),
     "spaces": Wrong(lambda g: as_text(g.table, " "), "separated by|no column"),
-    "decimal commas": Wrong(lambda g: as_text(g.table, ";").replace(".", ","), "separated by ';'"),
+    "decimal commas": Wrong(lambda g: as_text(g.table, ";").replace(".", ",")),
     "decimal commas alone": Wrong(lambda g: as_text(g.table).replace(".", ","), "cells, expected"),
+    "millimetres and degrees": Wrong(lambda g: _in_other_units(g.table)),
     "byte order mark": Wrong(lambda g: "\ufeff" + as_text(g.table)),
     "CRLF": Wrong(lambda g: as_text(g.table).replace("\n", "\r\n")),
     "CR": Wrong(lambda g: as_text(g.table).replace("\n", "\r")),
@@ -307,7 +319,7 @@ WRONG: dict[str, Wrong] = {
     "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
     "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header|line 1"),
     "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
-    "millimetres in the header": Wrong(lambda g: as_text(g.table).replace("_m,", "_mm,"), "no column"),
+    "millimetres in the header": Wrong(lambda g: as_text(g.table).replace("_m,", "_mm,"), "limits|scale|thousand"),
     "commands in another unit": Wrong(
         lambda g: _renamed(g.table, {n: n.split("_")[0] for n in g.commands}), "no column u1"
     ),
@@ -509,7 +521,7 @@ OF_LESS = (
 
 
 REFUSED_BY_THE_READER = (
-    "semicolons", "tabs", "spaces", "decimal commas", "decimal commas alone", "trailing commas", "UTF-16", "empty",
+    "spaces", "decimal commas alone", "trailing commas", "UTF-16", "empty",
     "header alone", "no header", "a comment", "upper case", "millimetres in the header", "commands in another unit",
     "a column twice", "no z", "no qz", "no u1", "one sigma", "a word", "a unit", "a cell too many", "an underscore",
     "commands a thousandfold", "commands in degrees", "commands in inches", "millimetres", "quaternions x, y, z, w",

@@ -213,12 +213,39 @@ def test_columns_that_are_not_used_are_named(
     assert read(table, tripod_errors, tmp_path).warnings == ("columns operator are not used",)
 
 
+def test_what_spreadsheets_and_trackers_write(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    """Semicolons, decimal commas, a byte order mark, millimetres: 1 mm is 1e-3 m."""
+    plain = read(lines, tripod_errors, tmp_path)
+    header = [name.replace("_m", "_mm") for name in lines[0]]
+    strange = [header, *([*(f"{1e3 * float(cell):.12f}" for cell in row[:6]), *row[6:]] for row in lines[1:])]
+    text = "\r\n".join(";".join(line).replace(".", ",") for line in strange)
+    path = tmp_path / "strange.csv"
+    path.write_text("\ufeff" + text + "\r\n", encoding="utf-8", newline="")
+    found = read_measurements(path, tripod_errors.robot)
+    assert found.warnings == plain.warnings
+    np.testing.assert_allclose(found.commands, plain.commands, atol=1e-14)
+    np.testing.assert_allclose(found.positions, plain.positions, atol=1e-14)
+    assert found.rotations is not None
+    np.testing.assert_array_equal(found.rotations, plain.rotations)
+
+
+def test_euler_angles_are_no_orientation(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    table = [[*lines[0][:6], "rx_deg", "ry_deg", "rz_deg"], *([*row[:6], "1", "2", "3"] for row in lines[1:])]
+    (warning,) = read(table, tripod_errors, tmp_path).warnings
+    assert warning == "columns rx_rad, ry_rad, rz_rad are not used; an orientation is expected in qw,qx,qy,qz"
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("", "no column u1_m"),
         (HEADER + "\n", "no complete row"),
-        (HEADER.replace(",", ";") + "\n0,24;0,24\n", "line 1: columns are separated by ';', expected commas"),
+        (HEADER.replace(",", "|") + "\n0.24|0.24\n", "line 1: columns are separated by '|', expected commas"),
+        (HEADER.replace(",", ";") + ";y_mm\n", "line 1: column y_m stands there more than once"),
         (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
         (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
         (HEADER + ",u1_m\n", "line 1: column u1_m stands there more than once"),
