@@ -211,12 +211,3 @@ class CalibrationRefusedError(PM3DofError):
     def __init__(self, reasons: Sequence[str]) -> None:
         super().__init__(f"no calibration: {'; '.join(reasons)}")
         self.reasons = tuple(reasons)
-
-
-class MissingPackageError(PM3DofError):
-    """An optional package is needed that is not installed."""
-
-    def __init__(self, package: str, extra: str, task: str) -> None:
-        self.package = package
-        self.extra = extra
-        super().__init__(f"{task} needs {package}: install it, or pm3dof-pin[{extra}]")

@@ -1,15 +1,13 @@
 """Section 8.3 in numbers: the error map, and the flow of Fig. 8.6 run on a simulated machine.
 
 Error map over the section of Table 8.3, picture and CSV; then: plan, measure, calibrate, compensate, and what is left
-at poses that were not measured. With --method nn as the chapter proposes it, which needs scikit-learn.
+at poses that were not measured. With --method nn as the chapter proposes it.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +36,6 @@ def main(
     seed: int = 1,
     formats: Sequence[str] = ("png",),
 ) -> None:
-    if "nn" in method and find_spec("sklearn") is None:
-        sys.exit("networks are trained with scikit-learn: pip install 'pm3dof-pin[learning]', or another --method")
     errors = pm.GeometricErrors.load("pm3dof")
     grid = section_grid(errors.robot, points=points)
     assert grid is not None

@@ -101,7 +101,6 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         InvalidValueError: too few measurements, or those of another frame or machine.
         ConvergenceError: the parameters did not settle.
         SingularConfigurationError: at a command the tool can move while all drives stand still.
-        MissingPackageError: a network is wanted and scikit-learn is not installed.
     """
     options = options or Options()
     prior = PRIOR if options.prior is None else options.prior
@@ -151,7 +150,6 @@ def compensation_from(
 
     Raises:
         InvalidValueError: too few measurements to learn from.
-        MissingPackageError: a network is wanted and scikit-learn is not installed.
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:

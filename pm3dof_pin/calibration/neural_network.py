@@ -1,4 +1,4 @@
-"""Neural networks for joint deviations, as the chapter proposes: trained with scikit-learn, evaluated with NumPy.
+"""Neural networks for joint deviations, as the chapter proposes.
 
 A few small networks of one hidden layer, whose mean is taken. How smooth they have to be, and whether they are any
 good, is decided by cross-validation: what does not beat no correction by more than one standard error is not used.
@@ -6,15 +6,15 @@ good, is decided by cross-validation: what does not beat no correction by more t
 
 from __future__ import annotations
 
-import warnings
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
-from pm3dof_pin.exceptions import MissingPackageError
 from pm3dof_pin.typing import Array
 
 _HIDDEN = 10
@@ -22,6 +22,7 @@ _MEMBERS = 5
 _FOLDS = 5
 _DECAYS = (1e-3, 1e-2, 1e-1, 1.0)
 _MAX_STEPS = 400
+_SLOPE = 1e-4  # of the cost, at which training ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,7 @@ class NeuralNetwork:
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, seed: int) -> NeuralNetwork:
-        """Train networks from deviations du, shape=(n, number of commands) [m, rad], with a seed of weights and folds.
-
-        Raises:
-            MissingPackageError: scikit-learn is not installed.
-        """
+        """Train networks from deviations du, shape=(n, commands) [m, rad], with a seed of weights and folds."""
         scale = np.sqrt(np.mean(deviations**2, axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
         targets = deviations / scale
@@ -114,22 +111,27 @@ def _worthwhile_part(targets: Array, predicted: Array) -> Array:
 
 
 def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
-    try:
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.neural_network import MLPRegressor
-    except ImportError as error:
-        raise MissingPackageError("scikit-learn", "learning", "training neural networks") from error
-    network = MLPRegressor(
-        hidden_layer_sizes=(_HIDDEN,),
-        activation="tanh",
-        solver="lbfgs",
-        alpha=decay,
-        max_iter=_MAX_STEPS,
-        random_state=seed,
-    )
-    with warnings.catch_warnings():
-        # stopping early only leaves the network smoother; cross-validation judges it as it is
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        network.fit(inputs, targets)
-    (hidden, output), (hidden_bias, output_bias) = network.coefs_, network.intercepts_
+    """Minimise the squared errors and `decay` times the squared weights, from where Glorot and Bengio (2010) start."""
+    shapes = (inputs.shape[1], _HIDDEN), (_HIDDEN,), (_HIDDEN, targets.shape[1]), (targets.shape[1],)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    weighed = np.repeat([decay, 0.0, decay, 0.0], np.diff(ends, prepend=0))  # biases are free
+
+    def split(numbers: Array) -> list[Array]:
+        return [part.reshape(shape) for part, shape in zip(np.split(numbers, ends[:-1]), shapes, strict=True)]
+
+    def cost(numbers: Array) -> tuple[float, Array]:
+        hidden, hidden_bias, output, output_bias = split(numbers)
+        activity = np.tanh(inputs @ hidden + hidden_bias)
+        error = activity @ output + output_bias - targets
+        back = (error @ output.T) * (1.0 - activity**2)
+        slopes = (inputs.T @ back, back.sum(axis=0), activity.T @ error, error.sum(axis=0))
+        pull = weighed * numbers
+        gradient = np.concatenate([slope.ravel() for slope in slopes]) + pull
+        return float(np.vdot(error, error) + pull @ numbers) / (2.0 * len(inputs)), gradient / len(inputs)
+
+    bounds = [math.sqrt(6.0 / sum(shapes[layer])) for layer in (0, 0, 2, 2)]
+    start = np.random.default_rng(seed).uniform(-1.0, 1.0, ends[-1]) * np.repeat(bounds, np.diff(ends, prepend=0))
+    # stopping early only leaves the network smoother; cross-validation judges it as it is
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_STEPS, "gtol": _SLOPE})
+    hidden, hidden_bias, output, output_bias = split(found.x)
     return hidden, hidden_bias, output, output_bias

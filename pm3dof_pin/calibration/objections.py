@@ -56,7 +56,6 @@ def calibrate_and_object(
 
     Raises:
         CalibrationRefusedError: nothing comes of these measurements.
-        MissingPackageError: a network is wanted and scikit-learn is not installed.
     """
     try:
         calibration = calibrate(measurements, errors, options)

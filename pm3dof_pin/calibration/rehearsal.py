@@ -75,7 +75,6 @@ class Rehearsal:
 
         Raises:
             InvalidValueError: fewer poses than anything is learned from.
-            MissingPackageError: a network is wanted and scikit-learn is not installed.
         """
         indices = np.asarray(chosen, dtype=np.intp)
         if method != "lm" and len(indices) < LEAST_POSES:

@@ -13,7 +13,7 @@ from pathlib import Path
 # the matrices are small: threads inside each process would only get in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from study import StudyPlan, require_learning, run_study
+from study import StudyPlan, run_study
 from study_pictures import excess_picture, tip_picture
 from study_tables import study_tables
 
@@ -27,7 +27,6 @@ ROOT = Path(__file__).resolve().parents[2]
 def main(
     plan: StudyPlan | None = None, out: Path = ROOT / "results", docs: Path | None = None, workers: int = 1
 ) -> None:
-    require_learning()
     wanted = plan or StudyPlan()
     with progress_bar("machines") as progress:
         records = run_study(wanted, out / "calibration_study", workers=workers, progress=progress)

@@ -13,7 +13,7 @@ from pathlib import Path
 # the matrices are small: threads inside each process would only get in each other's way
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from study import StudyPlan, require_learning, run_study
+from study import StudyPlan, run_study
 from study_tables import strategies_table
 
 from pm3dof_pin.cli.progress import progress_bar
@@ -31,7 +31,6 @@ PLAN = StudyPlan(
 
 
 def main(plan: StudyPlan = PLAN, out: Path = RESULTS, workers: int = 1) -> None:
-    require_learning()
     with progress_bar("machines") as progress:
         records = run_study(plan, out / "plan_study", workers=workers, progress=progress)
     text = strategies_table(plan, records)

@@ -13,11 +13,9 @@ workspace only; and a machine with geometric errors only, on which a learned cor
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -122,16 +120,6 @@ class Record:
     energy: tuple[float, float, float]
 
 
-def require_learning() -> None:
-    """Say at once that the study needs scikit-learn, where it is missing.
-
-    Raises:
-        SystemExit: it is not installed.
-    """
-    if find_spec("sklearn") is None:
-        sys.exit("this study trains neural networks: pip install 'pm3dof-pin[learning]', or scikit-learn")
-
-
 def run_study(
     plan: StudyPlan,
     directory: Path | str,
@@ -151,7 +139,6 @@ def run_study(
     Raises:
         InvalidValueError: the folder holds another study.
         OutputError: a file cannot be written.
-        MissingPackageError: scikit-learn is not installed.
     """
     folder, jobs = Path(directory), plan.jobs()
     _claim(folder, plan)

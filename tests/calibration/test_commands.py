@@ -153,7 +153,6 @@ def test_poses_beyond_limits_and_reach(place: Path, run: Run) -> None:
 
 @pytest.mark.usefixtures("report_without_pictures")
 def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer: Answer) -> None:
-    pytest.importorskip("sklearn")
     plan = ("calibration-plan", "--poses", "12", "--candidates", "200", "--out", "plan.csv")
     assert run(*plan, cwd=place).returncode == 0
     world = ("--world", "geometry", "--positions", "--noise", "1e-5")

@@ -40,8 +40,6 @@ _CALIBRATED: dict[tuple[int, str], tuple[Measurements, Compensation]] = {}
 
 def calibrated(measured: Measurements, errors: GeometricErrors, method: str) -> Compensation:
     """Calibrate with a method; what was calibrated before is not again."""
-    if "nn" in method:
-        pytest.importorskip("sklearn")
     key = id(measured), method  # the measurements are held, so that no others come to their address
     if key not in _CALIBRATED:
         _CALIBRATED[key] = measured, calibrate(measured, errors, Options(method)).compensation

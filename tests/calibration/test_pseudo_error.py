@@ -153,7 +153,6 @@ def test_a_gaussian_process_is_the_conditional_of_a_normal_law() -> None:
 
 
 def test_a_network_learns_a_smooth_function(samples: tuple[np.ndarray, ...]) -> None:
-    pytest.importorskip("sklearn")
     inputs, deviations, others = samples
     network = NeuralNetwork.fit(inputs, deviations, seed=0)
     errors = network.deviations(others) - smooth(others)
@@ -179,8 +178,6 @@ def test_numpy_answers_as_scikit_learn_does(samples: tuple[np.ndarray, ...]) -> 
 
 @pytest.mark.parametrize("kind", [GaussianProcess, NeuralNetwork])
 def test_where_there_is_only_noise_nothing_is_learned(kind: type, samples: tuple[np.ndarray, ...]) -> None:
-    if kind is NeuralNetwork:
-        pytest.importorskip("sklearn")
     inputs, _, others = samples
     sizes = []
     for seed in range(3):
@@ -199,7 +196,6 @@ def test_where_there_is_only_noise_nothing_is_learned(kind: type, samples: tuple
 def test_stored_models_answer_the_same(kind: type, samples: tuple[np.ndarray, ...]) -> None:
     inputs, deviations, others = samples
     if kind is NeuralNetwork:
-        pytest.importorskip("sklearn")
         first, second = (NeuralNetwork.fit(inputs, deviations, 7) for _ in range(2))
     else:
         first, second = (GaussianProcess.fit(inputs, deviations, np.full((60, 3), NOISE**2)) for _ in range(2))

@@ -150,7 +150,6 @@ def test_the_least_sensitive_region_is_that_of_all_sources(tripod_errors: Geomet
 
 
 def test_more_poses_are_better_for_every_method(problem: PlanningProblem) -> None:
-    pytest.importorskip("sklearn")
     tried = Rehearsal(problem, np.random.default_rng(0), machines=2)
     for method, strategy in STRATEGY_OF_METHOD.items():
         plans = [problem.plan(count, strategy, np.random.default_rng(0), restarts=1).indices for count in (8, 30)]

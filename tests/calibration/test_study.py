@@ -22,8 +22,6 @@ from study import FLOOR, METHODS, NONE, Record, StudyPlan, over_seeds, run_study
 from study_pictures import excess_picture, tip_picture
 from study_tables import study_tables
 
-pytest.importorskip("sklearn")
-
 PLAN = StudyPlan(seeds=(0,), counts=(9, 30), worlds=("everything", "geometry"), test_poses=8, shell_poses=4)
 
 

@@ -55,8 +55,6 @@ def test_none_is_forgotten() -> None:
 @pytest.mark.parametrize("name", RUNS)
 def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options, files = RUNS[name]
-    if name == "studies/plan_study":
-        pytest.importorskip("sklearn")
     script = _load(name)
     if name == "studies/plan_study":
         small = {
@@ -85,15 +83,6 @@ def test_script(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
             assert content.lstrip().startswith(b"%PDF" if file.endswith(".pdf") else b"<?xml")
         else:
             assert len(content.splitlines()) > 2
-
-
-@pytest.mark.parametrize("name", ["studies/plan_study", "studies/calibration_study"])
-def test_what_is_missing_is_said_at_once(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    script = _load(name)
-    monkeypatch.setattr(sys.modules["study"], "find_spec", lambda package: None)
-    with pytest.raises(SystemExit, match="scikit-learn"):
-        script.main(out=tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_gallery_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

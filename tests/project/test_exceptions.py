@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pm3dof_pin import exceptions
-from pm3dof_pin.exceptions import InvalidValueError, MissingPackageError, PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 
 KINDS = [kind for _, kind in inspect.getmembers(exceptions, inspect.isclass) if issubclass(kind, PM3DofError)]
 EXAMPLES = {"path": Path("a.yaml"), "known": ("b", "c"), "residual": 1.0, "steps": 3, "names": ["d"]}
@@ -27,12 +27,6 @@ def test_an_error_is_the_same_after_a_pickle(kind: type[PM3DofError]) -> None:
     assert type(again) is kind
     assert str(again) == str(error)
     assert vars(again) == vars(error)
-
-
-def test_a_missing_package_is_named_by_another_process() -> None:
-    error = pickle.loads(pickle.dumps(MissingPackageError("scikit-learn", "learning", "training neural networks")))
-    assert "pm3dof-pin[learning]" in str(error)
-    assert (error.package, error.extra) == ("scikit-learn", "learning")
 
 
 def test_a_message_is_one_line_whatever_a_name_holds() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterable
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -33,17 +34,17 @@ FLOORS = (
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
 
-def _modules() -> dict[str, ast.Module]:
-    """Every module of the package but its __init__, which holds the version and the lazy list of public names."""
-    modules = {}
-    for file in (ROOT / "pm3dof_pin").rglob("*.py"):
-        name = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        modules[name] = ast.parse(file.read_text(encoding="utf-8"), filename=str(file))
-    del modules["pm3dof_pin"]
-    return modules
+# Every module of the package but its __init__, which holds the version and the lazy list of public names.
+MODULES = {
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+    for file in (ROOT / "pm3dof_pin").rglob("*.py")
+    if file.parent != ROOT / "pm3dof_pin" or file.name != "__init__.py"
+}
 
 
-MODULES = _modules()
+@cache
+def _parsed(module: str) -> ast.Module:
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"), filename=str(MODULES[module]))
 
 
 def _imports(nodes: Iterable[ast.AST]) -> set[str]:
@@ -58,14 +59,19 @@ def _imports(nodes: Iterable[ast.AST]) -> set[str]:
     return names
 
 
+@cache
+def _everything(module: str) -> set[str]:
+    return _imports(ast.walk(_parsed(module)))
+
+
 def _anywhere(module: str) -> set[str]:
     """Modules of the package that a module imports: at its top, inside functions, or for typing only."""
-    return _imports(ast.walk(MODULES[module])) & set(MODULES) - {module}
+    return _everything(module) & set(MODULES) - {module}
 
 
 def _when_loaded(module: str) -> set[str]:
     """Modules of the package that are imported as soon as this one is."""
-    return _imports(MODULES[module].body) & set(MODULES) - {module}
+    return _imports(_parsed(module).body) & set(MODULES) - {module}
 
 
 def _room(module: str) -> str:
@@ -92,5 +98,5 @@ def test_modules_do_not_import_each_other_in_a_circle_when_they_are_loaded() -> 
 
 @pytest.mark.parametrize("module", sorted(MODULES))
 def test_the_package_imports_neither_scripts_nor_tests(module: str) -> None:
-    first_names = {name.split(".")[0] for name in _imports(ast.walk(MODULES[module]))}
+    first_names = {name.split(".")[0] for name in _everything(module)}
     assert not first_names & {"scripts", "tests", "benchmarks", "docs", "pytest"}
