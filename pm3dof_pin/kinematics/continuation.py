@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 _LEG = 0.1  # of a walk [rad, characteristic lengths]
 _SHORTEST_LEG = 1.0 / 64.0  # of that
+_SHORTEST_QUICK_LEG = 0.25  # of that
 _NEARLY_CLOSED = 1e-8  # from here one quadratic step ends in rounding
 _STEPS = 6
 _DAMPED_STEPS = 50  # in a round
@@ -138,13 +139,21 @@ class Continuation:
 
     # walking
 
-    def walk(self, targets: Matrix, starts: Matrix | None = None) -> Solution:
-        """Find the poses at targets [m, rad], each by a walk of its own from its start, by default home."""
+    def walk(self, targets: Matrix, starts: Matrix | None = None, *, thorough: bool = True) -> Solution:
+        """Find the poses at targets [m, rad], each by a walk of its own from its start, by default home.
+
+        Not `thorough`, a walk that meets trouble is given up: quick where many poses are out of reach, at the price of
+        some next to singular ones.
+        """
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
         for first in range(0, len(q), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            self._solve_each(q[part], targets[part], self._home)
+            if thorough:
+                self._solve_each(q[part], targets[part], self._home)
+            else:
+                arrived, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
+                q[part] = np.where(arrived[:, None], found, np.nan)
         return self._check(q, targets)
 
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
@@ -196,7 +205,7 @@ class Continuation:
         residuals: Vector = outputs[:, -1]
         return residuals
 
-    def _walked(self, q: Matrix, targets: Matrix) -> tuple[Mask, Matrix]:
+    def _walked(self, q: Matrix, targets: Matrix, shortest_leg: float = _SHORTEST_LEG) -> tuple[Mask, Matrix]:
         """Walk without the careful solver; return which poses arrived, and where each ended."""
         origins = self.read(q)
         _, modes = self._regularity_and_mode(q, origins)
@@ -204,7 +213,7 @@ class Continuation:
         origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
         way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
         legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / self._leg), 1.0), 1.0)
-        shortest, step = _SHORTEST_LEG / legs, 1.0 / legs
+        shortest, step = shortest_leg / legs, 1.0 / legs
         done, last_step = np.zeros(len(q)), np.zeros(len(q))
         before = q.copy()
         active = np.flatnonzero(np.isfinite(way) & np.isfinite(q).all(axis=1))

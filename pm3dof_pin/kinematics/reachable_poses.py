@@ -24,13 +24,15 @@ _LATTICE = 4096  # poses by commands, of which the smaller box is made
 _MOST_DRAWS = 4  # a round, times the poses wanted
 _NEAR = 0.2  # edge of the cells that draws are walked to from the middle of [rad, characteristic lengths]
 _DRAWS_A_CELL = 1
+_KEPT = "_random_draws"
 
 
 def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *, margin: float = 0.0) -> Poses:
     """Draw poses within all limits, evenly over the coordinates.
 
     A robot whose coordinates have no ranges, or whose limits exclude nearly all of these (six degrees of freedom with
-    short struts), gets poses evenly over its commands instead.
+    short struts), gets poses evenly over its commands instead. None are drawn so near to singular poses that Newton's
+    method does not converge.
 
     Example:
         >>> import numpy as np
@@ -57,13 +59,14 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     for by_commands in (False, True):
         if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
             continue
-        draws = _Draws(robot, by_commands, margin)
+        draws = _Draws.kept(robot, by_commands, margin)
         found = draws.within_limits(_TRIAL, generator)
         drawn: float = _TRIAL
         if len(found) < _LEAST_RATE * drawn:
             continue
         if len(found) < _NARROWED_RATE * drawn and draws.cells > _LATTICE and not by_commands:
-            drawn *= draws.narrow()
+            draws, left = draws.narrowed
+            drawn *= left
         for _ in range(_ROUNDS):
             if len(found) >= count:
                 return robot.at(found[:count])
@@ -85,71 +88,74 @@ def _has_ranges(robot: Robot) -> bool:
 
 
 class _Draws:
-    """Values of coordinates or commands at random, evenly over their ranges, and the poses there.
+    """Values of coordinates or commands at random, evenly over a box, and the poses there.
 
     Many draws are walked to from the middles of cells. Cells of which neither the middle nor that of any neighbour is
     within limits are passed over: what is within limits there is smaller than a cell.
     """
 
-    def __init__(self, robot: Robot, by_commands: bool, margin: float) -> None:
-        self._robot = robot
-        self._coordinates = robot.command_coordinates if by_commands else robot.coordinates
-        self._solve = robot.forward if by_commands else robot.solve
-        # a declared range is what maps go over; what a joint can do beyond it is reachable too
-        whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in self._coordinates)
-        lower, upper = coordinate_ranges(robot, whole)
-        self._set_box(lower + margin * (upper - lower), upper - margin * (upper - lower))
-
-    def _set_box(self, lower: Array, upper: Array) -> None:
-        self._lower, self._upper = lower, upper
-        robot = self._robot
-        units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in self._coordinates]
+    def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
+        self._robot, self._coordinates, self._lower, self._upper = robot, coordinates, lower, upper
+        units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates]
         self._sizes = np.maximum(np.ceil((upper - lower) / (_NEAR * np.array(units))), 1.0).astype(int)
+
+    @classmethod
+    def kept(cls, robot: Robot, by_commands: bool, margin: float) -> _Draws:
+        """Return those over all ranges of a robot; they are kept with it, since their cells take a while."""
+        kept: dict[tuple[bool, float], _Draws] = vars(robot).setdefault(_KEPT, {})
+        if (by_commands, margin) not in kept:
+            coordinates = robot.command_coordinates if by_commands else robot.coordinates
+            # a declared range is what maps go over; what a joint can do beyond it is reachable too
+            whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in coordinates)
+            lower, upper = coordinate_ranges(robot, whole)
+            spare = margin * (upper - lower)
+            kept[by_commands, margin] = cls(robot, coordinates, lower + spare, upper - spare)
+        return kept[by_commands, margin]
 
     @property
     def cells(self) -> int:
         """Number of cells."""
         return math.prod(self._sizes.tolist())
 
-    def narrow(self) -> float:
-        """Leave out of the box of coordinates what no commands lead to: to find that a pose is out of reach takes long.
+    @cached_property
+    def narrowed(self) -> tuple[_Draws, float]:
+        """The same without what no commands lead to, and the part of the box that is left.
 
         A lattice of commands gives the coordinates that are reached with a neighbour within limits. The box is wider
         than these by the greatest steps between neighbours, twice what they differ by within a cell if nearly linear.
-        Returns the part of the box that is left.
         """
         commands = self._robot.command_coordinates
         count = round(_LATTICE ** (1.0 / max(len(commands), 1)))
         if not commands or count < 2:
-            return 1.0
+            return self, 1.0
         lower, upper = coordinate_ranges(self._robot, commands)
         shares = (np.arange(count) + 0.5) / count
         axes = {c.name: a + (b - a) * shares for c, a, b in zip(commands, lower, upper, strict=True)}
-        poses = self._robot.forward(Grid(commands, axes, {}).values, on_failure="nan")
-        near = with_neighbours(poses.within_limits) & poses.solved
-        values = np.where(near[..., None], poses.coordinates, np.nan)
+        q, is_within = _solved(self._robot, commands, Grid(commands, axes, {}).values)
+        near = with_neighbours(is_within) & np.isfinite(q[..., 0])
+        values = np.where(near[..., None], Poses(self._robot, q).coordinates, np.nan)
         differences = [np.abs(np.diff(values, axis=k)).reshape(-1, values.shape[-1]) for k in range(len(commands))]
         if not near.any() or any(np.isnan(steps).all(axis=0).any() for steps in differences):
-            return 1.0
+            return self, 1.0
         widening = np.sum([np.nanmax(steps, axis=0) for steps in differences], axis=0)
-        before = self._upper - self._lower
-        lower, upper = values[near].min(axis=0) - widening, values[near].max(axis=0) + widening
-        self._set_box(np.maximum(self._lower, lower), np.minimum(self._upper, upper))
-        return float(np.prod((self._upper - self._lower) / before))
+        lower = np.maximum(self._lower, values[near].min(axis=0) - widening)
+        upper = np.minimum(self._upper, values[near].max(axis=0) + widening)
+        left = float(np.prod((upper - lower) / (self._upper - self._lower)))
+        return _Draws(self._robot, self._coordinates, lower, upper), left
 
     def within_limits(self, count: int, generator: np.random.Generator) -> Array:
         """Return those of so many draws that are within all limits, shape=(n, nq)."""
         shares = generator.uniform(size=(count, len(self._coordinates)))
         values = self._lower + shares * (self._upper - self._lower)
         if _DRAWS_A_CELL * self.cells > count:
-            poses = self._solve(values, on_failure="nan")
+            q, is_within = _solved(self._robot, self._coordinates, values)
         else:
             starts, is_near = self._cells
             cells = tuple(np.minimum(shares * self._sizes, self._sizes - 1).astype(int).T)
             near = is_near[cells]
             starts = starts[tuple(indices[near] for indices in cells)]
-            poses = self._solve(values[near], guess=starts, on_failure="nan")
-        return np.asarray(poses.q[poses.within_limits])
+            q, is_within = _solved(self._robot, self._coordinates, values[near], starts)
+        return q[is_within]
 
     @cached_property
     def _cells(self) -> tuple[Array, Mask]:
@@ -159,6 +165,20 @@ class _Draws:
             c.name: first + step * (np.arange(size) + 0.5)
             for c, first, step, size in zip(self._coordinates, self._lower, steps, self._sizes, strict=True)
         }
-        middles = self._solve(Grid(self._coordinates, axes, {}).values, on_failure="nan")
-        starts = np.where(middles.solved[..., None], middles.q, self._robot.home.q)
-        return starts, with_neighbours(middles.within_limits)
+        q, is_within = _solved(self._robot, self._coordinates, Grid(self._coordinates, axes, {}).values)
+        starts = np.where(np.isnan(q[..., :1]), self._robot.home.q, q)
+        return starts, with_neighbours(is_within)
+
+
+def _solved(
+    robot: Robot, coordinates: tuple[Coordinate, ...], values: Array, starts: Array | None = None
+) -> tuple[Array, Mask]:
+    """Return the poses at values of coordinates, NaN where there is none, and which are within all limits."""
+    solver = robot.continuation(coordinates)
+    if solver is None:
+        solve = robot.solve if coordinates == robot.coordinates else robot.forward
+        poses = solve(values, guess=starts, on_failure="nan")
+        return poses.q, poses.within_limits
+    found = solver.walk(values.reshape(-1, values.shape[-1]), starts, thorough=False)
+    assert found.broken_limits is not None
+    return found.q.reshape(*values.shape[:-1], -1), (found.broken_limits == 0).reshape(values.shape[:-1])

@@ -388,7 +388,7 @@ class Robot(Mechanism):
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
-        continuation = self._continuation(coordinates) if engine == "program" else None
+        continuation = self.continuation(coordinates) if engine == "program" else None
         found: tuple[Any, ...]
         if continuation is not None and isinstance(values, Grid) and starts is None:
             found = continuation.march(values, threads)
@@ -456,7 +456,7 @@ class Robot(Mechanism):
         solver = self._solver(self.coordinates)
         return solver if isinstance(solver, str) else None
 
-    def _continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
+    def continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
         """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
         solver = self._solver(coordinates)
         return None if isinstance(solver, str) else solver
