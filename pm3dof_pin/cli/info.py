@@ -298,4 +298,4 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
 def _in_degrees(unit: str, *values: float) -> list[str]:
     """Write values for a person: angles in degrees, nothing where there is no value."""
     factor, shown = shown_in(unit)
-    return [*(f"{factor * value:.6g}" if math.isfinite(value) else "-" for value in values), shown]
+    return [*(f"{round(factor * value, 9) + 0.0:.6g}" if math.isfinite(value) else "-" for value in values), shown]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -10,6 +11,11 @@ Unit: TypeAlias = Literal["m", "rad"]
 ToolComponent: TypeAlias = Literal["x", "y", "z", "rx", "ry", "rz"]
 
 TOOL_COMPONENTS: tuple[ToolComponent, ...] = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def unit_of(component: ToolComponent) -> Unit:
+    """Return the unit of a component of the tool's placement or twist, per second there."""
+    return "m" if component in ("x", "y", "z") else "rad"
 
 
 def shown_in(unit: str) -> tuple[float, str]:
@@ -54,6 +60,11 @@ class Coordinate:
     def headings(self) -> tuple[str, ...]:
         """Headings that its column may have in a file that is read."""
         return (self.heading,) if self.unit == "m" else (self.heading, f"{self.name}_rad")
+
+
+def tool_coordinates(components: Iterable[ToolComponent]) -> tuple[Coordinate, ...]:
+    """Return components of the tool's placement as coordinates."""
+    return tuple(Coordinate(component, unit_of(component), tool=component) for component in components)
 
 
 @dataclass(frozen=True)

@@ -2,42 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pm3dof_pin.arrays import frozen
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Unit
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent, Unit, unit_of
 from pm3dof_pin.elastic.condensation import condensed
-from pm3dof_pin.elastic.directions import direction_names
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.actuation import tool_motions
+from pm3dof_pin.kinematics.actuation import motion_components, tool_motions
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
-
-_NO_PART = 1e-9
-_UNITS: tuple[Unit, Unit] = ("m", "rad")
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMotionStiffness:
     """The stiffness of a mechanism's independent motions, the directions that it cannot move in being held."""
 
-    #: the motions: the robot's coordinates; or x, y, z, rx, ry, rz of the tool's twist, or a twist in words
+    #: the motions: the robot's declared coordinates; or components x, y, z, rx, ry, rz of the tool's twist, world axes
     names: tuple[str, ...]
     units: tuple[Unit, ...]  #: "m" or "rad" of each
+    components: tuple[ToolComponent, ...]  #: the names, where the motions are components of the twist; else none
     twists: Matrix  #: the tool's twist [v; omega] at unit rates of the motions, world axes, shape=(6, p)
     stiffness: Matrix  #: symmetric, shape=(p, p) [N/m, N, N m/rad]
 
 
-def free_motion_stiffness(model: ElasticModel, configuration: Configuration) -> FreeMotionStiffness:
+def free_motion_stiffness(
+    model: ElasticModel, configuration: Configuration, *, components: Sequence[ToolComponent] = ()
+) -> FreeMotionStiffness:
     """Compute the stiffness of the motions that a mechanism is free to make, K = J^T k J with springs k at the drives.
 
     The motions are those of the coordinates that the description declares, if there is one for each of the tool's
-    degrees of freedom; else unit twists of the tool along and about the axes of the base, as far as they span them.
+    degrees of freedom; else components of the tool's twist, which the others follow.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -49,6 +49,8 @@ def free_motion_stiffness(model: ElasticModel, configuration: Configuration) -> 
     Args:
         model: the mechanism with its springs.
         configuration: an assembled configuration of the rigid mechanism.
+        components: the components of the tool's twist that are the motions; chosen by
+            :func:`~pm3dof_pin.kinematics.actuation.motion_components` without.
 
     Raises:
         SingularConfigurationError: the motions are not independent there, or the tool moves without them; or it is free
@@ -59,16 +61,15 @@ def free_motion_stiffness(model: ElasticModel, configuration: Configuration) -> 
     tool = condensed(model, configuration)
     coordinates = configuration.mechanism.declared_coordinates
     dof = DegreesOfFreedom(configuration)
-    if len(coordinates) == dof.at_tool.rank.rank:
+    if len(coordinates) == dof.at_tool.rank.rank and not components:
+        chosen: tuple[ToolComponent, ...] = ()
         names, units = tuple(c.name for c in coordinates), tuple(c.unit for c in coordinates)
         twists = _coordinate_twists(configuration, dof, coordinates)
     else:
-        twists = tool_motions(configuration)
-        turns = np.abs(twists[3:]).max(axis=0) > _NO_PART
-        twists = twists / np.where(turns, 1.0, np.linalg.norm(twists[:3], axis=0))
-        names = tuple(_name(twist) for twist in twists.T)
-        units = tuple(_UNITS[bool(turn)] for turn in turns)
-    return FreeMotionStiffness(names, units, frozen(twists), tool.stiffness_over(twists))
+        chosen = tuple(components) or motion_components(configuration)
+        names, units = chosen, tuple(unit_of(component) for component in chosen)
+        twists = tool_motions(configuration, components=chosen)
+    return FreeMotionStiffness(names, units, chosen, frozen(twists), tool.stiffness_over(twists))
 
 
 def _coordinate_twists(
@@ -92,8 +93,3 @@ def _coordinate_twists(
         raise SingularConfigurationError(f"the coordinates {names} are not independent at {configuration}")
     twists: Matrix = jacobian @ (dof.scale[:, None] * (driven.inverse / scale))
     return twists
-
-
-def _name(twist: Matrix) -> str:
-    parts = np.abs(twist) > _NO_PART
-    return TOOL_COMPONENTS[int(parts.argmax())] if parts.sum() == 1 else direction_names(twist[:, None])

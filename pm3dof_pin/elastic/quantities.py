@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import ToolComponent
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.condensation import CartesianCompliance
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
@@ -161,17 +162,21 @@ def spring_shares(model: ElasticModel) -> ElasticQuantity:
     return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)
 
 
-def free_stiffness(model: ElasticModel) -> ElasticQuantity:
-    """Return the stiffness of the coordinates that a description declares, shape=(p, p) [N/m, N, N m/rad].
+def free_stiffness(model: ElasticModel, components: tuple[ToolComponent, ...] = ()) -> ElasticQuantity:
+    """Return the stiffness of components of the tool's twist, or of the declared coordinates, shape=(p, p).
 
-    NaN where the robot's free motions are not these coordinates.
+    In N/m, N and N m/rad; NaN where the robot's free motions are not these.
     """
-    names = tuple(coordinate.name for coordinate in model.rigid.declared_coordinates)
+    names: tuple[str, ...] = components or tuple(c.name for c in model.rigid.declared_coordinates)
 
     def computed(report: CartesianCompliance) -> Array:
-        found = free_motion_stiffness(model, model.rigid.configuration(model.project(report.configuration.q)))
+        configuration = model.rigid.configuration(model.project(report.configuration.q))
+        found = free_motion_stiffness(model, configuration, components=components)
         return found.stiffness if found.names == names else np.full((len(names), len(names)), np.nan)
 
     return ElasticQuantity(
-        "free_stiffness", (len(names), len(names)), lambda roots: _matrix(roots.coordinate_stiffness()), computed
+        "_".join(("free_stiffness", *components)),
+        (len(names), len(names)),
+        lambda roots: _matrix(roots.coordinate_stiffness(components)),
+        computed,
     )

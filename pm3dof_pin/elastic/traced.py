@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, tool_coordinates
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
 from pm3dof_pin.programs.elimination import (
@@ -102,8 +102,8 @@ class Roots:
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
         return self._noted(Root(rows.T, doubt.pivot, doubt.dropped))
 
-    def coordinate_stiffness(self) -> Objects:
-        """X with X X^T the stiffness of the coordinates that the description declares, shape=(p, n).
+    def coordinate_stiffness(self, components: Sequence[ToolComponent] = ()) -> Objects:
+        """X with X X^T the stiffness of components of the twist, or of the declared coordinates, shape=(p, n).
 
         Directions in which the frame is rigid do not count: it is not to move there.
 
@@ -115,14 +115,18 @@ class Roots:
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt, without_rigid=True)
         assert rows is not None
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self._noted(Root(product(rows, self._coordinate_twists(doubt)).T, doubt.pivot, doubt.dropped))
+        return self._noted(
+            Root(product(rows, self._coordinate_twists(components, doubt)).T, doubt.pivot, doubt.dropped)
+        )
 
-    def _coordinate_twists(self, doubt: Doubt) -> Objects:
-        """Return the frame's twists at unit rates of the declared coordinates, all springs at rest, shape=(6, p)."""
-        mechanism, coordinates = self._model.mechanism, self._model.rigid.declared_coordinates
+    def _coordinate_twists(self, chosen: Sequence[ToolComponent], doubt: Doubt) -> Objects:
+        """Return the frame's twists at unit rates of the motions, all springs at rest, shape=(6, p)."""
+        mechanism = self._model.mechanism
+        coordinates = tool_coordinates(chosen) or self._model.rigid.declared_coordinates
         given = {c.joint: mechanism.single_joint(c.joint).v_index for c in coordinates if c.joint is not None}
         passive = [k for k in self._model.rigid_velocity_indices if k not in given.values()]
-        components = _component_rows(self._tree.frame(self._frame).rotation)
+        twist = matrix_of(np.eye(6).tolist(), 6)
+        components = twist if chosen else _component_rows(self._tree.frame(self._frame).rotation)
         readings = [Reading(components[TOOL_COMPONENTS.index(c.tool)], c.unit == "m") for c in coordinates if c.tool]
         twists = response(
             self._tree,

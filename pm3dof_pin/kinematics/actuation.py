@@ -2,69 +2,91 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import pinocchio as pin
 import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
 _PIVOT_DIGITS = 9
 
 
-def independent_motions(configuration: Configuration) -> Matrix:
-    """Compute the velocities of all joints that belong to the platform's independent motions, shape=(nv, p).
+def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]:
+    """Choose the components of the tool's twist, world axes, that tell its independent motions: as many as there are.
 
-    If the mechanism has motion coordinates, column k is the velocity at which coordinate k has rate 1 and the others 0.
-
-    Otherwise column k is the velocity at which the tool has the k-th twist of a basis that is orthonormal in scaled
-    numbers: the unit twists v_x, v_y, v_z (one characteristic length a second), omega_x, omega_y, omega_z, projected on
-    the twists possible there; of these the p most independent ones, in this order, made orthonormal. A tool with six
-    degrees of freedom gets the unit twists themselves.
-
-    Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is taken.
-
-    Args:
-        configuration: an assembled configuration.
+    Where every motion turns it about an axis within the machine, as a wrist does, the rotations. Else, of those that
+    count as its motion, the most independent ones in scaled numbers: of a planar platform x, y and rz, of a 3-RPS
+    platform z, rx and ry.
 
     Raises:
-        SingularConfigurationError: the motion coordinates are not independent there, or actuated joints or the tool can
-            move without them.
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
     dof = DegreesOfFreedom(configuration)
-    names = configuration.mechanism.motion_coordinates
-    if names:
-        indices = configuration.mechanism.velocity_indices(names)
-        driven = dof.over(np.eye(len(dof.scale))[indices])
-        if driven.rank.rank < len(names):
-            raise SingularConfigurationError(
-                f"the motion coordinates {', '.join(names)} are not independent at {configuration}: "
-                f"singular values {driven.rank.singular_values}"
-            )
-        velocities = driven.inverse / dof.scale[indices]
+    seen, count = dof.at_tool, dof.at_tool.rank.rank
+    counting = [TOOL_COMPONENTS.index(name) for name in configuration.mechanism.tool_motions]
+    if _turns_within(configuration, dof):
+        seen = dof.over(dof.twist[3:])
+        counting = [3, 4, 5]
+    # rounded, so that which of several equally good ones are taken does not hang on the last digits
+    projector = np.round(seen.image @ seen.image.T, _PIVOT_DIGITS)
+    order = scipy.linalg.qr(projector, mode="r", pivoting=True)[1]
+    return tuple(TOOL_COMPONENTS[k] for k in sorted(counting[row] for row in order[:count]))
+
+
+def independent_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:
+    """Compute the velocities of all joints that belong to the platform's independent motions, shape=(nv, p).
+
+    Column k is the velocity at which motion k has rate 1 and the others 0. The motions are the components of the tool's
+    twist that are named; else the motion coordinates, if the mechanism has such; else the :func:`motion_components`.
+    Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is taken.
+
+    Args:
+        configuration: an assembled configuration.
+        components: components of the tool's twist, world axes.
+
+    Raises:
+        SingularConfigurationError: the motions are not independent there, or actuated joints or the tool can move
+            without them.
+        DescriptionError: the mechanism has no tool frame.
+        InvalidValueError: the loops are not closed.
+    """
+    dof = DegreesOfFreedom(configuration)
+    mechanism = configuration.mechanism
+    if components or not mechanism.motion_coordinates:
+        names: Sequence[str] = components or motion_components(configuration)
+        rows = [TOOL_COMPONENTS.index(name) for name in names]
+        driven, scale = dof.over(dof.twist[rows]), dof.twist_scale[rows]
     else:
-        driven = dof.at_tool
-        velocities = driven.inverse @ _aligned_basis(driven.image)
+        names = mechanism.motion_coordinates
+        indices = mechanism.velocity_indices(names)
+        driven, scale = dof.over(np.eye(len(dof.scale))[indices]), dof.scale[indices]
+    motions = f"the motions {', '.join(names)} are"
+    if driven.rank.rank < len(names):
+        values = driven.rank.singular_values
+        raise SingularConfigurationError(f"{motions} not independent at {configuration}: singular values {values}")
     if Restriction(dof.actuators_and_tool, driven.motions).rank.rank > 0:
         raise SingularConfigurationError(
-            f"actuated joints or the tool can move at {configuration} while "
-            + (f"the motion coordinates {', '.join(names)} are" if names else "the tool is")
-            + " at rest"
+            f"actuated joints or the tool can move at {configuration} while {motions} at rest"
         )
-    return frozen(dof.scale[:, None] * velocities)
+    return frozen(dof.scale[:, None] * driven.inverse / scale)
 
 
-def tool_motions(configuration: Configuration) -> Matrix:
+def tool_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:
     """Compute the tool's twists [v; omega], world axes, shape=(6, p), in the platform's :func:`independent_motions`.
 
     The tool's twist is this times the rates of the motions. Arguments and errors are those of
     :func:`independent_motions`.
     """
-    return frozen(configuration.tool_jacobian @ independent_motions(configuration))
+    motions = independent_motions(configuration, components=components)
+    return frozen(configuration.tool_jacobian @ motions)
 
 
 def actuation_jacobian(configuration: Configuration) -> Matrix:
@@ -77,11 +99,17 @@ def actuation_jacobian(configuration: Configuration) -> Matrix:
     return frozen(motions[configuration.mechanism.actuated_indices])
 
 
-def _aligned_basis(image: Matrix) -> Matrix:
-    """Return the orthonormal basis of a space of scaled twists that depends on the space alone, shape=(6, p)."""
-    count, projector = image.shape[1], image @ image.T
-    # rounded, so that which of several equally good axes is taken does not hang on the last digits
-    order = scipy.linalg.qr(np.round(projector, _PIVOT_DIGITS), mode="r", pivoting=True)[1]
-    basis, triangle = np.linalg.qr(projector[:, np.sort(order[:count])])
-    aligned: Matrix = basis * np.sign(np.diag(triangle))
-    return aligned
+def _turns_within(configuration: Configuration, dof: DegreesOfFreedom) -> bool:
+    """Tell whether the tool turns in all its motions, about axes no further from it than the farthest joint is."""
+    mechanism = configuration.mechanism
+    if mechanism.tool_motions != TOOL_COMPONENTS or dof.at_tool.rank.rank == 0:
+        return False
+    linear, angular = np.split(dof.twist_scale[:, None] * dof.at_tool.image, 2)
+    if Restriction(angular, np.eye(angular.shape[1])).rank.rank < angular.shape[1]:
+        return False
+    model = mechanism.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, configuration.q)
+    joints = np.array([data.oMi[index].translation for index in range(1, model.njoints)])
+    farthest = np.linalg.norm(joints - configuration.tool_placement.translation, axis=1).max()
+    return bool(np.linalg.norm(linear @ np.linalg.pinv(angular), 2) <= farthest * (1.0 + RANK_TOLERANCE))

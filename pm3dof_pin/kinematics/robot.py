@@ -14,9 +14,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, require_count
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
+from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import close_all
 from pm3dof_pin.kinematics.grid import Grid
@@ -109,17 +110,13 @@ class Robot(Mechanism):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The independent numbers that place the tool.
 
-        Those that the description declares; else the tool's placement if it has six degrees of freedom; else the
+        Those that the description declares; else the tool's placement if it has six degrees of freedom; else, where
+        there are more drives than degrees of freedom, as many components of the tool's placement as it has; else the
         commands.
         """
         if self.declared_coordinates:
             return self.declared_coordinates
-        if self.tool_frame is not None and self._tool_mobility() == len(TOOL_COMPONENTS):
-            return tuple(
-                Coordinate(component, "m" if index < 3 else "rad", tool=component)
-                for index, component in enumerate(TOOL_COMPONENTS)
-            )
-        return self.command_coordinates
+        return self._tool_coordinates() or self.command_coordinates
 
     @cached_property
     def command_coordinates(self) -> tuple[Coordinate, ...]:
@@ -304,10 +301,7 @@ class Robot(Mechanism):
         else:
             values = array
         components = TOOL_COMPONENTS if array.shape[-2:] == (4, 4) else TOOL_COMPONENTS[:3]
-        coordinates = tuple(
-            Coordinate(component, "m" if component in "xyz" else "rad", tool=component) for component in components
-        )
-        return self._meet(coordinates, "tool placements", values, guess, on_failure, engine)
+        return self._meet(tool_coordinates(components), "tool placements", values, guess, on_failure, engine)
 
     def assemble(
         self, guess: Configuration | ArrayLike | None = None, *, joints: Mapping[str, ArrayLike] | None = None
@@ -479,11 +473,22 @@ class Robot(Mechanism):
     def _solvers(self) -> dict[tuple[Coordinate, ...], Continuation | str]:
         return {}
 
-    def _tool_mobility(self) -> int:
+    def _tool_coordinates(self) -> tuple[Coordinate, ...]:
+        """Return components of the tool's placement that tell a pose better than the commands; none if none do."""
+        if self.tool_frame is None:
+            return ()
         try:
-            return instantaneous_mobility(generic_configuration(self.home)).tool_mobility
+            usual = generic_configuration(self.home)
+            mobility = instantaneous_mobility(usual)
+            if mobility.tool_mobility == len(TOOL_COMPONENTS):
+                return tool_coordinates(TOOL_COMPONENTS)
+            if not mobility.tool_mobility == mobility.actuator_rank.rank < len(self.commands):
+                return ()
+            components = motion_components(self.home)
+            at_home = len(components) == mobility.tool_mobility
+            return tool_coordinates(components if at_home else motion_components(usual))
         except (ConvergenceError, InvalidValueError):
-            return 0
+            return ()
 
 
 def load(

@@ -113,16 +113,6 @@ class Evaluation:
             self._elastic[quantity.name] = evaluate(self.mapped.elastic, self.poses, quantity, **self.batch).values
         return self._elastic[quantity.name]
 
-    def at_each(self, shape: tuple[int, ...], compute: Callable[[Array], Array]) -> Array:
-        """Compute a result of a shape from each q, shape=(..., *shape); an error of the package gives NaN."""
-        values = np.full((*self.poses.shape, *shape), np.nan)
-        for index in zip(*np.nonzero(self.poses.solved), strict=True):
-            try:
-                values[index] = compute(self.poses.q[index])
-            except PM3DofError:
-                continue
-        return values
-
 
 @dataclass(frozen=True)
 class Dimension:
@@ -371,12 +361,6 @@ def _has_free_motions(mapped: MappedRobot) -> bool:
     exists=_has_free_motions,
 )
 def _free_stiffness(evaluation: Evaluation) -> Array:
-    model, names = evaluation.mapped.elastic, _free_motion_names(evaluation.mapped)
-    if names == tuple(coordinate.name for coordinate in model.rigid.declared_coordinates):
-        return evaluation.elastic(free_stiffness(model))
-
-    def of_pose(q: Array) -> Array:
-        found = free_motion_stiffness(model, model.rigid.configuration(q))
-        return found.stiffness if found.names == names else np.full((len(names), len(names)), np.nan)
-
-    return evaluation.at_each((len(names), len(names)), of_pose)
+    motions = evaluation.mapped.free_motions
+    assert motions is not None  # it exists
+    return evaluation.elastic(free_stiffness(evaluation.mapped.elastic, motions.components))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -16,6 +18,7 @@ from pm3dof_pin.exceptions import RigidDirectionError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import QUANTITIES, Evaluation, MappedRobot, select_quantities
 
+MACHINES = Path(__file__).parents[1] / "machines"
 BASE = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.9]])
 PLATFORM = np.array([[-0.1, -0.06], [0.1, -0.06], [0.0, 0.12]])
 SPRINGS = np.array([2.0e5, 3.0e5, 5.0e5])
@@ -131,7 +134,29 @@ def test_a_map_of_a_machine_that_is_singular_at_home(is_declared: bool) -> None:
         expected = _gosselin(*pose, 0.5 * corners, 0.12 * corners)
         np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
     at_home = _gosselin(0.0, 0.0, 0.0, 0.5 * corners, 0.12 * corners)
-    if is_declared:  # the coordinates are independent there, and one of them meets no stiffness
-        np.testing.assert_allclose(found[-1], at_home, rtol=0, atol=1e-11 * np.abs(at_home).max())
-    else:
-        assert np.isnan(found[-1]).all()
+    # the motions are independent there, and one of them meets no stiffness
+    np.testing.assert_allclose(found[-1], at_home, rtol=0, atol=1e-11 * np.abs(at_home).max())
+
+
+def test_a_spherical_wrist_has_the_stiffness_of_its_rotations() -> None:
+    """An Agile Eye (Gosselin and Angeles, 1989): drive i turns at (w_i x v_i) . omega / (w_i x v_i) . u_i.
+
+    u_i are the axes of the base, v_i axes of the platform, and w_i is at right angles to both. The drives' springs are
+    1000 N m/rad; the tool is a camera beside the centre, whose translation follows the rotation.
+    """
+    mapped = MappedRobot(ElasticModel.load(MACHINES / "agile_eye"))
+    poses = mapped.robot.forward(np.random.default_rng(5).uniform(-0.4, 0.4, (20, 3)))
+    expected = []
+    for rotation in poses.rotations:
+        platform = rotation[:, [2, 0, 1]].T
+        middle = np.cross(np.eye(3), platform)
+        forces = np.cross(middle, platform)
+        rows = forces / np.diag(forces)[:, None]
+        expected.append(1000.0 * rows.T @ rows)
+    found = QUANTITIES["free_stiffness"].compute(Evaluation(mapped, poses))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.max(expected))
+    for pose, matrix in zip(poses, expected, strict=True):
+        free = free_motion_stiffness(mapped.elastic, pose)
+        assert free.names == ("rx", "ry", "rz")
+        np.testing.assert_allclose(free.stiffness, matrix, rtol=0, atol=1e-8 * np.max(matrix))
+        np.testing.assert_allclose(free.twists[:3], np.cross(np.eye(3), pose.tool_placement.translation).T, atol=1e-12)

@@ -1,0 +1,52 @@
+"""Coordinates and their ends where a description declares none: a platform held by four legs, a drive too many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+from pm3dof_pin.kinematics.robot import Robot
+
+MACHINES = Path(__file__).parents[1] / "machines"
+LINK = 0.35  # both links of a leg [m]
+BASE = 0.5  # of a leg's motor from the axes of the base [m]
+CORNER = 0.1  # of a corner of the platform from its own axes [m]
+
+
+@pytest.fixture(scope="module")
+def four_rrr() -> Robot:
+    return Robot.load(MACHINES / "four_rrr")
+
+
+def test_four_drives_of_three_degrees_of_freedom_are_no_coordinates(four_rrr: Robot) -> None:
+    assert [coordinate.name for coordinate in four_rrr.coordinates] == ["x", "y", "rz"]
+    assert len(four_rrr.commands) == 4
+
+
+def test_motors_follow_the_platform(four_rrr: Robot) -> None:
+    """A leg of two equal links: its upper arm is half the bend away from the line to the corner."""
+    poses = four_rrr.solve(np.random.default_rng(3).uniform([-0.1, -0.1, -0.3], [0.1, 0.1, 0.3], (50, 3)))
+    signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+
+    def motors(pose: np.ndarray) -> np.ndarray:
+        x, y, turn = pose
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        lines = [x, y] + CORNER * signs @ rotation.T - BASE * signs
+        return np.arctan2(lines[:, 1], lines[:, 0]) + np.arccos(np.linalg.norm(lines, axis=1) / (2.0 * LINK))
+
+    expected = np.array([motors(pose) - motors(np.zeros(3)) for pose in poses.coordinates])
+    np.testing.assert_allclose(poses.commands, (expected + np.pi) % (2.0 * np.pi) - np.pi, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["x", "y"])
+def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) -> None:
+    """The motor is 0.5 m off both axes, the corner 0.1 m: they part to 2 x 0.35 m."""
+    stretched = np.sqrt((2.0 * LINK) ** 2 - (BASE - CORNER) ** 2) - (BASE - CORNER)
+    span = coordinate_span(four_rrr, four_rrr.coordinate(name))
+    assert span is not None
+    step = four_rrr.characteristic_length / 16.0
+    for end in np.abs(span):
+        assert end - step <= stretched <= end
