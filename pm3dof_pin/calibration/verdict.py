@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
@@ -25,8 +26,8 @@ class Verdict:
     expect: str  #: what to expect of the machine
     unseen: str  #: what was not seen
     next: str  #: what to do next
-    #: tip error of the corrected machine that is not exceeded with a probability of 95 %, root mean square over the
-    #: workspace [m]
+    #: tip error of the corrected machine below which, with a probability of 95 % each, 95 % of the poses of the
+    #: workspace are [m]
     bound: float
     budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
@@ -41,15 +42,17 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
     answer = compensation.compensate(poses, conditions, on_failure="nan")
     reached = np.isfinite(answer.error_bound)
     budget = uncertainty_budget(calibration, poses[reached])
-    bound = float(np.sqrt(np.mean(answer.error_bound[reached] ** 2)))
-    judged, source = (validation, "the validation file") if validation is not None else (held_out, "held-out poses")
+    bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
     total = float(np.sqrt(np.mean(answer.predicted_error[reached] ** 2)))
-    expect = f"a tip error of {1e6 * total:.0f} µm (rms), with a probability of 95 % below {1e6 * bound:.0f} µm"
+    expect = (
+        f"a tip error of {1e6 * total:.0f} µm (rms over the workspace), below {1e6 * bound:.0f} µm at 95 % of the poses"
+    )
+    judged, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
     if judged is not None:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (judged.before, judged.after))
         expect += (
-            f"; on {source} {1e6 * after:.0f} µm were left of {1e6 * before:.0f} µm, and {100.0 * judged.within:.0f} % "
-            "were where they were predicted with 95 %"
+            f"; on {source} it went from {1e6 * before:.0f} to {1e6 * after:.0f} µm, noise included, and "
+            f"{100.0 * judged.within:.0f} % of the poses were within their 95 % bounds"
         )
     return Verdict(
         expect,
@@ -69,38 +72,47 @@ def _unseen(calibration: Calibration) -> list[str]:
     seen = int(np.linalg.matrix_rank(control_inverse(pseudo_errors(found.settled, nominal).control)).max())
     drives, hidden = nominal.commands.shape[1], []
     if seen < drives:
-        hidden.append(f"{drives - seen} of {drives} motions of the drives at a pose: of them only the model speaks")
+        hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose: of them only the model speaks")
     missing = len(found.identifiability.names) - found.identifiability.rank
     if missing:
-        hidden.append(f"{missing} combinations of parameters")
+        hidden.append(f"{missing} combinations of parameters, which the report lists")
     if found.nuisances.columns("frame").size:
-        hidden.append("where the base stands but for the machine's own motion")
+        hidden.append("where the base stands, other than by the machine's own motion")
     if found.nuisances.columns("targets").size:
         hidden.append("a shift or turn common to all targets, which is one of the tool")
     counts = np.bincount(found.measurements.visits.pose_numbers)
     if counts.max() < 2:
-        hidden.append("repeatability, as no pose was taken up twice")
-    if found.measurements.times is None:
-        hidden.append("drift and hysteresis, without times")
+        hidden.append("repeatability (no pose was measured twice)")
+    untimed = [
+        kind
+        for kind, values in (("drift", found.measurements.times), ("hysteresis", found.measurements.approaches))
+        if values is None
+    ]
+    if untimed:
+        hidden.append(f"{' and '.join(untimed)} (the file has no times)")
     return hidden
 
 
 def _advice(calibration: Calibration, validation: HeldOut | None, budget: Mapping[str, float]) -> str:
     found = calibration.identification
-    largest = max(budget, key=lambda name: budget[name])
     if found.noise_factor > _RICH:
         return (
-            f"find what the parameters do not describe (residuals are {found.noise_factor:.1f} times the noise): the "
-            "complete error file, temperatures, loads, backlash, or sigmas that are too small"
+            f"find what the parameters do not describe, as residuals are {found.noise_factor:.1f} times the noise: "
+            "temperatures, loads, backlash, errors missing in the error file, or sigmas that are too small"
         )
+    largest = max(budget, key=lambda name: budget[name])
+    more = "a learned part (method lm+gp), or " if calibration.compensation.learned is None else ""
+    if calibration.compensation.values is None:
+        more = "parameters (method lm+gp), which tell what no command corrects, or "
     advice = {
-        "floor": "better parts, where commands correct nothing: error-map names them",
-        "instrument": "more poses, of calibration-plan --strategy tip-optimal, or a better instrument",
-        "frame": "more poses all over the workspace, or a base that is measured by itself",
-        "targets": "measure where the targets sit, or more targets",
-        "parameters": "whole poses, or targets off the tool point: they show what was not seen",
-        "learned": "more poses",
-        "unmodelled": "a learned part (method lm+gp), or known temperatures and loads",
-        "repeatability": "nothing a calibration can do: the machine does not come back better",
+        "floor": "no command corrects: better parts, which error-map names",
+        "instrument": "is noise of the measurements: more poses, or a better instrument",
+        "frame": "is the instrument's frame: poses all over the workspace, or a base measured by itself",
+        "targets": "is where targets sit, drift or hysteresis: targets measured by themselves, or more rows",
+        "parameters": "is parameters that were not seen: whole poses, or targets off the tool point",
+        "learned": "is what had to be learned: more poses",
+        "unmodelled": f"nothing describes: {more}known temperatures and loads",
+        "repeatability": "is repeatability, which no calibration improves",
     }[largest]
-    return advice + ("" if validation is not None else "; and a second file of measurements for --validation")
+    text = f"the largest part, {1e6 * budget[largest]:.0f} µm, {advice}"
+    return text if validation is not None else f"{text}; and a second file of measurements, to judge by (--validation)"
