@@ -11,6 +11,7 @@ import numpy as np
 from pm3dof_pin.arrays import require_count, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
+from pm3dof_pin.kinematics.coordinate_span import coordinate_span
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -77,14 +78,24 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
 
 
 def coordinate_ranges(robot: Robot, coordinates: tuple[Coordinate, ...]) -> tuple[Array, Array]:
-    """Return the least and greatest values of coordinates; a joint without limits turns once around [m, rad]."""
-    lower, upper = np.array([robot.range_of(coordinate) for coordinate in coordinates]).T
+    """Return the least and greatest values of coordinates [m, rad].
+
+    A joint without limits turns once around; the tool goes, where nothing is declared, as far as the limits allow.
+    """
+    ends = [robot.range_of(c) for c in coordinates]
+    for place, coordinate in enumerate(coordinates):
+        if coordinate.joint is None and not np.isfinite(ends[place]).all():
+            ends[place] = coordinate_span(robot, coordinate) or ends[place]
+    lower, upper = np.array(ends).T
     unlimited = np.isinf(lower) | np.isinf(upper)
     return np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
 
 
 def _has_ranges(robot: Robot) -> bool:
-    return all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates)
+    """Tell whether coordinates can be drawn: they have ranges, or else the drives depend on each other."""
+    if all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates):
+        return True
+    return bool(robot.closures) and len(robot.coordinates) < len(robot.command_coordinates)
 
 
 class _Draws:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -50,3 +51,10 @@ def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) 
     step = four_rrr.characteristic_length / 16.0
     for end in np.abs(span):
         assert end - step <= stretched <= end
+
+
+def test_random_poses_are_drawn_over_coordinates(four_rrr: Robot) -> None:
+    """Four commands at random belong to no pose."""
+    poses = reachable_poses(four_rrr, 50, np.random.default_rng(0))
+    assert poses.within_limits.all()
+    assert np.ptp(poses.coordinates, axis=0).min() > 0.1
