@@ -101,6 +101,7 @@ class GeometricErrors:
         bearings = np.zeros(actuated) if fixed_bearings is None else fixed_bearings
         self.fixed_bearings = frozen(finite_array("fixed_bearings", bearings, (actuated,)))
         self._places = _places_in_order(robot, {parameter.place for parameter in self.parameters})
+        self._movers: dict[int, Vector] = {}
 
     @classmethod
     def load(
@@ -253,6 +254,22 @@ class GeometricErrors:
             else:
                 columns[3:, index] = pin.Jexp3(pin.log3(rotation)) @ axis
         return columns
+
+    def movers(self, frame: int) -> Vector:
+        """Tell which joint velocities, then which errors, move a frame, 1 or 0, shape=(nv + number of parameters,)."""
+        if frame not in self._movers:
+            model = self.robot.model
+            body = model.frames[frame].parentJoint
+            moves = np.zeros(model.nv + len(self))
+            for joint in list(model.supports[body])[1:]:
+                start = model.joints[joint].idx_v
+                moves[start : start + model.joints[joint].nv] = 1.0
+            moved = {place: moved_by(self.robot, place) for place in self._places}
+            for index, parameter in enumerate(self.parameters, start=model.nv):
+                joints, frames = moved[parameter.place]
+                moves[index] = float(body in joints or frame in frames)
+            self._movers[frame] = frozen(moves)
+        return self._movers[frame]
 
     def apply(self, values: ArrayLike | Mapping[str, float]) -> Robot:
         """Build the robot with these errors, as a new one.

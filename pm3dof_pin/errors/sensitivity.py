@@ -20,7 +20,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_choice
-from pm3dof_pin.errors.error_parameters import GeometricErrors, moved_by
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
@@ -161,9 +161,6 @@ class _Loops:
         self._model = poses.robot.model
         self._joints, twists = _tree(self._model, poses.q)
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
-        self._beyond = {
-            place: moved_by(self._robot, place) for place in dict.fromkeys(p.place for p in errors.parameters)
-        }
 
     def strains(self, *, tool_at_rest: bool = True) -> Array:
         """Return how far the loops cannot follow each error, scaled, at the worst pose, shape=(errors,)."""
@@ -236,25 +233,12 @@ class _Loops:
         entry = self._model.frames[frame]
         return np.asarray(self._joints[:, entry.parentJoint] @ entry.placement.homogeneous)
 
-    def _carriers(self, frame: int) -> Array:
-        """Tell which columns move a frame, 1 or 0, shape=(nv + number of errors,)."""
-        model = self._model
-        body = model.frames[frame].parentJoint
-        moves = np.zeros(self._columns.shape[2])
-        for joint in list(model.supports[body])[1:]:
-            start = model.joints[joint].idx_v
-            moves[start : start + model.joints[joint].nv] = 1.0
-        for index, parameter in enumerate(self._errors.parameters):
-            joints, frames = self._beyond[parameter.place]
-            moves[model.nv + index] = float(body in joints or frame in frames)
-        return moves
-
     def _closures(self) -> Array:
         """Return the closures' velocities for all columns, as Configuration.constraint_jacobian has them."""
         blocks = []
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
-            relative = self._columns * (self._carriers(b) - self._carriers(a))
+            relative = self._columns * (self._errors.movers(b) - self._errors.movers(a))
             point, axes = self._frame(b)[:, :3, 3], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
             angular = relative[:, 3:]
             rows = axes @ (relative[:, :3] + np.cross(angular, point[:, None, :], axisa=1, axisc=1))
@@ -264,7 +248,7 @@ class _Loops:
     def _tool(self) -> Array:
         """Return the tool's twist for all columns, linear part at the tool point, shape=(n, 6, nv + errors)."""
         tool = self._robot.tool_frame_id
-        columns = self._columns * self._carriers(tool)
+        columns = self._columns * self._errors.movers(tool)
         point = self._frame(tool)[:, None, :3, 3]
         linear = columns[:, :3] + np.cross(columns[:, 3:], point, axisa=1, axisc=1)
         return np.concatenate([linear, columns[:, 3:]], axis=1)

@@ -27,7 +27,9 @@ from pm3dof_pin.programs import llvm
 from pm3dof_pin.programs.program import Program
 
 LARGEST = 200 * 2**20
-"""Bytes kept at most; beyond, what was not used for longest goes."""
+"""Bytes kept; beyond, and up to a twentieth more, what was not used for longest goes."""
+
+_unmeasured = LARGEST  # bytes written since the folder was last looked through
 
 _SUFFIX = ".program"
 _DIGEST = hashlib.sha256().digest_size
@@ -118,15 +120,16 @@ def _wanted_folder() -> Path | None:
 
 
 def _name(kind: str, *key: str) -> str:
-    """Return the name of an entry; entries of other versions of this package have other names."""
-    digest = hashlib.sha256("\0".join((_sources(), *key)).encode()).hexdigest()
+    """Return the name of an entry; entries of other versions of what makes them have other names."""
+    made_by = "programs" if kind == "compiled" else ""
+    digest = hashlib.sha256("\0".join((_sources(made_by), *key)).encode()).hexdigest()
     return f"{kind}-{digest[:40]}{_SUFFIX}"
 
 
 @cache
-def _sources() -> str:
-    """Return the version of this package, and sizes and times of its sources, which may change between versions."""
-    root = os.path.dirname(pm3dof_pin.__file__)
+def _sources(room: str) -> str:
+    """Return the version of this package, and sizes and times of the sources of a room, or ("") of all."""
+    root = os.path.join(os.path.dirname(pm3dof_pin.__file__), room)
     return "\n".join([pm3dof_pin.__version__, *sorted(_source_files(root))])
 
 
@@ -159,14 +162,18 @@ def _read(name: str) -> bytes | None:
 
 
 def _keep(name: str, content: bytes) -> None:
-    """Write an entry, where that can be done, and make room."""
+    """Write an entry, where that can be done, and make room once much has been written."""
+    global _unmeasured
     place = folder()
     if place is None:
         return
     try:
         with write_atomically(place / name) as temporary:
             temporary.write_bytes(hashlib.sha256(content).digest() + content)
-        _make_room(place, name)
+        _unmeasured += len(content)
+        if _unmeasured > LARGEST / 20:
+            _make_room(place, name)
+            _unmeasured = 0
     except (OutputError, OSError) as error:
         _LOG.info("compiled programs are not kept: %s", error)
 

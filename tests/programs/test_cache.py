@@ -65,7 +65,14 @@ def test_a_program_is_traced_once(folder):
 
 def test_other_sources_have_other_entries(folder, compilations, monkeypatch):
     value(make())
-    monkeypatch.setattr(cache, "_sources", lambda: "another version")
+    cache.stored("robot", make)
+    # an edit elsewhere than in the room of programs: traced again, but the same machine code
+    own = cache._sources("programs")
+    monkeypatch.setattr(cache, "_sources", lambda room: own if room else "another version")
+    traced = []
+    value(cache.stored("robot", lambda: traced.append(1) or make()))
+    assert len(traced) == len(compilations) == 1
+    monkeypatch.setattr(cache, "_sources", lambda room: "another version")
     value(make())
     assert len(compilations) == 2
 
