@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
 from pm3dof_pin.dynamics.modes import NO_MASS, natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
@@ -15,21 +17,23 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.pose_values import evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 
 _PROGRAM_FROM = 1000  # poses: fewer take Pinocchio no longer than a program takes to be recorded and compiled
 
 
-def actuator_forces(
-    robot: Robot,
-    poses: Poses | ArrayLike,
-    *,
-    payloads: Payloads | None = None,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
-) -> Array:
+class Options(TypedDict, total=False):
+    """Keywords of what is computed at many poses."""
+
+    payloads: Payloads | None  #: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`
+    on_failure: OnFailure  #: "raise"; or "nan" to mark poses that are not solved, and those that have no value
+    engine: Engine  #: "program", where there are many poses; or "pinocchio", pose by pose
+    threads: int | None  #: the number of processors by default; the result does not depend on it
+
+
+def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Options]) -> Array:
     """Compute the forces of the actuators that hold many poses against gravity and payloads.
 
     Example:
@@ -42,10 +46,7 @@ def actuator_forces(
     Args:
         robot: the robot.
         poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
-        payloads: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia` in its axes.
-        on_failure: "raise", or "nan" to mark poses that are not solved, and those that no actuator forces hold.
-        engine: "program", where there are many poses; or "pinocchio", pose by pose.
-        threads: the number of processors by default. The result does not depend on it.
+        options: see :class:`Options`.
 
     Returns:
         Forces along the actuated joints, see :func:`~pm3dof_pin.dynamics.statics.holding_forces`,
@@ -54,56 +55,47 @@ def actuator_forces(
     Raises:
         PM3DofError: see :func:`~pm3dof_pin.dynamics.statics.holding_forces`.
     """
-    model = model_with_payloads(robot, payloads)
-
-    def program(q: Matrix) -> tuple[Array, Mask]:
-        from pm3dof_pin.dynamics.traced import holding
-
-        return holding(robot, model, _many(q), threads)
-
-    return evaluate_at(
-        robot,
-        poses,
-        "holding forces",
-        (len(robot.actuated_joints),),
-        program=program,
-        careful=lambda q: holding_forces(robot.configuration(q), payloads=payloads).actuator_forces,
-        on_failure=on_failure,
-        engine=engine,
-    ).values
+    return _of_drives(
+        robot, poses, "holding_forces", lambda q, p: holding_forces(q, payloads=p).actuator_forces, 1, **options
+    )
 
 
-def drive_mass_matrices(
+def drive_mass_matrices(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Options]) -> Array:
+    """Compute :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix` at many poses, shape=(..., u, u).
+
+    Arguments and errors are those of :func:`actuator_forces`.
+    """
+    require_kind("robot", robot, Robot, "pm.load")
+    robot.require_possible_inertias()
+    return _of_drives(robot, poses, "mass_matrix", lambda q, p: drive_mass_matrix(q, payloads=p), 2, **options)
+
+
+def _of_drives(
     robot: Robot,
     poses: Poses | ArrayLike,
+    name: Literal["holding_forces", "mass_matrix"],
+    careful: Callable[[Configuration, Payloads | None], Array],
+    order: int,
     *,
     payloads: Payloads | None = None,
     on_failure: OnFailure = "raise",
     engine: Engine = "program",
     threads: int | None = None,
 ) -> Array:
-    """Compute :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix` at many poses, shape=(..., u, u).
-
-    Arguments and errors are those of :func:`actuator_forces`.
-    """
-    robot.require_possible_inertias()
+    """Return a vector or matrix (of order 1 or 2) of the actuated joints at poses."""
+    require_kind("robot", robot, Robot, "pm.load")
     model = model_with_payloads(robot, payloads)
 
     def program(q: Matrix) -> tuple[Array, Mask]:
-        from pm3dof_pin.dynamics.traced import drive_inertia
+        from pm3dof_pin.dynamics.traced import of_drives
 
-        return drive_inertia(robot, model, _many(q), threads)
+        return of_drives(name, robot, model, q, threads)
 
-    return evaluate_at(
-        robot,
-        poses,
-        "mass matrix",
-        (len(robot.actuated_joints),) * 2,
-        program=program,
-        careful=lambda q: drive_mass_matrix(robot.configuration(q), payloads=payloads),
-        on_failure=on_failure,
-        engine=engine,
-    ).values
+    def careful_at(q: Vector) -> Array:
+        return careful(robot.configuration(q), payloads)
+
+    shape = (len(robot.actuated_joints),) * order
+    return _evaluated(robot, poses, name, shape, program, careful_at, on_failure, engine)
 
 
 def natural_frequencies(
@@ -123,13 +115,14 @@ def natural_frequencies(
     Raises:
         PM3DofError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
     """
+    require_kind("elastic", elastic, ElasticModel, "pm.ElasticModel.load")
     elastic.mechanism.require_possible_inertias()
     model = model_with_payloads(elastic.mechanism, payloads)
 
     def program(q: Matrix) -> tuple[Array, Mask]:
         from pm3dof_pin.dynamics.traced import vibrations
 
-        matrices, sound = vibrations(elastic, model, _many(q), threads)
+        matrices, sound = vibrations(elastic, model, q, threads)
         matrices[~sound] = 0.0
         return _frequencies(np.linalg.eigvalsh(matrices)[:, ::-1], count), sound
 
@@ -137,16 +130,28 @@ def natural_frequencies(
         found = natural_modes(elastic, q, count=count, payloads=payloads).frequencies
         return np.append(found, np.full(count - len(found), np.nan))
 
-    return evaluate_at(
-        elastic.rigid,
-        poses,
-        "natural frequencies",
-        (count,),
-        program=program,
-        careful=careful,
-        on_failure=on_failure,
-        engine=engine,
-    ).values
+    return _evaluated(elastic.rigid, poses, "natural frequencies", (count,), program, careful, on_failure, engine)
+
+
+def _evaluated(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    name: str,
+    shape: tuple[int, ...],
+    program: Callable[[Matrix], tuple[Array, Mask]],
+    careful: Callable[[Vector], Array],
+    on_failure: OnFailure,
+    engine: Engine,
+) -> Array:
+    """Return values at poses: by the program where these are many enough for one."""
+
+    def of_many(q: Matrix) -> tuple[Array, Mask]:
+        if len(q) < _PROGRAM_FROM:
+            raise ProgramError(f"{len(q)} poses are too few for a program")
+        return program(q)
+
+    given = (robot, poses, name, shape)
+    return evaluate_at(*given, program=of_many, careful=careful, on_failure=on_failure, engine=engine).values
 
 
 def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:
@@ -157,9 +162,3 @@ def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:
     with np.errstate(divide="ignore", invalid="ignore"):
         found[:, : first.shape[1]] = np.where(has_mass, 1.0 / (2.0 * np.pi * np.sqrt(first)), np.nan)
     return found
-
-
-def _many(q: Matrix) -> Matrix:
-    if len(q) < _PROGRAM_FROM:
-        raise ProgramError(f"{len(q)} poses are too few for a program")
-    return q

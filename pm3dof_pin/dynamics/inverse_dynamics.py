@@ -15,7 +15,7 @@ from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -83,7 +83,7 @@ def inverse_dynamics(
         JointNotFoundError: the model has no such joint.
         DescriptionError: the mechanism has no tool frame, or a body has moments of inertia that no body has.
     """
-    mechanism = configuration.mechanism
+    mechanism = mechanism_of(configuration)
     mechanism.require_possible_inertias()
     motion = loop_motion(configuration, rates, accelerations, joints=joints)
     model = model_with_payloads(mechanism, payloads)
@@ -123,7 +123,7 @@ def loop_motion(
         JointNotFoundError: the model has no such joint.
         DescriptionError: the mechanism has no tool frame.
     """
-    mechanism = configuration.mechanism
+    mechanism = mechanism_of(configuration)
     names = mechanism.actuated_joints if joints is None else tuple(joints)
     indices = mechanism.velocity_indices(names)
     dof = DegreesOfFreedom(configuration)
@@ -147,7 +147,7 @@ def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vec
 
     In the axes of frame a, linear part first, one closure after the other, shape=(m,) [m/s^2, rad/s^2].
     """
-    mechanism = configuration.mechanism
+    mechanism = mechanism_of(configuration)
     model, data = mechanism.model, mechanism.model.createData()
     pin.forwardKinematics(model, data, np.array(configuration.q), velocity, np.zeros(model.nv))
     drift = np.zeros(len(configuration.closure_error))

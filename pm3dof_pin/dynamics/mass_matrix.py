@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, null_space
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Matrix
 
@@ -24,8 +24,9 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
         InvalidValueError: a payload's mass is negative or not finite.
         DescriptionError: a body has moments of inertia that no body has.
     """
-    configuration.mechanism.require_possible_inertias()
-    model = model_with_payloads(configuration.mechanism, payloads)
+    mechanism = mechanism_of(configuration)
+    mechanism.require_possible_inertias()
+    model = model_with_payloads(mechanism, payloads)
     upper = np.triu(pin.crba(model, model.createData(), np.array(configuration.q)).reshape(model.nv, model.nv))
     return frozen(upper + np.triu(upper, 1).T)
 
@@ -58,7 +59,7 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
         SingularConfigurationError: the tool can move with the actuated joints at rest.
         PM3DofError: see :func:`manifold_mass_matrix`.
     """
-    mechanism, dof = configuration.mechanism, DegreesOfFreedom(configuration)
+    mechanism, dof = mechanism_of(configuration), DegreesOfFreedom(configuration)
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
     if dof.at_actuators.motions.shape[1] > idle:
         raise SingularConfigurationError(

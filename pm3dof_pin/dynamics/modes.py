@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import elastic_motions
@@ -71,6 +71,7 @@ def natural_modes(
         FrameNotFoundError: a payload names a frame that the model does not have.
         DescriptionError: the mechanism has no tool frame.
     """
+    require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     if count is not None and count < 0:
         raise InvalidValueError("count", count, "a number of modes, not negative")
     elastic = model.configuration(configuration)

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
 from pm3dof_pin.typing import Vector
 
@@ -39,7 +39,7 @@ def holding_forces(
         FrameNotFoundError: a payload or wrench names a frame that the model does not have.
         InvalidValueError: a payload or wrench is not finite or has the wrong shape, or the loops are not closed.
     """
-    mechanism = configuration.mechanism
+    mechanism = mechanism_of(configuration)
     model = model_with_payloads(mechanism, payloads)
     gravity = pin.computeGeneralizedGravity(model, model.createData(), np.array(configuration.q))
     external = generalised_forces(configuration, wrenches)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -126,24 +127,8 @@ def holding_program(robot: Robot, poses: Matrix) -> Program:
     return graph.program("holding", {"forces": forces, "pivot": doubt.pivot})
 
 
-def holding(robot: Robot, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the holding forces at q, shape=(n, nq), and where nothing is in doubt, shape=(n,).
-
-    `model` is the robot's tree, or a copy with payloads.
-
-    Raises:
-        ProgramError: there is no program for this robot.
-    """
-    return _of_drives("holding", _holding, robot, model, q, threads)
-
-
-def drive_inertia(robot: Robot, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the mass matrix that the actuated joints feel, flat; otherwise as :func:`holding`."""
-    return _of_drives("inertia", _inertia, robot, model, q, threads)
-
-
 def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-    """Evaluate the matrix whose eigenvalues are 1 / omega^2; arguments and errors otherwise as for :func:`holding`.
+    """Evaluate the matrix whose eigenvalues are 1 / omega^2; arguments and errors otherwise as for :func:`of_drives`.
 
     Lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
     """
@@ -157,7 +142,7 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
         tree = elastic_tree(graph, elastic, positions, poses, frame)
         return _finished("vibrations", tree, _vibrations(tree, model, elastic, doubt), doubt)
 
-    key = repr(("vibrations", masses.pattern(model), *elastic_structure(elastic, frame)))
+    key = repr(("vibrations", masses.mass_pattern(model), *elastic_structure(elastic, frame)))
     compiled = cache.known(key, trace)
     entries, sound = _evaluated(compiled, lambda names: elastic_parameters(elastic, names), model, q, threads)
     size = math.isqrt(2 * entries.shape[1])
@@ -166,21 +151,29 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
     return matrices, sound
 
 
-def _of_drives(
-    name: str,
-    record: Callable[[Tree, pin.Model, Doubt], Objects],
+def of_drives(
+    name: Literal["holding_forces", "mass_matrix"],
     robot: Robot,
     model: pin.Model,
     q: Matrix,
-    threads: int | None,
+    threads: int | None = None,
 ) -> tuple[Array, Mask]:
+    """Evaluate the holding forces, or the mass matrix that the actuated joints feel, flat, at q, shape=(n, nq).
+
+    Beside them where nothing is in doubt, shape=(n,). `model` is the robot's tree, or a copy with payloads.
+
+    Raises:
+        ProgramError: there is no program for this robot.
+    """
+
     def trace() -> Program:
         poses = _samples(robot)
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
+        record = {"holding_forces": _holding, "mass_matrix": _inertia}[name]
         return _finished(name, tree, record(tree, model, doubt), doubt)
 
-    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.pattern(model))
+    own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
     key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
     return _evaluated(cache.known(key, trace), lambda names: geometry.values(robot, names), model, q, threads)
 
@@ -210,7 +203,7 @@ def _evaluated(
     threads: int | None,
 ) -> tuple[Array, Mask]:
     """Run a program whose parameters are masses and others."""
-    found = masses.numbers(model)
+    found = masses.mass_numbers(model)
     names = tuple(name for name in compiled.program.parameters if name not in found)
     found |= dict(zip(names, others(names), strict=True))
     return compiled.with_doubt(q, geometry.chosen(found, compiled.program.parameters), threads)

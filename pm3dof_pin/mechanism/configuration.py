@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -195,3 +195,9 @@ class Configuration:
 
     def _jacobian(self, frame_id: int) -> Matrix:
         return frozen(self._mechanism.loop_kinematics.frame_jacobian(self._q, frame_id, pin.LOCAL_WORLD_ALIGNED))
+
+
+def mechanism_of(configuration: Configuration) -> Mechanism:
+    """Return the mechanism of a configuration; InvalidValueError for anything else than one."""
+    require_kind("configuration", configuration, Configuration, "Poses.configuration")
+    return configuration.mechanism

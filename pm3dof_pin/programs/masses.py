@@ -22,7 +22,7 @@ _ENTRIES = ("m", "h0", "h1", "h2", "I00", "I01", "I11", "I02", "I12", "I22")  # 
 _ORIGIN = objects([0.0, 0.0, 0.0])
 
 
-def numbers(model: pin.Model) -> dict[str, float]:
+def mass_numbers(model: pin.Model) -> dict[str, float]:
     """Collect gravity and the masses of a model by name."""
     found = {f"gravity/{k}": float(entry) for k, entry in enumerate(model.gravity.linear)}
     for index in range(1, model.njoints):
@@ -31,9 +31,9 @@ def numbers(model: pin.Model) -> dict[str, float]:
     return {name: value if abs(value) > _ROUNDING else 0.0 for name, value in found.items()}
 
 
-def pattern(model: pin.Model) -> list[str]:
-    """Return which of the :func:`numbers` are constants, since they are zero."""
-    return [name for name, value in numbers(model).items() if value == 0.0]
+def mass_pattern(model: pin.Model) -> list[str]:
+    """Return which of the :func:`mass_numbers` are constants, since they are zero."""
+    return [name for name, value in mass_numbers(model).items() if value == 0.0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Masses:
     def __init__(self, tree: Tree, model: pin.Model) -> None:
         self._tree = tree
         self._numbers: dict[str, Scalar] = {
-            name: tree.graph.parameter(name, value) if value else 0.0 for name, value in numbers(model).items()
+            name: tree.graph.parameter(name, value) if value else 0.0 for name, value in mass_numbers(model).items()
         }
         self._carried = [self._body(index) for index in range(model.njoints)]
         for index in reversed(range(1, model.njoints)):

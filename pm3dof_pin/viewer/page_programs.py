@@ -108,7 +108,7 @@ class PagePrograms:
         except ProgramError as error:
             _logger.info("no holding forces in the page: %s", error)
             return None
-        values = masses.numbers(self.robot.model)
+        values = masses.mass_numbers(self.robot.model)
         others = [name for name in program.parameters if name not in values]
         values |= dict(zip(others, geometry.values(self.robot, others), strict=True))
         return _PageProgram(program, geometry.chosen(values, program.parameters))

@@ -11,8 +11,12 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
+from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics, loop_motion
+from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, manifold_mass_matrix, mass_matrix
+from pm3dof_pin.dynamics.modes import natural_modes
+from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import SingularConfigurationError
+from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -129,3 +133,19 @@ def test_a_robot_that_its_actuators_do_not_hold_has_no_forces(
     for compute in (actuator_forces, drive_mass_matrices):
         with pytest.raises(SingularConfigurationError):
             compute(undriven, q)
+
+
+@pytest.mark.parametrize("wrong", ["pm3dof", None, 3.0, np.zeros(12), {}])
+def test_objects_of_a_wrong_kind_are_refused(wrong: object) -> None:
+    of_robots = (actuator_forces, drive_mass_matrices)
+    of_configurations = (holding_forces, mass_matrix, manifold_mass_matrix, drive_mass_matrix)
+    calls: list[Callable[[Any], object]] = [
+        *(lambda value, f=f: f(value, np.zeros((1, 12))) for f in of_robots),
+        *of_configurations,
+        *(lambda value, f=f: f(value, [0.0] * 3, [0.0] * 3) for f in (inverse_dynamics, loop_motion)),
+        lambda value: natural_modes(value, np.zeros(12)),
+        lambda value: natural_frequencies(value, np.zeros((1, 12)), count=1),
+    ]
+    for call in calls:
+        with pytest.raises(InvalidValueError, match=r"expected an? (Robot|Configuration|ElasticModel), as"):
+            call(wrong)
