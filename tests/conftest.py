@@ -7,9 +7,12 @@ import dataclasses
 import gc
 import io
 import json
+import logging
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +33,34 @@ if TYPE_CHECKING:
 def pytest_collection_finish() -> None:
     """Spare the collector of garbage what lives to the end: modules and tests, a twentieth of the whole time."""
     gc.freeze()
+
+
+def _state() -> dict[str, Any]:
+    """What a process has one of, and a test may leave changed; filters of warnings pytest restores."""
+    from pm3dof_pin.description import expand
+
+    matplotlib, loggers = sys.modules.get("matplotlib"), logging.Logger.manager.loggerDict
+    return {
+        "folder": os.getcwd(),
+        "environment": {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
+        "arguments": list(sys.argv),
+        "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
+        "levels": {name: log.level for name, log in loggers.items() if isinstance(log, logging.Logger) and log.level},
+        "handlers": list(logging.getLogger("pm3dof_pin").handlers),
+        "errors of numbers": np.geterr(),
+        "trust in xacro": expand.is_xacro_trusted(),
+        "style of pictures": dict(matplotlib.rcParams) if matplotlib else None,
+        "threads": {thread for thread in threading.enumerate() if not thread.daemon},
+    }
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left_behind() -> Iterator[None]:
+    """Whatever a test changes in its process is as it was when the next one starts."""
+    before = _state()
+    yield
+    changed = {name: (before[name], now) for name, now in _state().items() if now != before[name]}
+    assert not changed
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
@@ -35,9 +34,11 @@ def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]
     if _turns_within(configuration, dof):
         seen = dof.over(dof.twist[3:])
         counting = [3, 4, 5]
+    from scipy.linalg import qr  # most robots declare their coordinates
+
     # rounded, so that which of several equally good ones are taken does not hang on the last digits
     projector = np.round(seen.image @ seen.image.T, _PIVOT_DIGITS)
-    order = scipy.linalg.qr(projector, mode="r", pivoting=True)[1]
+    order = qr(projector, mode="r", pivoting=True)[1]
     return tuple(TOOL_COMPONENTS[k] for k in sorted(counting[row] for row in order[:count]))
 
 
