@@ -70,7 +70,8 @@ def sensitivities(
     Raises:
         InvalidValueError: a pose is not solved; or an error would strain the robot, since its loops cannot close with
             it (those of an overconstrained or planar robot); see :func:`closable`.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+        SingularConfigurationError: at a pose the tool can move while all drives stand still, or a drive cannot move
+            without others, as where there are more drives than degrees of freedom.
     """
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
@@ -111,11 +112,9 @@ def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
     rates, strain = loops.followed_rates()
     strained = np.flatnonzero(strain.max(axis=0, initial=0.0) > RANK_TOLERANCE)
     if strained.size:
-        names = [*poses.robot.actuated_joints, *errors.names]
+        names = ", ".join(errors.names[k - len(poses.robot.actuated_joints)] for k in strained)
         raise InvalidValueError(
-            "geometric errors",
-            ", ".join(names[k] for k in strained),
-            "errors with which the loops close; leave these out (closable() does)",
+            "geometric errors", names, "errors with which the loops close; leave these out (closable() does)"
         )
     return loops.tool_motions(rates)
 
@@ -176,7 +175,7 @@ class _Loops:
         """Return the velocities that follow one unit of each drive and error, and what the closures cannot follow.
 
         Shapes are (n, nv, drives + errors) and (n, drives + errors). With `tool_at_rest`, SingularConfigurationError is
-        raised where the tool can move while all drives stand still.
+        raised where the tool can move while all drives stand still; and where a drive cannot move without others.
         """
         robot, nv = self._robot, self._model.nv
         driven = robot.actuated_indices
@@ -202,7 +201,15 @@ class _Loops:
         rates[:, free] = -velocity_scale[:, None] * followed
         strain = pushed - left @ (np.where(values > noise, 1.0, 0.0)[:, :, None] * in_range)
         unit = np.abs(pushed).max(axis=1) + 1.0
-        return rates, np.abs(strain).max(axis=1) / unit
+        strain = np.abs(strain).max(axis=1) / unit
+        bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
+        if bound.size:
+            raise SingularConfigurationError(
+                f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one, as "
+                "there are more than degrees of freedom, or a pose is singular; held at their commands they strain the "
+                "machine with any error, and its springs decide: expected independent drives (name_mot)"
+            )
+        return rates, strain
 
     def tool_motions(self, rates: Array) -> Array:
         """Return the tool's motion by errors, then by drives, for the velocities that follow them."""

@@ -15,6 +15,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 
+MACHINES = Path(__file__).parents[1] / "machines"
 STEP = 1e-5
 AGREEMENT = 1e-6
 
@@ -115,3 +116,10 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
         found, careful = (sensitivities(errors, at, values, engine=engine) for engine in ("program", "pinocchio"))
         np.testing.assert_allclose(found.errors, careful.errors, atol=1e-11)
         np.testing.assert_allclose(found.commands, careful.commands, atol=1e-11)
+
+
+def test_drives_that_depend_on_each_other_are_refused() -> None:
+    """Four motors hold a planar platform: with three held the fourth cannot move, so no error has a motion."""
+    robot = Robot.load(MACHINES / "four_rrr")
+    with pytest.raises(SingularConfigurationError, match="m0, m1, m2, m3 cannot move one by one"):
+        closable(GeometricErrors(robot), robot.at([robot.home.q]))
