@@ -57,7 +57,7 @@ def _draw(app: Sphinx) -> None:
     save_figure(universal_joint_figure(both, tripod.middle_height), folder / "universal_joint.png")
     save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
     save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
-    reachable, printed = workspace(tripod_space(tripod)), PrintedRanges(printed_ranges(tripod))
+    reachable, printed = workspace(tripod_space(tripod), 61, 180), PrintedRanges(printed_ranges(tripod))
     save_figure(workspace_figure(reachable, printed), folder / "figure_8_2_workspace.png")
     section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
     for name, quantity in PICTURES.items():
@@ -94,7 +94,7 @@ def _draw_hexapod(folder: Path) -> None:
     broken = limits_over(robot, grid.dims, grid.fixed)
     figure = section_map(dataset, "first_frequency", within=lambda points: broken(points) == 0)
     save_figure(figure, folder / "hexapod_first_frequency.png")
-    save_figure(workspace_figure(workspace(robot_space(robot), 121, 360)), folder / "hexapod_workspace.png")
+    save_figure(workspace_figure(workspace(robot_space(robot), 41, 90)), folder / "hexapod_workspace.png")
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:

@@ -174,6 +174,19 @@ def test_a_path_is_gone_to_and_plotted(shown: Any, hexapod: Robot) -> None:
         assert shown.ask("document.querySelectorAll('#path .line').length") > 0, title
 
 
+def test_a_playing_path_brings_what_was_chosen_along(shown: Any, hexapod: Robot) -> None:
+    """Ellipsoid, number in the panel and number beside the axis are those of the compliance at the frame."""
+    shown.ask("pm3dof.choose('compliance', 'free')")
+    animator = "pm3dof.viewer.animator"
+    shown.ask(f"({animator}.pause(), {animator}.time = {animator}.duration, {animator}.seek({animator}.duration))")
+    shown.browser.settle()
+    shown.browser.settle()
+    C = cartesian_compliance(ElasticModel(hexapod), hexapod.solve(POSE).configuration()).compliance[:3, :3]
+    numbers, drawn = principal(shown, "translation")
+    np.testing.assert_allclose(numbers, np.linalg.eigvalsh(C), rtol=1e-6)
+    np.testing.assert_allclose(drawn, C @ C, atol=1e-5 * np.abs(C @ C).max())
+
+
 def test_a_link_holds_what_is_shown(shown: Any, saved: Path) -> None:
     shown.ask("(pm3dof.choose('compliance', 'held'), pm3dof.load([0, 0, 0, 0, 0, 2]))")
     shown.ask("(pm3dof.turn(20), pm3dof.setTheme('dark'))")

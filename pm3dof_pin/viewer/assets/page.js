@@ -63,11 +63,9 @@ const pm3dof = (() => {
     viewer.set_dirty();
   }
 
-  // meshcat's own controls wait below, closed but for a path's.
   function tidyControls() {
     viewer.gui.width = 260;
     viewer.gui.__folders.Scene.close();
-    if (panel.path) viewer.gui.open(); else viewer.gui.close();
   }
 
   // Look at a box from a direction so that it just fills the picture, with some room for panel and controls; nearer by
@@ -352,10 +350,10 @@ const pm3dof = (() => {
     tell("pose");
   }
 
-  // Bring all that is drawn for the pose up to it.
-  function followAll() {
+  // Bring all that is drawn for the pose up to it; what the page cannot compute is left behind.
+  function followAll(others = leaveBehind) {
     const elastic = complianceOf(pose);
-    panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : leaveBehind(entry)));
+    panel.legend.forEach((entry) => (entry.live ? follow(entry, elastic) : others(entry)));
     viewer.set_dirty();
     tell("entries");
   }
@@ -469,10 +467,11 @@ const pm3dof = (() => {
     if (document.body.dataset.socket === "yes") connect();
   };
 
-  // A pose without its sliders having been moved: of a path that plays.
-  function setPose(q) {
-    pose = robot.pose(q);
+  // A pose without its sliders having been moved: of a path that plays, and brings what the page cannot compute along.
+  function setPose(found) {
+    pose = found;
     setSliders();
+    followAll(() => {});
   }
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };

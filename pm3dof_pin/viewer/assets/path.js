@@ -69,7 +69,17 @@
     select.hidden = plot.toggleAttribute("hidden", !robot);
     if (!robot) return;
     poses = path.frames.map(({ q }) => robot.pose(q));
+    takeOver();
     fill();
+  }
+
+  // What the page computes itself, of what the reader chose, is not moved by the animation, too.
+  function takeOver() {
+    const { animator } = viewer, live = pm3dof.panel().legend.filter((entry) => entry.live);
+    const own = new Set(live.flatMap(({ nodes }) => nodes.map((name) => pm3dof.node(name).object)));
+    animator.actions.filter((action) => own.has(action.getRoot())).forEach((action) => action.stop());
+    animator.actions = animator.actions.filter((action) => !own.has(action.getRoot()));
+    pm3dof.setPose(poses[frame()]);
   }
 
   function fill() {
@@ -153,7 +163,7 @@
     const index = frame();
     point(index);
     tellOf(index);
-    if (pm3dof.robot()) pm3dof.setPose(path.frames[index].q);
+    if (pm3dof.robot()) pm3dof.setPose(poses[index]);
     label();
   }
 

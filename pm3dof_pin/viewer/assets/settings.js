@@ -44,6 +44,7 @@
     e: () => next("of"),
     o: () => next("others"),
     " ": () => pm3dof.toggle(),
+    c: () => { if (document.body.classList.toggle("controls")) viewer.gui.open(); },
     "?": () => { help.hidden = !help.hidden; },
     Escape: () => { help.hidden = true; },
   };
