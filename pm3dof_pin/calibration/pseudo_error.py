@@ -40,7 +40,10 @@ class _SeenErrors:
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> _SeenErrors:
-    """Put the rows of each visit together, against the model's poses; eta weighs the orientation [m/rad]."""
+    """Put the rows of each visit together, against the model's poses; eta weighs the orientation [m/rad].
+
+    Errors are infinite at poses that are no numbers, as after steps of many turns.
+    """
     visits, count = measurements.visit_numbers, len(poses)
     at_rows, weights = poses[visits], tip_weights(eta)
     motions = np.tile(np.diag(1.0 / weights), (len(measurements), 1, 1))
@@ -49,13 +52,17 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
     information, pull = np.zeros((count, 6, 6)), np.zeros((count, 6))
     np.add.at(information, visits, np.swapaxes(rows, 1, 2) @ rows)
     np.add.at(pull, visits, np.einsum("nij,ni->nj", rows, residuals))
+    lost = ~np.isfinite(information).all(axis=(1, 2))
+    information[lost], pull[lost] = 0.0, 0.0
     values, axes = np.linalg.eigh(information)
     known = values > _SHOWN * values.max(axis=1, keepdims=True)
     inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
     transposed = np.swapaxes(axes, 1, 2)
     covariances = (axes * inverse[:, None, :]) @ transposed
     shown = (axes * known[:, None, :]) @ transposed
-    return _SeenErrors(np.einsum("nij,nj->ni", covariances, pull), covariances, shown)
+    errors = np.einsum("nij,nj->ni", covariances, pull)
+    errors[lost] = np.inf
+    return _SeenErrors(errors, covariances, shown)
 
 
 @dataclass(frozen=True, eq=False)

@@ -190,7 +190,7 @@ def test_bad_files_and_folders(place: Path, run: Run) -> None:
 
 
 ROBOTS = {
-    "hexapod": ("hexapod", "lm", 20),
+    "hexapod": ("hexapod", "lm+gp", 20),
     "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 20),
     "ur5": ("ur5", "lm", 20),
 }
@@ -199,13 +199,22 @@ ROBOTS = {
 @pytest.mark.usefixtures("report_without_pictures")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_other_robots(name: str, tmp_path: Path, run: Run, answer: Answer) -> None:
-    """Measured, calibrated and commanded: at the coordinates of home, and at a file of poses."""
+    """Measured, calibrated and commanded: at the coordinates of home, and at a file of poses.
+
+    The arm has no error file beside its description, and is given one.
+    """
     robot, method, count = ROBOTS[name]
-    options = ("--robot", robot, *(("--tool-frame", "tool0") if name == "ur5" else ()))
+    options: tuple[str, ...] = ("--robot", robot)
+    if name == "ur5":
+        options += ("--tool-frame", "tool0")
+        answer("error-parameters", *options, "--out", "my.yaml", cwd=tmp_path)
+        options += ("--errors", "my.yaml")
     measured = answer("measure", *options, "--poses", str(count), "--out", "m.csv", cwd=tmp_path)
     assert measured["poses"] == count
     result = answer("calibrate", "m.csv", *options, "--method", method, "--out", "c", cwd=tmp_path)
     held_out = result["held_out"]
+    if name == "ur5":
+        assert len(result["identification"]["parameters"]) == 4 * 6 + 6  # of a serial arm of revolute joints
     if name == "hexapod":
         assert held_out["tip_error_after_m"]["mean"] < 0.3 * held_out["tip_error_before_m"]["mean"]
     assert held_out["tip_error_after_m"]["mean"] < held_out["tip_error_before_m"]["mean"]

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.learned_part import InputScale
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
-from pm3dof_pin.calibration.pseudo_error import pseudo_errors
+from pm3dof_pin.calibration.pseudo_error import pseudo_errors, seen_errors
 from pm3dof_pin.errors.command_correction import nearest_poses
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -223,3 +223,14 @@ def test_conditions_beyond_those_measured_are_told() -> None:
     scale = InputScale(("temperature_screws_K", "load_tool_N"), np.array([0.0, 4.0, 25.0]), np.array([1.0, 4.0, 25.0]))
     assert scale.beyond({"temperature_screws_K": 8.0, "load_tool_N": 0.0}) == {}
     assert scale.beyond({"temperature_screws_K": 293.0}) == {"temperature_screws_K": (0.0, 8.0)}
+
+
+def test_poses_that_are_no_numbers_are_infinitely_wrong(tripod_nominal: Poses) -> None:
+    """So that a step that leads there is made shorter: eigenvalues of NaN are an error of LAPACK."""
+    poses = tripod_nominal[:3]
+    measurements = Measurements.of_poses(poses.commands, poses.transforms)
+    q = np.array(poses.q)
+    q[1] = np.nan
+    errors = seen_errors(measurements, poses.robot.at(q)).errors
+    assert np.isinf(errors[1]).all()
+    np.testing.assert_allclose(errors[[0, 2]], 0.0, atol=1e-12)
