@@ -100,17 +100,21 @@ class RobotDocument:
     def with_moving_mass(self, tool: str) -> RobotDocument:
         """Return the robot with mass and inertia in everything that moves, for a tool that needs them.
 
-        A link without mass between two joints, such as the cross of a universal joint, gets a negligible one.
+        A link without mass between two joints, such as the cross of a universal joint, gets a negligible one; and so
+        does the end of a leg that a closure makes one with another body.
 
         Raises:
             DescriptionError: a moving link that carries nothing, with all that is fixed to it, has none.
         """
         links, lightened = dict(self.urdf.links), []
+        loops = zip(self.mechanism.closures, self.closure_links, strict=True)
+        closed = {name for loop, pair in loops if loop.type == "6d" for name in pair}
         for joint in self.urdf.joints:
             rigid = list(self.urdf.fixed_to(joint.child))
             if joint.is_fixed or any(map(_is_massive, rigid)):
                 continue
-            if not any(not below.is_fixed for link in rigid for below in self.urdf.below(link.name)):
+            carries = any(not below.is_fixed for link in rigid for below in self.urdf.below(link.name))
+            if not carries and closed.isdisjoint(link.name for link in rigid):
                 raise DescriptionError(
                     self.files.urdf,
                     f"link '{joint.child}'",

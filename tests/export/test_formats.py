@@ -14,7 +14,6 @@ import trimesh
 import yaml
 import yourdfpy
 
-from pm3dof_pin.cli.export import _Format
 from pm3dof_pin.description.robots import find_robot, robots_directory
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, PM3DofError, UnknownRobotError
 from pm3dof_pin.export.description import description_files, same_but_rounding
@@ -23,6 +22,7 @@ from pm3dof_pin.export.robot_document import read_robot
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
 
+MACHINES = Path(__file__).parents[1] / "machines"
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]
 
 
@@ -226,6 +226,18 @@ def test_crosses_without_mass_get_a_negligible_one_where_a_format_needs_it(
     assert "1e-05 kg and 1e-09 kg m^2 are given to the links passive_cross, cross1, cross2, cross3" in caplog.text
 
 
+def test_ends_of_legs_without_mass_that_close_loops_get_a_negligible_one(caplog: pytest.LogCaptureFixture) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    text = exported_files(read_robot(MACHINES / "agile_eye"), "mjcf")["agile_eye.xml"]
+    assert "1e-05 kg and 1e-09 kg m^2 are given to the links tip1, tip2, which have no mass" in caplog.text
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.body("tip1").mass == pytest.approx(1e-5)
+    assert model.neq == 2
+    np.testing.assert_allclose(data.efc_pos[: data.ne], 0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("limit", ["", '<limit lower="0" upper="0" effort="1" velocity="1"/>'])
 def test_joints_without_limits_have_none_elsewhere(tmp_path: Path, limit: str) -> None:
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -246,8 +258,9 @@ def test_joints_without_limits_have_none_elsewhere(tmp_path: Path, limit: str) -
 # The command
 
 
-def test_the_command_knows_all_formats() -> None:
-    assert tuple(_Format) == FORMATS
+def test_the_command_knows_all_formats(run: Run) -> None:
+    usage = run("stl").stderr
+    assert all(f"'{name}'" in usage for name in FORMATS)
 
 
 def test_the_command_writes_and_says_what(run: Run, four_bar: Path, tmp_path: Path) -> None:
