@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.workspace import Workspace
 
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # as the command does, which tests run in this process
+
 
 def pytest_collection_finish() -> None:
     """Spare the collector of garbage what lives to the end: modules and tests, a twentieth of the whole time."""
