@@ -235,13 +235,15 @@ def _moved(points: Array, placement: Array) -> Array:
 
 
 def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
-    """Balls at the joints and rods between them, to the closures' and the tool's frames too."""
+    """Balls at the joints and rods between them, to the closures' and the tool's frames too; what stands still thin."""
     model = mechanism.model
     size = mechanism.characteristic_length
     bodies = [Body(name, joint, np.eye(4)) for joint, name in enumerate(model.names)]
     for joint in range(1, model.njoints):
         origin = np.array(model.jointPlacements[joint].translation)
-        bodies[model.parents[joint]].parts.extend(_rod(f"to_{model.names[joint]}", origin, size))
+        bodies[model.parents[joint]].parts.extend(
+            _rod(f"to_{model.names[joint]}", origin, size, is_base=model.parents[joint] == 0)
+        )
         driven = model.names[joint] in mechanism.actuated_joints
         colour, radius = (_JOINT_COLOUR, 0.055) if driven else (_PASSIVE_COLOUR, 0.045)
         bodies[joint].parts.append(_ball("joint", np.zeros(3), radius * size, colour))
@@ -250,18 +252,19 @@ def _stick_figure(mechanism: Mechanism) -> tuple[Body, ...]:
     for name in dict.fromkeys(ends):
         frame = model.frames[mechanism.frame_id(name)]
         point = np.array(frame.placement.translation)
-        bodies[frame.parentJoint].parts.extend(_rod(f"to_{name}", point, size))
+        bodies[frame.parentJoint].parts.extend(_rod(f"to_{name}", point, size, is_base=frame.parentJoint == 0))
         bodies[frame.parentJoint].parts.append(_ball(name, point, 0.04 * size, _STICK_COLOUR))
     return tuple(body for body in bodies if body.parts)
 
 
-def _rod(name: str, end: Array, size: float) -> list[_Part]:
+def _rod(name: str, end: Array, size: float, *, is_base: bool) -> list[_Part]:
     length = float(np.linalg.norm(end))
     if length < 1e-6 * size:
         return []
     turn = objects.transform(objects.turn_z_to(end), 0.5 * end)
-    lowered = objects.mesh(objects.cylinder(0.02 * size, length), _STICK_COLOUR)
-    return [_Part(name, lowered, turn @ objects.Y_TO_Z, (*_STICK_COLOUR, 1.0), np.stack([np.zeros(3), end]))]
+    colour, radius = (_PASSIVE_COLOUR, 0.008) if is_base else (_STICK_COLOUR, 0.02)
+    lowered = objects.mesh(objects.cylinder(radius * size, length), colour)
+    return [_Part(name, lowered, turn @ objects.Y_TO_Z, (*colour, 1.0), np.stack([np.zeros(3), end]))]
 
 
 def _ball(name: str, middle: Array, radius: float, colour: Colour) -> _Part:
