@@ -29,40 +29,50 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.workspace import Workspace
 
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # as the command does, which tests run in this process
-
 
 def pytest_collection_finish() -> None:
     """Spare the collector of garbage what lives to the end: modules and tests, a twentieth of the whole time."""
     gc.freeze()
 
 
+_LIBRARIES = ("PYTEST_CURRENT_TEST", "HDF5_PLUGIN_PATH", "KMP_")  # variables that pytest, netCDF4 and OpenMP set
+
+
 def _state() -> dict[str, Any]:
     """What a process has one of, and a test may leave changed; filters of warnings pytest restores."""
     from pm3dof_pin.description import expand
 
-    matplotlib, loggers = sys.modules.get("matplotlib"), logging.Logger.manager.loggerDict
     return {
         "folder": os.getcwd(),
-        "environment": {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"},
+        "environment": {item for item in os.environ.items() if not item[0].startswith(_LIBRARIES)},
         "arguments": list(sys.argv),
         "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
-        "levels": {name: log.level for name, log in loggers.items() if isinstance(log, logging.Logger) and log.level},
-        "handlers": list(logging.getLogger("pm3dof_pin").handlers),
+        "handlers of logs": list(logging.getLogger("pm3dof_pin").handlers),
         "errors of numbers": np.geterr(),
         "trust in xacro": expand.is_xacro_trusted(),
-        "style of pictures": dict(matplotlib.rcParams) if matplotlib else None,
-        "threads": {thread for thread in threading.enumerate() if not thread.daemon},
+        # pools of threads are kept for the next program
+        "threads": {t for t in threading.enumerate() if not t.daemon and not t.name.startswith("ThreadPool")},
+    }
+
+
+def _levels() -> dict[str, int]:
+    loggers = logging.Logger.manager.loggerDict.items()
+    return {
+        name: log.level for name, log in loggers if name.startswith("pm3dof_pin") and isinstance(log, logging.Logger)
     }
 
 
 @pytest.fixture(autouse=True)
 def _nothing_left_behind() -> Iterator[None]:
-    """Whatever a test changes in its process is as it was when the next one starts."""
-    before = _state()
+    """Let no test change its process for the next one; levels that a command sets, whose process would end, go back."""
+    before, levels, matplotlib = _state(), _levels(), sys.modules.get("matplotlib")
+    style = dict(matplotlib.rcParams) if matplotlib else None
     yield
-    changed = {name: (before[name], now) for name, now in _state().items() if now != before[name]}
-    assert not changed
+    for name in _levels():
+        logging.getLogger(name).setLevel(levels.get(name, logging.NOTSET))
+    for name, now in _state().items():
+        assert now == before[name], f"the test leaves another {name}"
+    assert matplotlib is None or dict(matplotlib.rcParams) == style, "the test leaves another style of pictures"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,6 +189,31 @@ def test_folders_that_are_no_calibration(folder: Path, calibration: Calibration,
     (target / "compensation.json").write_text(json.dumps(data))
     with pytest.raises(DescriptionError, match="expected those of format 1"):
         read_compensation(target)
+
+
+DAMAGES = {
+    "urdf": (lambda data: data.update(urdf="../elsewhere.urdf"), "expected the name of a file"),
+    "values of": (lambda data: data.update(values=[2.0, *data["values"][1:]]), "errors of at most 1 m or rad, not 2"),
+    "eta_m_per_rad": (lambda data: data.update(eta_m_per_rad=0.0), "expected a length up to 10000"),
+    "pseudo_error.scale.0": (lambda data: data["pseudo_error"].update(scale=[None]), "expected a number, not null"),
+    "values.0": (lambda data: data.update(values=[1e13, *data["values"][1:]]), r"a number of at most 1e\+12"),
+    "inputs": (lambda data: data["inputs"].update(centre=eval("[" * 14 + "]" * 14)), "fewer lists within each other"),
+    "covariance: expected 40": (lambda data: data.update(covariance=[[1.0]]), r"not an array of shape \(1, 1\)"),
+    "covariance: expected a": (lambda data: data["covariance"][0].__setitem__(1, 1.0), "without negative eigenvalues"),
+    "scatter_of_drives": (lambda data: data.update(scatter_of_drives=[1.0]), "expected 3 variances"),
+    "pseudo_error": (lambda data: data["pseudo_error"].update(inputs=[[0.0]]), "a model that can be evaluated"),
+}
+
+
+@pytest.mark.parametrize("place", DAMAGES)
+def test_a_damaged_compensation_is_refused_by_the_place(folder: Path, tmp_path: Path, place: str) -> None:
+    damage, said = DAMAGES[place]
+    data = json.loads((folder / "compensation.json").read_text())
+    damage(data)
+    shutil.copytree(folder / "nominal", tmp_path / "nominal")
+    (tmp_path / "compensation.json").write_text(json.dumps(data))
+    with pytest.raises(DescriptionError, match=rf"{place}.*{said}"):
+        read_compensation(tmp_path)
 
 
 @pytest.mark.usefixtures("report_without_pictures")

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import copy
+import json
 import logging
 import math
 import re
 import runpy
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
 
+from pm3dof_pin.description import expand
 from pm3dof_pin.description.closures import read_closures
 from pm3dof_pin.description.expand import expand_xacro, trust_xacro
 from pm3dof_pin.description.robots import robot_names, robots_directory
@@ -283,6 +287,25 @@ def test_a_xacro_reads_its_package_and_those_it_is_given(tmp_path: Path) -> None
     text = expand_xacro(path, package_paths=[tmp_path])
     assert '<link name="common" />' in text
     assert '<link name="l0.25" />' in text
+
+
+def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes too long, is killed, cannot be started, or makes too much of a short file."""
+    path = tmp_path / "arm.xacro"
+    path.write_text('<robot name="arm"><link name="l"/></robot>', encoding="utf-8")
+    slow = subprocess.TimeoutExpired("python", 15)
+    killed, failed = (subprocess.CompletedProcess([], status, "", "a\nMemoryError") for status in (-9, 1))
+    huge = subprocess.CompletedProcess([], 0, json.dumps({"text": " " * (expand.MOST_BYTES + 1)}), "")
+    for ending, said in (
+        (slow, "takes more than 15 s"),
+        (OSError("no more processes"), "in a process of its own .no more processes"),
+        (killed, "ended early: too much time or memory"),
+        (failed, "ended early: MemoryError"),
+        (huge, "MiB when expanded"),
+    ):
+        monkeypatch.setattr(expand.subprocess, "run", Mock(side_effect=[ending]))
+        with pytest.raises(DescriptionError, match=said):
+            expand_xacro(path)
 
 
 def test_a_trusted_xacro_may_do_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

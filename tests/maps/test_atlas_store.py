@@ -239,7 +239,12 @@ def test_a_real_limit_on_the_size_of_files(robot: Robot, tmp_path: Path) -> None
         resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))
 
     done = subprocess.run(
-        [sys.executable, "-c", _RUN, str(path)], preexec_fn=limited, capture_output=True, text=True, check=False
+        [sys.executable, "-B", "-c", _RUN, str(path)],  # neither compiled modules nor their coverage are to be written
+        preexec_fn=limited,
+        env={name: value for name, value in os.environ.items() if not name.startswith("COV")},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
