@@ -21,7 +21,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART, control_basis, least_sensitive
+from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART, control_basis, least_sensitive, root_sum_squares
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
@@ -87,7 +87,7 @@ class ErrorBudget:
         """Tip error, root mean square over machines, shape=(n,) [m]."""
         weights = tip_weights(self.eta)
         squares = np.sum((self.shift * weights) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares + np.sum((self.effects * weights[:, None]) ** 2, axis=(1, 2))))
+        return np.asarray(np.sqrt(squares + root_sum_squares(np.swapaxes(self.effects, 1, 2), weights) ** 2))
 
     @property
     def worst_tip(self) -> Array:

@@ -62,35 +62,45 @@ class ErrorMap:
     @cached_property
     def uncompensable(self) -> Array:
         """The part of W S that no command can undo, shape=(n, 6, number of parameters)."""
-        used = control_basis(self.sensitivities.commands * tip_weights(self.eta)[:, None])
-        left = self.weighted - used @ (np.swapaxes(used, 1, 2) @ self.weighted)
-        sizes, whole = (np.linalg.norm(columns, axis=1, keepdims=True) for columns in (left, self.weighted))
-        return frozen(np.where(sizes > _ROUNDING * whole, left, 0.0))
+        left = self._used @ -self._compensable
+        left += self.weighted
+        sizes, whole = (np.einsum("nik,nik->nk", columns, columns) for columns in (left, self.weighted))
+        left *= (sizes > _ROUNDING**2 * whole)[:, None]
+        return frozen(left)
+
+    @cached_property
+    def _used(self) -> Array:
+        return control_basis(self.sensitivities.commands * tip_weights(self.eta)[:, None])
+
+    @cached_property
+    def _compensable(self) -> Array:
+        """What commands undo of W S, in the basis of their motions, shape=(n, number of commands, parameters)."""
+        return np.asarray(np.swapaxes(self._used, 1, 2) @ self.weighted)
 
     @property
     def tip_rms(self) -> Array:
         """Root-sum-square tip error of all parameters, shape=(n,) [m]."""
-        return _root_sum_square(self.weighted * self.sigmas)
+        return root_sum_squares(self.weighted, self.sigmas)
 
     @property
     def position_rms(self) -> Array:
         """Root-sum-square error of the tool point, shape=(n,) [m]."""
-        return _root_sum_square((self.sensitivities.errors * self.sigmas)[:, :3])
+        return root_sum_squares(self.sensitivities.errors[:, :3], self.sigmas)
 
     @property
     def orientation_rms(self) -> Array:
         """Root-sum-square error of the orientation, shape=(n,) [rad]."""
-        return _root_sum_square((self.sensitivities.errors * self.sigmas)[:, 3:])
+        return root_sum_squares(self.sensitivities.errors[:, 3:], self.sigmas)
 
     @property
     def uncompensable_rms(self) -> Array:
         """Tip error that is left with the best commands, shape=(n,) [m]."""
-        return _root_sum_square(self.uncompensable * self.sigmas)
+        return root_sum_squares(self.uncompensable, self.sigmas)
 
     @property
     def compensable_rms(self) -> Array:
         """Tip error that the best commands undo: the rest, at right angles to what is left, shape=(n,) [m]."""
-        return _root_sum_square((self.weighted - self.uncompensable) * self.sigmas)
+        return root_sum_squares(self._compensable, self.sigmas)
 
     @property
     def energy(self) -> Array:
@@ -113,7 +123,7 @@ class ErrorMap:
         The smaller of two bounds: of the worst components together, and of the sum of what each parameter does.
         """
         together = np.linalg.norm(self.worst_case * tip_weights(self.eta), axis=1)
-        added = np.linalg.norm(self.weighted, axis=1) @ self.errors.tolerances
+        added = np.sqrt(np.einsum("nik,nik->nk", self.weighted, self.weighted)) @ self.errors.tolerances
         return np.asarray(np.minimum(together, added))
 
     def tip_bound(self, coverage: float) -> Array:
@@ -134,8 +144,10 @@ class ErrorMap:
 
     def ranking(self) -> list[ParameterShare]:
         """Return all parameters, the most critical first."""
-        squares = _mean_squares(self.weighted * self.sigmas)
-        left = _mean_squares(self.uncompensable * self.sigmas)
+        squares, left = (
+            np.einsum("nik,nik->k", effects, effects) * (self.sigmas**2 / len(effects))
+            for effects in (self.weighted, self.uncompensable)
+        )
         shares = [
             ParameterShare(
                 parameter.name,
@@ -268,10 +280,7 @@ def monte_carlo(
     return _MonteCarlo(frozen(values), frozen(np.array(differences)))
 
 
-def _root_sum_square(effects: Array) -> Array:
-    return np.asarray(np.sqrt(np.sum(effects**2, axis=(1, 2))))
-
-
-def _mean_squares(effects: Array) -> Array:
-    """Mean over the poses of what each parameter adds to the squared tip error, shape=(number of parameters,)."""
-    return np.asarray(np.mean(np.sum(effects**2, axis=1), axis=0))
+def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:
+    """Return root-sum-square sizes of effects, shape=(n, rows, k), by deviations, shape=(k,); no copies."""
+    squares = np.broadcast_to(np.square(sigmas), effects.shape[-1:])
+    return np.asarray(np.sqrt(np.einsum("nik,nik,k->n", effects, effects, squares)))
