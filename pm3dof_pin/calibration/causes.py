@@ -28,7 +28,7 @@ _AS_WELL = 4.0  # times what the best explanation leaves: one of a simpler kind 
 _EQUAL = 1.001  # times: the same in other words
 _ALIKE = 1.5  # times what another leaves: not to be told from it
 _OTHERS = 2  # named beside the first
-_MUCH = 4.0  # times better a single column has to explain it than what concerns all
+_MUCH = 4.0  # times better a single column has to explain it than what concerns all, and worse it has to be
 _FEWEST = 4  # poses: with fewer nearly any mistake explains all
 _MOST = 300  # rows examined
 _CAN_BE_TAKEN = 0.9  # of the commands, at least
@@ -88,7 +88,7 @@ def likely_cause(
         return replace(first, text=", or ".join([first.text, *others[:_OTHERS]]))
 
     whole = simplest(usual_mistakes(measurements, nominal, eta))
-    if whole is not None and whole.after <= least:
+    if (whole is not None and whole.after <= least) or before <= _MUCH * least:
         return whole
     column = simplest(wrong_columns(measurements, nominal, eta))
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole

@@ -34,6 +34,7 @@ are not those of a machine that the tolerances are about."""
 _LOUD = 3.0  # noise factor
 _QUIET = 0.3  # of the noise
 _ENOUGH = 10.0  # degrees of freedom, by whose residuals that can be told
+_MANY_OUTLIERS = 0.4  # of the rows
 _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
 _OTHER = 6.0  # tolerances
@@ -133,6 +134,8 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         reasons.append("one pose is measured, which says nothing of others")
     if calibration.options.identifies and (problem := _too_few(found)):
         reasons.append(problem)
+    if len(found.outliers) > _MANY_OUTLIERS * len(found.measurements):
+        reasons.append(f"{len(found.outliers)} of {len(found.measurements)} rows are outliers to what the others say")
     off = np.abs(found.nuisance_values) / (found.nuisances.scales * found.nuisances.sigmas)
     points = np.concatenate([found.nuisances.columns("targets"), found.nuisances.columns("tool_point")])
     if points.size and off[points].max() > _MISPLACED:

@@ -1,4 +1,4 @@
-"""What repeated poses tell: how well a machine comes back; accuracy and repeatability as in ISO 9283 and ISO 230."""
+"""What repeated poses tell: how well a machine comes back; accuracy and repeatability as in ISO 9283."""
 
 from __future__ import annotations
 

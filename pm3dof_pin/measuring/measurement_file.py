@@ -375,12 +375,20 @@ class _Reader:
         raise MeasurementError(self._path, problem, self._table.lines_where(~poses.solved))
 
     def _drives_that_count_backwards(self, commands: Array) -> str:
-        """Return which drives would make the commands possible if they counted the other way, or ""."""
+        """Return which drives, counting the other way, would make the commands possible; "" if none would.
+
+        Of several ways that which brings the tool nearest to where it was seen.
+        """
         mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
-        ways = [("all drives", mirrored), ("all drives", -commands)]
-        ways += [(f"u{k + 1}", np.where(one, mirrored, commands)) for k, one in enumerate(np.diag(every))]
-        found = (name for name, other in ways if self._robot.forward(other, on_failure="nan").solved.all())
-        return next(found, "")
+        ways = {"all drives": mirrored}
+        ways |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(np.diag(every))}
+        seen = self._table.matrix(POSITION_COLUMNS) if {*POSITION_COLUMNS} <= {*self._table.columns} else np.zeros(3)
+        found = {}
+        for name, other in ways.items():
+            poses = self._robot.forward(other, on_failure="nan")
+            if poses.solved.all():
+                found[name] = float(np.nanmedian(np.linalg.norm(poses.positions - seen, axis=1)))
+        return min(found, key=lambda name: found[name], default="")
 
     def _rotations(self) -> Array | None:
         if QUATERNION_COLUMNS[0] not in self._table:

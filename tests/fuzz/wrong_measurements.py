@@ -351,9 +351,9 @@ WRONG: dict[str, Wrong] = {
     ),
     "cyclic drives": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=1)), "permuted|turned|limits"),
     "backward drives": Wrong(_commands(lambda u, g: u[:, ::-1]), "permuted|swapped|mirrored|limits"),
-    "one drive the other way": Wrong(_negated(slice(0, 1)), "u1|zero"),
-    "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|counts"),
-    "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|counts"),
+    "one drive the other way": Wrong(_negated(slice(0, 1)), "u1"),
+    "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|all drives count"),
+    "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|all drives count"),
     "one row below": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=0)), "1 row above"),
     "one row above": Wrong(_commands(lambda u, g: np.roll(u, -1, axis=0)), "1 row below"),
     "seven rows below": Wrong(_commands(lambda u, g: np.roll(u, 7, axis=0)), "7 rows above"),
@@ -370,7 +370,8 @@ WRONG: dict[str, Wrong] = {
         _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)), "zero of u1|u1 .* off|limits", zero=0.01
     ),
     "a drive's lead": Wrong(
-        _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)), "u1|times the noise"
+        _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)),
+        "u1|times the noise|rows are outliers",
     ),
     "all drives' zeros": Wrong(_commands(lambda u, g: u + 0.01), "zero|off|frame|origin|positions|limits"),
     "relative commands": Wrong(_commands(lambda u, g: u - u[0]), "limits|zero|off|frame|scale"),
