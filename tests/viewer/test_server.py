@@ -149,6 +149,7 @@ def test_a_change_reaches_an_open_page(viewer: Viewer) -> None:
         viewer.set_title("another title")  # from a thread that is not the server's
         change = await asyncio.wait_for(page.read_message(), 10.0)
         page.close()
+        assert await asyncio.wait_for(page.read_message(), 10.0) is None  # and the connection is closed
         return whole, change
 
     whole, change = asyncio.run(messages())
