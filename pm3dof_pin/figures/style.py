@@ -95,6 +95,18 @@ def house_style() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _fonts_undated() -> Iterator[None]:
+    """Leave warnings of the dates of fonts out of the log."""
+    log = logging.getLogger("fontTools")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure [inch] that needs no screen, to be filled inside :func:`house_style`."""
     figure = Figure(figsize=(width, height))
@@ -108,9 +120,8 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    logging.getLogger("fontTools").setLevel(logging.ERROR)  # dates of fonts are no matter here
     kind = suffix if (suffix := Path(path).suffix[1:].lower()) in _UNDATED else "png"
-    with house_style(), write_atomically(path) as temporary:
+    with house_style(), _fonts_undated(), write_atomically(path) as temporary:
         figure.savefig(temporary, format=kind, dpi=DPI, metadata={_UNDATED[kind]: None})
     return Path(path)
 
