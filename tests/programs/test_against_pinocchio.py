@@ -22,23 +22,24 @@ from agreement import (
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 
+CLOSED = [name for name in DESCRIPTIONS if name != "ur5"]
 CLOSING, MATRICES, OF_VARIANTS = 100, 120, 60
 
 
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
-@pytest.mark.parametrize("name", DESCRIPTIONS)
+@pytest.mark.parametrize("name", CLOSED)
 def test_loops_close_the_same_way(name: str, given: str) -> None:
     robot = load(name)
     coordinates = robot.coordinates if given == "coordinates" else robot.command_coordinates
-    if given == "commands" and coordinates == robot.coordinates:
-        return
+    if given == "commands" and (coordinates == robot.coordinates or name == "linear_delta"):
+        return  # many commands of that one lie beyond singular poses
     found = compared_closing(robot, coordinates, CLOSING, seed=7)
     assert found.solved > CLOSING // 3
     assert (found.found_otherwise, found.other_mode, found.limits) == (0, 0, 0)
     assert found.difference < 1e-10
 
 
-@pytest.mark.parametrize("name", [*(name for name in DESCRIPTIONS if name != "walker"), *VARIANTS])
+@pytest.mark.parametrize("name", [*(name for name in CLOSED if name != "walker"), *VARIANTS])
 def test_matrices_are_the_same(name: str) -> None:
     base, vary = VARIANTS.get(name, (name, lambda model: model))
     robot = load(base)
