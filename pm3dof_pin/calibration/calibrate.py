@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, prior_from_data
@@ -102,6 +103,8 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         ConvergenceError: the parameters did not settle.
         SingularConfigurationError: at a command the tool can move while all drives stand still.
     """
+    require_kind("measurements", measurements, Measurements, "pm.read_measurements")
+    require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     options = options or Options()
     prior = PRIOR if options.prior is None else options.prior
     identification = identify(measurements, errors, prior=prior, loss=options.loss)

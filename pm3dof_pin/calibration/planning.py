@@ -27,6 +27,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.calibrate import Method
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.gaussian_process import typical_covariance
@@ -149,6 +150,8 @@ class PlanningProblem:
         wrenches: Array | None = None,
         sources: ErrorSources | None = None,
     ) -> None:
+        require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
+        require_kind("candidates", candidates, Poses, "Robot.solve")
         if not (np.isfinite(prior) and prior > 0.0):
             raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
         if not min_distance >= 0.0:

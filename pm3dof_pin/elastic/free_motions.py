@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, ToolComponent, Unit, unit_of
 from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -58,6 +58,8 @@ def free_motion_stiffness(
         DescriptionError: the robot has no tool frame.
         InvalidValueError: the loops are not closed.
     """
+    require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
+    require_kind("configuration", configuration, Configuration, "Poses.configuration")
     tool = condensed(model, configuration)
     coordinates = configuration.mechanism.declared_coordinates
     dof = DegreesOfFreedom(configuration)

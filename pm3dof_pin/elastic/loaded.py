@@ -34,7 +34,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.load_path import LoadPath
@@ -204,6 +204,7 @@ def loaded_equilibrium(
             joint changes is not positive.
         DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
     """
+    require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     path = LoadPath(model, configuration, loads, None)
     if guess is None:
         state, steps = path.settle()

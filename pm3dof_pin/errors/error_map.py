@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pm3dof_pin.arrays import frozen
+from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.normal_vectors import expected_norm, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
@@ -208,6 +208,8 @@ def error_map(
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
+    require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
+    require_kind("poses", poses, Poses, "Robot.solve")
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / np.sqrt(3.0)

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import frozen, require_choice
+from pm3dof_pin.arrays import frozen, require_choice, require_kind
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
@@ -73,6 +73,8 @@ def sensitivities(
         SingularConfigurationError: at a pose the tool can move while all drives stand still, or a drive cannot move
             without others, as where there are more drives than degrees of freedom.
     """
+    require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
+    require_kind("poses", poses, Poses, "Robot.solve")
     require_choice("engine", engine, Engine)
     p = errors.zeros if values is None else errors.values(values)
     unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pm3dof_pin.arrays import require_count, with_neighbours
+from pm3dof_pin.arrays import require_count, require_kind, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_span import coordinate_span
@@ -52,6 +52,7 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
         UnreachablePoseError: hardly any pose was found within the limits, or nothing moves.
         InvalidValueError: the margin is not between 0 and 0.5, or the count is no whole number.
     """
+    require_kind("robot", robot, Robot, "pm.load")
     require_count("count", count, 0)
     if not 0.0 <= margin < 0.5:
         raise InvalidValueError("margin", margin, "a part of the range, at least 0 and less than 0.5")

@@ -233,6 +233,7 @@ def compute_atlas(
         UnreachablePoseError: no pose of the grid is within the limits; nothing is written.
         PM3DofError: a scheduler is named and dask is not installed or does not answer.
     """
+    require_kind("atlas", atlas, Atlas, "pm.Atlas")
     if threads is not None:
         require_count("threads", threads)
     with exclusive_run(atlas.path), _cluster(scheduler) if scheduler else nullcontext() as cluster:

@@ -59,6 +59,7 @@ class Configuration:
     __slots__ = ("_closure_error", "_constraint_jacobian", "_mechanism", "_q")
 
     def __init__(self, mechanism: Mechanism, q: ArrayLike) -> None:
+        require_kind("mechanism", mechanism, Mechanism, "pm.load")
         self._mechanism = mechanism
         self._q = mechanism.checked_positions(q)
         self._closure_error, self._constraint_jacobian = mechanism.loop_kinematics.closures(self._q)

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.arrays import finite_array, frozen
+from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.description.coordinates import (
     TOOL_COMPONENTS,
@@ -130,6 +130,7 @@ class Mechanism:
         source: Path | str | None = None,
         files: RobotFiles | None = None,
     ) -> None:
+        require_kind("model", model, pin.Model, "Pinocchio")
         self._prototype: Self | None = None
         self.model = model.copy()
         self.name: str = model.name
