@@ -1,9 +1,15 @@
-"""One identification of all parameters from 60 poses, calibrations by each method, commands for many poses: seconds."""
+"""One identification of all parameters, calibrations by each method, commands for many poses: processor seconds.
+
+python scripts/benchmarks/calibration.py [--robot pm3dof] [--poses 60 500 5000] [--methods lm lm+gp]
+"""
 
 from __future__ import annotations
 
+import argparse
 import os
+import resource
 import time
+from collections.abc import Callable
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
@@ -13,29 +19,42 @@ from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
-from pm3dof_pin.simulation.worlds import WORLDS, World
+from pm3dof_pin.simulation.worlds import World
 
-POSES, BATCH = 60, 20_000
+BATCH, FEW = 20_000, 100
+
+
+def seconds(run: Callable[[], object], tries: int) -> float:
+    """Return the least processor time of some tries, the first of which compiles."""
+    taken = []
+    for _ in range(tries):
+        start = time.process_time()
+        run()
+        taken.append(time.process_time() - start)
+    return min(taken)
 
 
 def main() -> None:
-    errors = GeometricErrors.load("pm3dof")
-    generator = np.random.default_rng(0)
-    commands = reachable_poses(errors.robot, POSES, generator).commands
-    for name in WORLDS:
-        measurements = World.random(name, errors, generator).measure(commands, generator)
-        start = time.perf_counter()
-        found = identify(measurements, errors)
-        taken = time.perf_counter() - start
-        print(f"world '{name}': {len(errors)} parameters from {POSES} poses in {taken:.2f} s, {found.steps} steps")
-        for method in METHODS:
-            start = time.perf_counter()
-            calibrate(measurements, errors, Options(method))
-            print(f"  calibration by {method}: {time.perf_counter() - start:.2f} s")
-    wanted = reachable_poses(errors.robot, BATCH, generator)
-    start = time.perf_counter()
-    calibrate(measurements, errors, Options("lm+gp")).compensation.compensate(wanted)
-    print(f"commands for {BATCH} poses, the calibration included: {time.perf_counter() - start:.2f} s")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", default="pm3dof")
+    parser.add_argument("--poses", type=int, nargs="+", default=[60, 500])
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    arguments = parser.parse_args()
+    errors, generator = GeometricErrors.load(arguments.robot), np.random.default_rng(0)
+    world = World.random("everything", errors, generator)
+    for count in arguments.poses:
+        measurements = world.measure(reachable_poses(errors.robot, count, generator).commands, generator)
+        tries = 4 if count <= FEW else 2
+        taken = seconds(lambda measured=measurements: identify(measured, errors), tries)
+        print(f"{len(errors)} parameters from {count} poses: {taken:.3f} s", flush=True)
+        for method in arguments.methods:
+            options = Options(method)
+            taken = seconds(lambda measured=measurements, by=options: calibrate(measured, errors, by), tries)
+            most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            print(f"  calibration by {method}: {taken:.2f} s, up to {most:.0f} MB", flush=True)
+    wanted, compensation = reachable_poses(errors.robot, BATCH, generator), calibrate(measurements, errors).compensation
+    middle = {} if compensation.learned is None else compensation.learned.inputs.middle()
+    print(f"commands for {BATCH} poses: {seconds(lambda: compensation.compensate(wanted, middle), 2):.2f} s")
 
 
 if __name__ == "__main__":
