@@ -197,7 +197,11 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
         message("pm3dof: the tool is rigid in some direction: ellipsoids of the compliance are drawn")
         _draw_ellipsoids(viewer, model, "compliance", None)
     except (SingularConfigurationError, DescriptionError) as error:
-        message(f"pm3dof: no ellipsoids are drawn: {error}")
+        if model is None or of not in _ELASTIC:
+            message(f"pm3dof: no ellipsoids are drawn: {error}")
+            return
+        message(f"pm3dof: ellipsoids of the velocity are drawn: {error}")
+        _draw_ellipsoids(viewer, None, "velocity", None)
 
 
 def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:

@@ -166,7 +166,7 @@ def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
         ends = f"{np.degrees(low):.2f} .. {np.degrees(high):.2f} deg" if unit == "rad" else f"{low:.4f} .. {high:.4f} m"
         of_volume = f"{unit}^3" if set(space.units) == {unit} else f"{words} {unit}"
         ranges = [f"volume {volume} {of_volume}", f"{name} {ends}", *ranges]
-    shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items())
+    shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items() if share)
     lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
     if "printed_ranges" in result:
         lines += ["", "beside the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]
