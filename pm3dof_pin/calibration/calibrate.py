@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pm3dof_pin.arrays import require_kind
+from pm3dof_pin.calibration.caution import cautious
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, prior_from_data
@@ -108,9 +109,15 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     options = options or Options()
     prior = PRIOR if options.prior is None else options.prior
     identification = identify(measurements, errors, prior=prior, loss=options.loss)
-    if options.prior is None and (found := prior_from_data(identification)) < prior:
+    if options.prior is None:
+        prior, error = prior_from_data(identification)
         identification = identify(
-            identification.measurements, errors, prior=found, loss=options.loss, start=identification
+            identification.measurements,
+            errors,
+            prior=prior,
+            prior_error=error,
+            loss=options.loss,
+            start=identification,
         )
     options = replace(options, prior=identification.prior)
     _warn_of_gaps(identification)
@@ -133,14 +140,26 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
     nominal = compensation.errors.robot.forward(visits.commands)
     model = compensation.model_poses(nominal)
     found, control = pseudo_errors(shown, model, compensation.eta), weighted_control(model, compensation.eta)
+    units = [command.unit for command in nominal.robot.commands]
     if compensation.learned is not None:
         across = found.seen.shown - found.control @ control_inverse(found.control)
         covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return scatter_of(found.left, covariances, across, np.zeros_like(control))
+        return scatter_of(found.left, covariances, across, np.zeros_like(control), units)
     used = float(len(identification.errors)) if compensation.values is not None else 0.0
     freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
     seen = found.at_commands
-    return scatter_of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control)
+    return scatter_of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
+
+
+def identified_compensation(identification: Identification, eta: float) -> Compensation:
+    """Return what corrects commands by all that was identified, sure or not."""
+    return Compensation(
+        identification.errors,
+        identification.values,
+        identification.seen_covariance,
+        eta=eta,
+        stiffness=identification.stiffness,
+    )
 
 
 def compensation_from(
@@ -151,17 +170,15 @@ def compensation_from(
 ) -> Compensation:
     """Put identified parameters (None for the robot as described) and a part learned from measurements together.
 
+    Of the parameters' correction, what is sure enough to do no harm: see :mod:`pm3dof_pin.calibration.caution`.
+
     Raises:
         InvalidValueError: too few measurements to learn from.
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
-        compensation = replace(
-            compensation,
-            values=identification.values,
-            covariance=identification.seen_covariance,
-            stiffness=identification.stiffness,
-        )
+        nominal = errors.robot.forward(measurements.visits.commands)
+        compensation = cautious(identified_compensation(identification, options.eta), nominal)
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation

@@ -53,6 +53,8 @@ _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one di
 _FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
 _LEAST_FREEDOM = 0.2  # of the measurements
 _BELIEVED = 4.0  # parameters off by their tolerance, as which the tolerances count
+_SMOOTH = 2.0  # times the noise: effects that grow over the workspace to as much do not stand out of it
+_LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities that a mean is taken over
 UNKNOWN = 1e3  # standard deviation beforehand, in a parameter's scale, that says nothing
 
 
@@ -67,14 +69,20 @@ class Identification:
     #: `measurements`
     nuisance_values: Array
     #: of p, the logarithms of stiffness and y together, given noise and prior; the noise is what the residuals show
-    #: where that is more than the sigmas say
+    #: where that is more than the sigmas say, the prior a standard error of k wider
     joint_covariance: Array
+    #: standard deviation of each parameter as one of the machine's parts, shape=(number of parameters,) [m, rad]. More
+    #: than the covariance says, by what a smooth effect of something else, hidden in the noise, would shift it: that
+    #: makes parameters wrong, but not the poses that they predict
+    sigmas: Array
     prior: float  #: k, standard deviation before the measurements in units of the tolerances; infinite for none
+    prior_error: float  #: relative standard error of k
     measurements: Measurements  #: what was measured, in the axes of the base as identified
     settled: Measurements  #: the same without what the nuisance parameters explain
     poses: Poses  #: the calibrated machine's at the commands
     residuals: Array  #: settled measurements minus calibrated machine, shape=(n, rows) [m, rad]
     weights: Array  #: what robust weighting left of each measurement, 0 to 1, shape=(n,)
+    certainties: Array  #: the same over the variance of the noise, on average as for good ones, shape=(n,)
     #: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the covariance
     noise_factor: float
     outliers: tuple[int, ...]  #: rows whose residual is no noise
@@ -120,9 +128,12 @@ class Identification:
         return np.concatenate([*parts, self.nuisance_values / self.nuisances.scales])
 
     @property
-    def sigmas(self) -> Array:
-        """Standard deviation of each parameter, shape=(number of parameters,) [m, rad]."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+    def shrinkage(self) -> Array:
+        """How uncertain each parameter is, as a part of what it was before the measurements, shape=(parameters,)."""
+        after = np.sqrt(np.diag(self.covariance))
+        if np.isinf(self.prior):
+            return np.asarray(np.isinf(after), dtype=float)
+        return np.asarray(after / ((1.0 + self.prior_error) * self.prior * self.errors.tolerances))
 
     @property
     def nuisance_sigmas(self) -> Array:
@@ -162,7 +173,7 @@ class Identification:
     @cached_property
     def prior_dominated(self) -> tuple[str, ...]:
         """Parameters about which the measurements say next to nothing by themselves: the prior's value stands."""
-        dominated = self.sigmas >= PRIOR_DOMINATED * self.prior * self.errors.tolerances
+        dominated = self.shrinkage >= PRIOR_DOMINATED
         return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
 
     def settle(self, measurements: Measurements) -> Measurements:
@@ -176,12 +187,13 @@ class Identification:
         return self.nuisances.removed(measurements, poses, drives, self.nuisance_values)
 
 
-def prior_from_data(found: Identification) -> float:
-    """Return k, how many tolerances parameters are off in the mean, as the measurements that tell them have it.
+def prior_from_data(found: Identification) -> tuple[float, float]:
+    """Return how many tolerances k parameters are off in the mean, as the measurements have it, and its relative error.
 
     The k under which the measurements are most likely (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g with x
     the parameters in tolerances, identified with a generous prior, and g the number of them that are told. The
     tolerances' own word, k = 1, counts as much as some parameters that are told. At most that of the identification.
+    The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
     """
     count = len(found.errors)
     measuring = found.rows[:, :, count:]
@@ -193,7 +205,7 @@ def prior_from_data(found: Identification) -> float:
     values, axes = np.linalg.eigh(blocks.T @ blocks)
     values = np.maximum(values, 0.0)
     most = found.prior if np.isfinite(found.prior) else PRIOR
-    k = most
+    k, told = most, 0.0
     # the least-squares solution along each axis, from that with the prior
     start = axes.T @ (found.values / found.errors.tolerances)
     pulled = start * (values + (0.0 if np.isinf(found.prior) else 1.0 / found.prior**2))
@@ -203,7 +215,7 @@ def prior_from_data(found: Identification) -> float:
         previous, k = k, min(float(np.sqrt((np.sum(x**2) + _BELIEVED) / (told + _BELIEVED))), most)
         if abs(k - previous) < 1e-3:
             break
-    return k
+    return k, float(1.0 / np.sqrt(2.0 * (told + _BELIEVED)))
 
 
 def identify(
@@ -211,6 +223,7 @@ def identify(
     errors: GeometricErrors,
     *,
     prior: float = PRIOR,
+    prior_error: float = 0.0,
     loss: Loss = "tukey",
     nuisances: Nuisances | None = None,
     start: Identification | None = None,
@@ -222,6 +235,7 @@ def identify(
         errors: the parameters, with their tolerances.
         prior: k, how many tolerances a parameter may be expected to be off. Infinite for no prior: then what cannot be
             told stays at its nominal value, and its deviation is infinite.
+        prior_error: relative standard error of k.
         loss: "squares", "huber", or "tukey" after Huber's.
         nuisances: what the measurements depend on besides; by default what they say themselves.
         start: what others of the same measurements told, in the same axes, to be quicker.
@@ -258,7 +272,8 @@ def identify(
             x[frame] = 0.0
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
         if length <= _SMALL_STEP or (length <= _STUCK and length >= 0.5 * previous):
-            return _result(_Linearised(measurements, errors, elastic, nuisances, poses, x, prior), fit, step)
+            linear = _Linearised(measurements, errors, elastic, nuisances, poses, x, prior)
+            return _result(linear, fit, loss, prior_error, step)
         previous = length
     raise ConvergenceError(
         "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
@@ -352,12 +367,19 @@ class _Linearised:
         """Return the information on the parameters in units of their scales, without the prior."""
         return np.asarray(np.einsum("n,njk->jk", weights, self._blocks) / factor**2)
 
-    def covariance(self, weights: Array, factor: float) -> Array:
-        """Return the covariance of all parameters; infinite for those that a singular information leaves open."""
-        information = self.information(weights, factor)
+    def covariance(self, certainties: Array, prior_error: float) -> Array:
+        """Return the covariance of all parameters; infinite for those that a singular information leaves open.
+
+        With the information I and the knowledge L beforehand it is C = (I + L)^-1 = C I C + C L C, the second what
+        nobody has measured; the prior's error is that of the parameters' part of it.
+        """
+        information = self.information(certainties, 1.0)
         unit = np.outer(self.units, self.units)
         if np.isfinite(self.prior):
-            return np.asarray(np.linalg.inv(information + np.diag(self._precisions)) * unit)
+            covariance = np.linalg.inv(information + np.diag(self._precisions))
+            unmeasured = covariance[:, : self.ends[0]] / self.prior
+            wider = (1.0 + prior_error) ** 2 - 1.0
+            return np.asarray((covariance + wider * unmeasured @ unmeasured.T) * unit)
         # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
         known_before = np.where(self._sigmas < UNKNOWN, self._precisions, 0.0)
         values, axes = np.linalg.eigh(information + np.diag(known_before))
@@ -366,6 +388,25 @@ class _Linearised:
         open_ones = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
         covariance[open_ones, open_ones] = np.inf
         return np.asarray(covariance)
+
+    def hidden_shifts(self, certainties: Array, factor: float, covariance: Array) -> Array:
+        """Return what shifts parameters and no residual shows, root sum of squares, shape=(number of parameters,).
+
+        A coordinate of what is measured, of each target, may be off by :data:`_SMOOTH` times its noise, alike
+        everywhere or in proportion to a command (one standard deviation over the measured ones).
+        """
+        commands = self.measurements.commands
+        spread = commands.std(axis=0)
+        moving = spread > 0.0
+        varying = (commands - commands.mean(axis=0))[:, moving] / spread[moving]
+        effects = np.column_stack([np.ones(len(commands)), varying]) * (_SMOOTH * factor * certainties)[:, None]
+        numbers, pulls = self.measurements.target_numbers, []
+        for number in np.unique(numbers):
+            own = numbers == number
+            pulls.append(np.einsum("nb,ncq->bcq", effects[own], self.rows[own]).reshape(-1, len(self.units)))
+        known = np.where(np.isfinite(covariance), covariance, 0.0)[: self.ends[0]]
+        shifts = (np.concatenate(pulls) / self.units) @ known.T
+        return np.asarray(np.sqrt(np.sum(shifts**2, axis=0)))
 
     @cached_property
     def _used(self) -> float:
@@ -409,12 +450,16 @@ def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Po
     return found.errors[numbers], tool_motions_by_drives(poses[first], found.commands)[numbers]
 
 
-def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
+def _result(linear: _Linearised, fit: _Fit, loss: Loss, prior_error: float, steps: int) -> Identification:
     """Return what a fit says, given the problem linearised at its solution."""
     errors, measurements, count = linear.errors, linear.measurements, len(linear.errors)
     bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimensions) * fit.noise_factor**2
     values = np.split(fit.x * linear.units, linear.ends)
-    covariance = linear.covariance(fit.weights, fit.noise_factor)
+    certainties = fit.weights / _usual_weights(linear.dimensions, loss) / fit.noise_factor**2
+    covariance = linear.covariance(certainties, prior_error)
+    hidden = linear.hidden_shifts(certainties, fit.noise_factor, covariance)
+    # many parameters are looked at, and of the worst of them it is said how far off it may be: twice the error of k
+    variances = np.diag(linear.covariance(certainties, 2.0 * prior_error))[:count]
     machine = int(linear.ends[1])
     return Identification(
         errors=errors,
@@ -422,12 +467,15 @@ def _result(linear: _Linearised, fit: _Fit, steps: int) -> Identification:
         nuisances=linear.nuisances,
         nuisance_values=frozen(values[2]),
         joint_covariance=frozen(covariance),
+        sigmas=frozen(np.sqrt(variances + hidden**2)),
         prior=linear.prior,
+        prior_error=prior_error,
         measurements=measurements,
         settled=linear.settled,
         poses=linear.poses,
         residuals=frozen(linear.residuals),
         weights=frozen(fit.weights),
+        certainties=frozen(certainties),
         noise_factor=fit.noise_factor,
         outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
         rows=frozen(linear.rows),
@@ -448,5 +496,14 @@ def _weights(squares: Array, dimensions: Indices, loss: str) -> Array:
     return np.asarray(np.clip(1.0 - squares / (_TUKEY**2 * bend), 0.0, None) ** 2)
 
 
-def _chi_square_quantile(probability: float, dimensions: Indices) -> Array:
+def _usual_weights(dimensions: Indices, loss: str) -> Array:
+    """Return the weights that good measurements have on average: all of their information is worth as much more."""
+    kinds, which = np.unique(dimensions, return_inverse=True)
+    usual = [
+        np.mean(_weights(_chi_square_quantile(_LEVELS, kind), np.full(_LEVELS.shape, kind), loss)) for kind in kinds
+    ]
+    return np.asarray(usual)[which]
+
+
+def _chi_square_quantile(probability: float | Array, dimensions: Indices) -> Array:
     return np.asarray(2.0 * scipy.special.gammaincinv(0.5 * np.maximum(dimensions, 1), probability))

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.special
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
+from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from, identified_compensation
+from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
@@ -18,7 +18,7 @@ from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
-from pm3dof_pin.errors.pose_error import pose_difference, tip_error, tip_weights, weighted_energy
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
@@ -89,6 +89,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
             measurements[shown],
             errors,
             prior=calibration.identification.prior,
+            prior_error=calibration.identification.prior_error,
             loss=options.loss,
             nuisances=calibration.identification.nuisances,
             start=calibration.identification,
@@ -97,7 +98,10 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
         part = measurements[hidden]
         parts.append(_judged(compensation, found.settle(part), calibration.compensation))
         starts.append(hidden[np.unique(part.visit_numbers, return_index=True)[1]])
-    return _together(rows, _Scores.joined(parts, np.argsort(np.concatenate(starts))))
+    units = [command.unit for command in errors.robot.commands]
+    scores = _Scores.joined(parts, np.argsort(np.concatenate(starts))).that_show_the_tool()
+    seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
+    return _together(rows, scores, scatter_of(*seen), scatter_of(*seen, least=1.0))
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
@@ -108,7 +112,8 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
     settled = calibration.identification.settle(_of_their_own_station(calibration, measurements))
     compensation = calibration.compensation
     scores = _judged(compensation, settled, compensation)
-    return _together(np.arange(len(measurements)), scores, compensation.scatter)
+    scatter = compensation.scatter
+    return _together(np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
 
 
 def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
@@ -202,14 +207,12 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     return _Scores(sizes, left.errors, known, left.shown, control, of_all)
 
 
-def _together(rows: Indices, scores: _Scores, scatter: Scatter | None = None) -> HeldOut:
-    scores = scores.that_show_the_tool()
+def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
+    """Return errors with the scatter that bounds allow for, and the excess with that of which there is no doubt."""
     before, after, floor, noise, *energies = scores.sizes
-    if scatter is None:
-        scatter = scatter_of(scores.missed, scores.covariances, scores.shown, scores.control)
-    gains, left = control_inverse(scores.control), scatter.covariances(scores.control)
+    gains, left = control_inverse(scores.control), sure.covariances(scores.control)
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])
-    spread = scores.covariances + scores.shown @ left @ scores.shown
+    spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     return HeldOut(rows, before, after, floor, noise, excess, scatter, within, np.array(energies))
@@ -218,21 +221,23 @@ def _together(rows: Indices, scores: _Scores, scatter: Scatter | None = None) ->
 def chance_of_harm(calibration: Calibration) -> float:
     """Return the probability that corrected commands are worse than uncorrected ones, by what the parameters tell.
 
-    Tip errors b with uncorrected and m with corrected commands are both wrong by E dp, dp being what is uncertain about
-    the parameters. So sum |b + E dp|^2 - |m + E dp|^2 over the measured poses is normal: of mean sum |b|^2 - |m|^2 and
-    standard deviation 2 |sum (b - m)^T E| in the metric of the covariance. 0 for a method without parameters.
+    See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
     """
-    compensation = calibration.compensation
-    if compensation.values is None or compensation.covariance is None:
-        return 0.0
-    wanted = compensation.errors.robot.forward(calibration.measurements.visits.commands)
-    model, weights = compensation.model_poses(wanted), tip_weights(compensation.eta)
-    nearest = nearest_poses(model, wanted.transforms, compensation.eta)
-    before, after = (pose_difference(wanted.transforms, poses.transforms) * weights for poses in (model, nearest))
-    along = np.einsum("nij,ni->j", compensation.effects(model), before - after)
-    known = np.where(np.isfinite(compensation.covariance), compensation.covariance, 0.0)
-    gain, spread = float(np.sum(before**2) - np.sum(after**2)), 2.0 * float(np.sqrt(along @ known @ along))
-    return float(scipy.special.ndtr(-gain / max(spread, np.finfo(float).tiny)))
+    gain, values = _gain(calibration), calibration.compensation.values
+    return 0.0 if gain is None or values is None else gain.chance_of_harm(values)
+
+
+def part_corrected(calibration: Calibration) -> float:
+    """Return how much of the correction that the parameters would be is sure enough to be made, 1 for all of it."""
+    gain, values = _gain(calibration), calibration.compensation.values
+    return 1.0 if gain is None or values is None else gain.part(values)
+
+
+def _gain(calibration: Calibration) -> Gain | None:
+    if not calibration.options.identifies:
+        return None
+    poses = calibration.compensation.errors.robot.forward(calibration.measurements.visits.commands)
+    return Gain.of(identified_compensation(calibration.identification, calibration.options.eta), poses)
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -213,7 +213,7 @@ def strain(calibration: Calibration) -> float:
     if not np.isfinite(found.prior):
         return 0.0
     scaled = found.values / found.errors.tolerances / found.prior
-    told = len(scaled) - float(np.sum((found.sigmas / found.errors.tolerances / found.prior) ** 2))
+    told = len(scaled) - float(np.sum(found.shrinkage**2))
     return float(np.sqrt(np.sum(scaled**2) / max(told, 1.0)))
 
 

@@ -7,12 +7,15 @@ else (guides, sag, warmth), of which no direction is preferred: the tip-weighted
 
 K known, from noise and parameters, C the motion of the tool by the drives' joints. a and d are fitted to errors of
 poses that were hidden, by Fisher's scoring (minimum-variance quadratic estimates: C. R. Rao, J. Multivariate Analysis
-1, 1971), as far as each pose shows them. The drives are taken to be alike in what they do to the tool. Variances are
-not negative: where there is no scatter at all they are too large by 0.4 of their standard error, on average.
+1, 1971), as far as each pose shows them. Drives of one kind, that travel or that turn, are taken to be alike, and
+both kinds to be alike in what they do to the tool. Variances are not negative: where there is no scatter at all they
+are too large by 0.4 of their standard error, on average. That is on the safe side of a bound; for what is expected a
+part that is less than its standard error may be left out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,7 +47,9 @@ class Scatter:
         return np.asarray(self.everywhere * np.eye(6) + by_drives + np.zeros((len(control), 6, 6)))
 
 
-def scatter_of(errors: Array, covariances: Array, shown: Array, control: Array) -> Scatter:
+def scatter_of(
+    errors: Array, covariances: Array, shown: Array, control: Array, units: Sequence[str], *, least: float = 0.0
+) -> Scatter:
     """Estimate the scatter in errors of which a part is known.
 
     Args:
@@ -52,25 +57,42 @@ def scatter_of(errors: Array, covariances: Array, shown: Array, control: Array) 
         covariances: what is known of them, K, shape=(n, 6, 6) [m^2].
         shown: projections on the directions they were seen in, shape=(n, 6, 6).
         control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+        units: of the drives' joints, "m" or "rad".
+        least: standard errors, as the estimate has them, below which a part counts as none.
     """
     unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
     if not shown.any():
         return Scatter()
-    effects = np.sqrt(np.mean(np.sum(control**2, axis=1), axis=0))  # of each drive, rms
+    squares, same = np.mean(np.sum(control**2, axis=1), axis=0), np.equal.outer(units, units)
+    effects = np.sqrt((same @ squares) / same.sum(axis=1))  # of each kind of drive, rms
     alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
     by_drives = shown @ (control * alike)
     parts = np.array([shown, by_drives @ np.swapaxes(by_drives, 1, 2)])
-    known, squares = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
-    hidden, variances = np.eye(6) - shown, np.zeros(2)
+    known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
+    kept, variances = [0, 1], np.zeros(2)
+    while kept:
+        found, standard_errors = _variances(products, known, shown, parts[kept])
+        weakest = int(np.argmin(found - least * standard_errors))
+        if found[weakest] >= least * standard_errors[weakest]:
+            variances[kept] = found
+            break
+        kept.pop(weakest)
+    everywhere, drives = (unit * variances).tolist()
+    tip_error = float(np.sqrt(6.0 * everywhere + drives * np.count_nonzero(alike)))
+    return Scatter(everywhere, drives * alike**2, tip_error)
+
+
+def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tuple[Array, Array]:
+    """Return by how much each part is in the products of errors beside what is known, and the standard errors."""
+    hidden, variances = np.eye(6) - shown, np.zeros(len(parts))
     for _ in range(_ROUNDS):
         weights = shown @ np.linalg.inv(known + np.tensordot(variances, parts, 1) + hidden) @ shown
         weighted = parts @ weights
         information = np.einsum("anij,bnji->ab", weighted, weighted)
-        pull = np.einsum("anij,njk,nki->a", weighted, squares - known, weights)
-        factor = np.linalg.cholesky(information + _RIDGE * np.trace(information) * np.eye(2))
+        information += _RIDGE * np.trace(information) * np.eye(len(parts))
+        pull = np.einsum("anij,njk,nki->a", weighted, products - known, weights)
+        factor = np.linalg.cholesky(information)
         last, variances = variances, scipy.optimize.nnls(factor.T, np.linalg.solve(factor, pull))[0]
         if np.abs(variances - last).max() <= _SETTLED * variances.max():
             break
-    everywhere, drives = (unit * variances).tolist()
-    tip_error = float(np.sqrt(6.0 * everywhere + drives * np.count_nonzero(alike)))
-    return Scatter(everywhere, drives * alike**2, tip_error)
+    return variances, np.sqrt(2.0 * np.diag(np.linalg.inv(information)))

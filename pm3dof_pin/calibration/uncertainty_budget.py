@@ -41,6 +41,9 @@ def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, floa
         effects = (motions * weights[:, None]).reshape(-1, motions.shape[2])
         square = effects.T @ effects / len(poses)
         parts |= _of_parameters(calibration, square)
+        left_out = np.zeros(motions.shape[2])
+        left_out[: len(found.values)] = found.values - compensation.values
+        parts["parameters"] += float(left_out @ square @ left_out)
     if compensation.learned is not None:
         control = command_jacobians(model) * weights[:, None]
         spread = compensation.learned.uncertainties(model.commands, conditions)
@@ -56,7 +59,7 @@ def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
     """Return variances [m^2], given the mean square of the tip's motions by parameters, base and tool."""
     found, count = calibration.identification, len(calibration.identification.errors)
     machine = found.rows.shape[2] - len(found.nuisances)
-    scaled = (np.sqrt(found.weights) / found.noise_factor)[:, None, None] * found.rows
+    scaled = np.sqrt(found.certainties)[:, None, None] * found.rows
     matrix = scaled.reshape(-1, scaled.shape[2])
     units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
     before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])
@@ -69,6 +72,7 @@ def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
         free = np.flatnonzero(~known)
         information, knowledge = matrix[:, free].T @ matrix[:, free], np.diag(before[free] ** -2.0)
         covariance = np.linalg.pinv(information + knowledge)
+        knowledge[free < count] *= (1.0 + found.prior_error) ** 2
         effects = datum[:, free] * units[free]
         tip = effects.T @ square @ effects
         noise, ignorance = (float(np.trace(tip @ covariance @ part @ covariance)) for part in (information, knowledge))

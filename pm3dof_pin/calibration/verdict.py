@@ -9,13 +9,14 @@ import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.compensation import COVERAGE
-from pm3dof_pin.calibration.judging import HeldOut
+from pm3dof_pin.calibration.judging import HeldOut, part_corrected
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
 from pm3dof_pin.calibration.uncertainty_budget import uncertainty_budget
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
 _POSES = 60  # of the workspace
+_WHOLE = 0.995  # of a correction
 _RICH = 2.0  # noise factor from which the machine is richer than its parameters
 
 
@@ -76,6 +77,10 @@ def _unseen(calibration: Calibration) -> list[str]:
     missing = len(found.identifiability.names) - found.identifiability.rank
     if missing:
         hidden.append(f"{missing} combinations of parameters, which the report lists")
+    if (part := part_corrected(calibration)) < _WHOLE:
+        hidden.append(
+            f"{100.0 * (1.0 - part):.0f} % of the correction well enough to be made: it could do harm as well"
+        )
     if found.nuisances.columns("frame").size:
         hidden.append("where the base stands, other than by the machine's own motion")
     if found.nuisances.columns("targets").size:

@@ -120,12 +120,12 @@ def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
 
 def best_commands(poses: Callable[[np.ndarray], np.ndarray], wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return the commands that bring a machine nearest."""
-    u = start.copy()
+    missed, rows = tip(wanted, poses(start)), 1e-6 * np.eye(start.shape[1])
+    slopes = np.stack([(tip(wanted, poses(start + row)) - missed) / 1e-6 for row in rows], axis=2)
+    inverse, u = np.linalg.pinv(slopes, rcond=1e-3), start
     for _ in range(3):
+        u = u - np.einsum("nij,nj->ni", inverse, missed)
         missed = tip(wanted, poses(u))
-        rows = 1e-6 * np.eye(u.shape[1])
-        slopes = np.stack([(tip(wanted, poses(u + row)) - missed) / 1e-6 for row in rows], axis=2)
-        u = u - np.einsum("nij,nj->ni", np.linalg.pinv(slopes, rcond=1e-3), missed)
     return u
 
 

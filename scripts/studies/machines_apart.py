@@ -17,6 +17,7 @@ LENGTH, ANGLE = 1e-4, 5e-4
 """Standard deviations of what sits wrong [m, rad], those of the error files."""
 
 _STEPS = 6
+_CLOSED = 1e-13  # [m]
 _STEP = 1e-6
 
 
@@ -99,6 +100,8 @@ def _solved(missed, start: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped
     x = start
     for _ in range(_STEPS):
         off = missed(x)
+        if np.abs(off).max() < _CLOSED:
+            break
         slopes = np.stack([(missed(x + _STEP * row) - off) / _STEP for row in np.eye(x.shape[1])], axis=2)
         x = x - np.linalg.solve(slopes, off[..., None])[..., 0]
     return x

@@ -71,7 +71,10 @@ def test_within_three_predicted_sigmas(tripod_errors: GeometricErrors, tripod_no
         values = tripod_errors.sample(np.random.default_rng([seed, 1]))
         poses = tripod_nominal[50 * (seed % 6) : 50 * (seed % 6) + 50]
         found = identify(simulated(tripod_errors, values, poses, seed), tripod_errors, prior=1.0)
-        scores.append((found.values - values) / found.sigmas)
+        deviations = np.sqrt(np.diag(found.covariance))
+        scores.append((found.values - values) / deviations)
+        # as parts, parameters are less certain: something smooth and hidden in the noise would have shifted them
+        assert np.all(found.sigmas > deviations)
     size = np.abs(np.array(scores))
     assert np.mean(size > 3.0) < 0.01
     assert size.max() < 4.0
@@ -224,7 +227,41 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
         return 2.0 * (np.log(k**2) + k**-2) - multivariate_normal.logpdf(seen, cov=covariance)
 
     wanted = minimize_scalar(unlikely, bounds=(0.05, PRIOR), method="bounded").x
-    assert prior_from_data(found) == pytest.approx(wanted, abs=0.01)  # type: ignore[arg-type]
+    k, error = prior_from_data(found)  # type: ignore[arg-type]
+    assert k == pytest.approx(wanted, abs=0.01)
+    # of a standard deviation from as many parameters as the trace of the hat matrix says, and four
+    told = np.trace(design @ np.linalg.solve(design.T @ design + np.eye(30) / wanted**2, design.T))
+    assert error == pytest.approx(1.0 / np.sqrt(2.0 * (told + 4.0)), rel=0.01)
+
+
+def test_smooth_effects_hidden_in_the_noise_shift_parameters_by_less_than_a_sigma(
+    tripod_errors: GeometricErrors, tripod_nominal: Poses
+) -> None:
+    """All heights read twice their sigma too high, or the more so the further the first slider has travelled."""
+    poses = tripod_nominal[:50]
+    exact = simulated(tripod_errors, tripod_errors.zeros, poses)
+    travel = poses.commands[:, 0]
+    found = identify(exact, tripod_errors, prior=1.0, loss="squares")
+    for effect in (np.ones(len(poses)), (travel - travel.mean()) / travel.std()):
+        shifted = replace(
+            exact, positions=exact.positions + np.outer(2.0 * exact.sigmas[0, 2] * effect, [0.0, 0.0, 1.0])
+        )
+        again = identify(shifted, tripod_errors, prior=1.0, loss="squares")
+        assert again.noise_factor < 1.3
+        assert np.abs((again.values - found.values) / found.sigmas).max() < 1.0
+
+
+def test_a_wider_prior_widens_what_was_not_measured(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
+    """By the law of total variance: machines of a k drawn between fits of one k, and what the noise does to each."""
+    exact = simulated(tripod_errors, tripod_errors.zeros, tripod_nominal[:6])
+    known = identify(exact, tripod_errors, prior=1.0, loss="squares")
+    wider = identify(exact, tripod_errors, prior=1.0, prior_error=0.5, loss="squares")
+    scaled = known.rows.reshape(-1, known.rows.shape[2])
+    gain = np.linalg.solve(scaled.T @ scaled + np.eye(scaled.shape[1]), scaled.T)
+    missed = np.eye(len(gain)) - gain @ scaled  # of a machine, without noise
+    units = np.outer(tripod_errors.tolerances, tripod_errors.tolerances)
+    expected = (gain @ gain.T + 1.5**2 * missed @ missed.T) * units
+    np.testing.assert_allclose(wider.covariance, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("weak", "told"), [(1e-13, True), (1e-16, False)])

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
-from pm3dof_pin.calibration.judging import chance_of_harm
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate, identified_compensation
+from pm3dof_pin.calibration.caution import HARM, Gain
+from pm3dof_pin.calibration.judging import chance_of_harm, part_corrected
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.planning import order_with_references
 from pm3dof_pin.calibration.repeatability import drift_and_hysteresis
@@ -145,23 +146,32 @@ def test_the_report_says_it_first(calibration: Calibration, judgement: Verdict) 
 
 
 def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    """Heights leave the tilts open: machines that what is known allows, commanded by what was found."""
+    """Heights leave the tilts open: machines that what is known allows, commanded by all of it or with care."""
     poses, generator = tripod_nominal[:12], np.random.default_rng(3)
     truth = tripod_errors.apply(0.6 * tripod_errors.sample(generator)).forward(poses.commands, guess=poses.q)
     measured = Measurements.of_poses(poses.commands, truth.transforms)
     heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
     found = calibrate(heights, tripod_errors, Options("lm", prior=1.0))
-    corrected = found.compensation.corrected(poses)
-    worse = []
+    whole = identified_compensation(found.identification, found.options.eta)
+    corrections = [compensation.corrected(poses) for compensation in (whole, found.compensation)]
+    gains = []
     for values in generator.multivariate_normal(found.identification.values, found.identification.covariance, 150):
         machine = tripod_errors.apply(values)
         sums = [
             np.sum(tip_error(pose_difference(poses.transforms, machine.forward(u, guess=poses.q).transforms)) ** 2)
-            for u in (poses.commands, corrected)
+            for u in (poses.commands, *corrections)
         ]
-        worse.append(sums[1] > sums[0])
-    chance = chance_of_harm(found)
-    assert chance == pytest.approx(np.mean(worse), abs=0.1)
-    assert 0.01 < chance < 0.5
-    assert any("worse than none" in reason for reason in objections(found, None)) == (chance > 0.05)
+        gains.append(sums[0] - np.array(sums[1:]))
+    harmed, gained = np.mean(np.array(gains) < 0.0, axis=0), np.mean(gains, axis=0)
+    gain = Gain.of(whole, poses)
+    assert gain is not None
+    chance = gain.chance_of_harm(found.identification.values)
+    assert 0.05 < chance < 0.5
+    assert chance == pytest.approx(harmed[0], abs=0.1)
+    # what is left out of the correction is the price of that: on average all of it gains more
+    assert chance_of_harm(found) <= HARM + 1e-12
+    assert harmed[1] <= 3 / 150
+    assert 0.0 < gained[1] < gained[0]
+    assert 0.1 < part_corrected(found) < 0.95
+    assert not any("worse than none" in reason for reason in objections(found, None))
     assert chance_of_harm(calibrate(measured, tripod_errors, Options("lm"))) < 1e-6

@@ -1,0 +1,98 @@
+"""How much of a correction is sure enough to be made: commands that a machine is not to be made worse by.
+
+Identified parameters x are wrong by a d of covariance S, and they move the tool by E x. Commands that take the
+parameters to be y correct T y, with T = C C^+ E what of it the drives undo. Over the poses that were measured it gains
+
+    g = sum |E (x + d)|^2 - |E (x + d) - T y|^2,
+
+which is normal. y = x is best on average, but where little was seen the spread of g may be as large as its mean: what
+is put right in directions that were not shown is a gamble. Of all corrections with the same chance that g < 0 the one
+that gains most is
+
+    y = (1 + m S M)^-1 x,    M = sum T^T T,
+
+with a multiplier m >= 0: each direction of the correction by as much less as it is uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.special
+
+from pm3dof_pin.calibration.compensation import Compensation
+from pm3dof_pin.errors.command_correction import weighted_control
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array
+
+HARM = 0.01
+"""Probability, by what the parameters tell, that corrected commands are worse than none."""
+
+_POSES = 200  # that it is judged at
+_MULTIPLIERS = np.logspace(-4.0, 6.0, 81)  # in units of the trace of S M
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """What commands corrected for some parameters gain, given what was identified."""
+
+    identified: Array  #: x, shape=(parameters,) [m, rad]
+    covariance: Array  #: S, with rows of base and tool or without, shape=(p or p + 12, same)
+    effects: Array  #: E, tip-weighted, shape=(n, 6, p or p + 12)
+    corrected: Array  #: T, shape=(n, 6, parameters)
+
+    @classmethod
+    def of(cls, compensation: Compensation, poses: Poses) -> Gain | None:
+        """Return that of identified parameters at poses of the robot as described; None for a method without them."""
+        if compensation.values is None or compensation.covariance is None:
+            return None
+        poses = poses[:: max(1, len(poses) // _POSES)]
+        effects, control = (
+            compensation.effects(compensation.model_poses(poses)),
+            weighted_control(poses, compensation.eta),
+        )
+        corrected = control @ (np.linalg.pinv(control) @ effects[:, :, : len(compensation.values)])
+        known = np.where(np.isfinite(compensation.covariance), compensation.covariance, 0.0)
+        return cls(compensation.values, known, effects, corrected)
+
+    def chance_of_harm(self, values: Array) -> float:
+        """Return the probability that commands corrected for these values are worse than none."""
+        before = self.effects[:, :, : len(values)] @ self.identified
+        correction = self.corrected @ values
+        along = np.einsum("nij,ni->j", self.effects, correction)
+        mean = float(np.sum((2.0 * before - correction) * correction))
+        spread = 2.0 * float(np.sqrt(along @ self.covariance @ along))
+        return float(scipy.special.ndtr(-mean / max(spread, np.finfo(float).tiny)))
+
+    def part(self, values: Array) -> float:
+        """Return how much of the correction that all parameters would be is made for these, root mean squares."""
+        return float(np.linalg.norm(self.corrected @ values) / np.linalg.norm(self.corrected @ self.identified))
+
+    def sure_values(self) -> Array:
+        """Return y, with the least m at which the chance of harm is :data:`HARM`, or the least chance if none is."""
+        if self.chance_of_harm(self.identified) <= HARM:
+            return self.identified
+        count = len(self.identified)
+        flat = self.corrected.reshape(-1, count)
+        product = self.covariance[:count, :count] @ (flat.T @ flat)
+        values = self.identified
+        for multiplier in _MULTIPLIERS / max(float(np.trace(product)), np.finfo(float).tiny):
+            values = np.linalg.solve(np.eye(count) + multiplier * product, self.identified)
+            if self.chance_of_harm(values) <= HARM:
+                break
+        return np.asarray(values)
+
+
+def cautious(compensation: Compensation, poses: Poses) -> Compensation:
+    """Return a compensation that corrects by what is sure enough, given poses that were measured.
+
+    What it leaves out stays uncertain: it is added to the covariance.
+    """
+    gain = Gain.of(compensation, poses)
+    if gain is None or compensation.covariance is None:
+        return compensation
+    values = gain.sure_values()
+    left_out = np.zeros(len(compensation.covariance))
+    left_out[: len(values)] = gain.identified - values
+    return replace(compensation, values=values, covariance=compensation.covariance + np.outer(left_out, left_out))
