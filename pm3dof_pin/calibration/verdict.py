@@ -78,9 +78,7 @@ def _unseen(calibration: Calibration) -> list[str]:
     if missing:
         hidden.append(f"{missing} combinations of parameters, which the report lists")
     if (part := part_corrected(calibration)) < _WHOLE:
-        hidden.append(
-            f"{100.0 * (1.0 - part):.0f} % of the correction well enough to be made: it could do harm as well"
-        )
+        hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could do harm as well")
     if found.nuisances.columns("frame").size:
         hidden.append("where the base stands, other than by the machine's own motion")
     if found.nuisances.columns("targets").size:

@@ -4,7 +4,7 @@ The machines are those of machines_apart.py. They are measured in the base's fra
 targets that sit where nobody knows exactly, by positions of the tool point and by heights alone; errors are from half
 to twice the tolerances of the error files. "Richness" is that of the effects that no parameter describes: 0 for none.
 
-    python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--table]
+    python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--linear] [--table]
 
 Seeds from 0 on are for the table of the documentation, those from 1000 on for work on the package. An interrupted study
 goes on where it stopped: what stands in the file is not computed again.
@@ -16,18 +16,22 @@ import argparse
 import csv
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from linear_calibration import Correction, Station, cross_validated, identified
 from machines_apart import Arm, Machine, Rods, Tripod
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
-from pm3dof_pin.calibration.identification import identify
+from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.compensation import COVERAGE
+from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
@@ -41,6 +45,7 @@ TESTS = 60
 _DENSE = 80  # poses at which a machine shows its parameters without noise
 _NO_PRIOR = 1e3  # tolerances
 _FAR = 4.0  # standard deviations
+_STATIONS = 8  # sets of poses for calibrations to first order
 
 
 @cache
@@ -120,12 +125,12 @@ def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
 
 def best_commands(poses: Callable[[np.ndarray], np.ndarray], wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return the commands that bring a machine nearest."""
-    missed, rows = tip(wanted, poses(start)), 1e-6 * np.eye(start.shape[1])
-    slopes = np.stack([(tip(wanted, poses(start + row)) - missed) / 1e-6 for row in rows], axis=2)
-    inverse, u = np.linalg.pinv(slopes, rcond=1e-3), start
+    u = start.copy()
     for _ in range(3):
-        u = u - np.einsum("nij,nj->ni", inverse, missed)
         missed = tip(wanted, poses(u))
+        rows = 1e-6 * np.eye(u.shape[1])
+        slopes = np.stack([(tip(wanted, poses(u + row)) - missed) / 1e-6 for row in rows], axis=2)
+        u = u - np.einsum("nij,nj->ni", np.linalg.pinv(slopes, rcond=1e-3), missed)
     return u
 
 
@@ -138,9 +143,9 @@ def true_parameters(robot: str, seed: int) -> np.ndarray:
     return np.asarray(identify(exact, errors, prior=_NO_PRIOR, loss="squares").values)
 
 
-def placed(calibration: Calibration, setup: str, truly: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def placed(found: Identification, setup: str, truly: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the machine's base and tool as the measurements define them."""
-    found, base, tool = calibration.identification, np.eye(4), np.eye(4)
+    base, tool = np.eye(4), np.eye(4)
     if setup in ("tracker", "targets"):
         turn, shift = TRACKER
         stands = found.measurements.registration.base  # type: ignore[union-attr]
@@ -152,18 +157,22 @@ def placed(calibration: Calibration, setup: str, truly: np.ndarray) -> tuple[np.
     return base, tool
 
 
-def one(robot: str, seed: int, richness: float, setup: str, method: str, count: int) -> dict[str, object]:
+Case = tuple[str, int, float, str, str]
+"""Robot, machine, richness, setup and method."""
+
+
+def one(case: Case, count: int) -> dict[str, object]:
     """Calibrate one machine and compare what is said of it with what is."""
+    robot, seed, richness, setup, method = case
     errors = described(robot)
-    machine, size = machine_of(robot, seed, richness)
+    machine = machine_of(robot, seed, richness)[0]
     generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
     poses = pm.reachable_poses(errors.robot, count, generator)
     rows, truly = measured(machine, poses.commands, setup, generator, poses)
     calibration = calibrate(rows, errors, Options(method))  # type: ignore[arg-type]
     judged = held_out_errors(calibration)
     calibration = calibration.with_scatter(judged.scatter)
-    found = calibration.identification
-    base, tool = placed(calibration, setup, truly)
+    base, tool = placed(calibration.identification, setup, truly)
     sides = generator.choice([-1.0, 1.0], (TESTS, poses.commands.shape[1]))
 
     def reached(u: np.ndarray) -> np.ndarray:
@@ -174,27 +183,79 @@ def one(robot: str, seed: int, richness: float, setup: str, method: str, count: 
     before, after = (tip(tests.transforms, reached(u)) for u in (tests.commands, answer.commands))
     best = best_commands(reached, tests.transforms, answer.commands)
     floor = tip(tests.transforms, reached(best))
-    sizes = {name: np.linalg.norm(e, axis=1) for name, e in (("before", before), ("after", after), ("floor", floor))}
-    off = np.zeros(0)
-    if robot != "arm":
-        off = (found.values - true_parameters(robot, seed)) / found.sigmas
+    compared = Compared(
+        (before, after, floor), answer.predicted_error, answer.error_bound, answer.commands - best, judged.excess
+    )
+    return row(case, calibration.identification, compared, judged.scatter) | {
+        "refused": int(bool(objections(calibration, judged)))
+    }
+
+
+@cache
+def stations(robot: str, number: int, count: int) -> tuple[Station, Station]:
+    """Return poses to measure and others to judge by."""
+    errors, generator = described(robot), np.random.default_rng([number, count])
+    first, second = (Station(errors, pm.reachable_poses(errors.robot, n, generator)) for n in (count, TESTS))
+    return first, second
+
+
+def one_linear(case: Case, count: int) -> dict[str, object]:
+    """Do the same to first order."""
+    robot, seed, richness, setup, _ = case
+    machine = machine_of(robot, seed, richness)[0]
+    generator = np.random.default_rng([seed, SETUPS.index(setup), int(10 * richness)])
+    station, tests = stations(robot, seed % _STATIONS, count)
+    rows, truly = measured(machine, station.poses.commands, setup, generator, station.poses)
+    found = identified(station, rows)
+    correction = Correction.of(station, found)
+    scatter, excess = cross_validated(station, correction)
+    base, tool = placed(found, setup, truly)
+    sides = generator.choice([-1.0, 1.0], tests.poses.commands.shape)
+    before = tip(tests.poses.transforms, base @ machine.poses(tests.poses.commands, sides) @ tool)
+    moved, expected, bound = correction.at(tests, scatter)
+    after = before + moved
+    missing = np.einsum("nij,nj->ni", np.linalg.pinv(tests.control, rcond=1e-3), after)
+    floor = after - np.einsum("nij,nj->ni", tests.control, missing)
+    compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)))
+    chance = correction.gain.chance_of_harm(correction.values)
+    return row(case, found, compared, scatter) | {"refused": int(chance > 1.0 - COVERAGE)}
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What a calibration came to, and what it said."""
+
+    errors: tuple[np.ndarray, np.ndarray, np.ndarray]  #: tip errors before, after, and with the best commands
+    expected: np.ndarray  #: size of that after
+    bound: np.ndarray  #: of 95 %
+    excess: np.ndarray  #: by how much the commands miss the best ones
+    excess_said: np.ndarray  #: the same as expected, root mean square over the drives
+
+
+def row(case: Case, found: Identification, compared: Compared, scatter: Scatter) -> dict[str, object]:
+    """Put the numbers of one calibration together."""
+    robot, seed, richness, setup, method = case
+    sizes = dict(zip(("before", "after", "floor"), (np.linalg.norm(e, axis=1) for e in compared.errors), strict=True))
+    off = (found.values - true_parameters(robot, seed)) / found.sigmas if robot != "arm" else np.zeros(0)
+
+    def micrometres(values: np.ndarray) -> float:
+        return round(1e6 * float(np.sqrt(np.mean(values**2))), 3)
+
     return {
         "robot": robot,
         "machine": seed,
-        "size": round(size, 2),
+        "size": round(machine_of(robot, seed, richness)[1], 2),
         "richness": richness,
         "setup": setup,
         "method": method,
-        "refused": int(bool(objections(calibration, judged))),
-        "rank": found.identifiability.rank,
         "prior": round(found.prior, 2),
         "noise_factor": round(found.noise_factor, 3),
-        **{f"{name}_um": round(1e6 * float(np.sqrt(np.mean(e**2))), 2) for name, e in sizes.items()},
-        "expected_um": round(1e6 * float(np.sqrt(np.mean(answer.predicted_error**2))), 2),
-        "within": float(np.mean(sizes["after"] <= answer.error_bound)),
-        "scatter_um": round(1e6 * calibration.compensation.scatter.tip_error, 2),
-        "excess_true_um": round(1e6 * float(np.sqrt(np.mean((answer.commands - best) ** 2))), 3),
-        "excess_said_um": round(1e6 * float(np.sqrt(np.mean(judged.excess**2))), 3),
+        **{f"{name}_um": micrometres(values) for name, values in sizes.items()},
+        "expected_um": micrometres(compared.expected),
+        "within": float(np.mean(sizes["after"] <= compared.bound)),
+        "scatter_um": micrometres(np.array([scatter.tip_error])),
+        "excess_true_um": micrometres(compared.excess),
+        "excess_said_um": micrometres(compared.excess_said),
         "parameters": len(off),
         "beyond_4_sigma": int(np.sum(np.abs(off) > _FAR)),
     }
@@ -249,12 +310,14 @@ def main() -> None:
     parser.add_argument("--methods", nargs="*", default=["lm"])
     parser.add_argument("--richness", nargs="*", type=float, default=[0.0, 1.0])
     parser.add_argument("--out", type=Path, default=Path("results/calibration_coverage.csv"))
+    parser.add_argument("--linear", action="store_true", help="calibrate to first order, thirty times quicker")
     parser.add_argument("--table", action="store_true", help="print what stands in the file, and compute nothing")
     given = parser.parse_args()
     if given.table:
         print(table(given.out), end="")
         return
     logging.disable(logging.WARNING)
+    run = one_linear if given.linear else one
     given.out.parent.mkdir(parents=True, exist_ok=True)
     keys = ("robot", "machine", "richness", "setup", "method")
     done = set()
@@ -270,14 +333,14 @@ def main() -> None:
                             if (robot, str(seed), str(richness), setup, method) in done:
                                 continue
                             try:
-                                row = one(robot, seed, richness, setup, method, given.poses)
+                                result = run((robot, seed, richness, setup, method), given.poses)
                             except PM3DofError as error:
                                 print(robot, seed, richness, setup, method, error)
                                 continue
-                            writer = csv.DictWriter(file, list(row))
+                            writer = csv.DictWriter(file, list(result))
                             if file.tell() == 0:
                                 writer.writeheader()
-                            writer.writerow(row)
+                            writer.writerow(result)
                             file.flush()
 
 
