@@ -430,7 +430,7 @@ def moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
     roots = {model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT}
     if model.existJointName(place):
         roots = {model.getJointId(place)}
-    return {j for j in range(1, model.njoints) if roots.intersection(model.supports[j])}, set(frames)
+    return {joint for root in roots for joint in model.subtrees[root]}, set(frames)
 
 
 def _frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
