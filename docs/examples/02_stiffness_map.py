@@ -23,6 +23,6 @@ felt = 1e-6 * found.felt_stiffness.sel(axis="z")  # what a probe feels that push
 print(f"{int(felt.notnull().sum())} of {felt.size} poses are within all limits")
 print(f"felt along z: {float(felt.min()):.3g} to {float(felt.max()):.3g} N/µm")
 
-C = pm.compliance(robot, robot.home.q)  # the whole matrix: [v; omega] = C [f; m] at the tool
+C = pm.compliance(robot, robot.home)  # the whole matrix: [v; omega] = C [f; m] at the tool
 print(f"at home {1e-6 / C[2, 2]:.3g} N/µm")
 save_figure(atlas_pictures(found, robot)["felt_stiffness_z"], "stiffness_map.png")

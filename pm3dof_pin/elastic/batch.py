@@ -12,6 +12,7 @@ from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
 from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, OnFailure
 
 _KEPT = "_elastic_model"
@@ -19,7 +20,7 @@ _KEPT = "_elastic_model"
 
 def compliance(
     model: ElasticModel | Robot,
-    poses: Poses | ArrayLike,
+    poses: Poses | Configuration | ArrayLike,
     *,
     frame: str | None = None,
     on_failure: OnFailure = "raise",
@@ -39,7 +40,7 @@ def compliance(
 
     Args:
         model: the robot, with the springs of its description; or an elastic model.
-        poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
+        poses: solved poses, a configuration, or many as q with closed loops, shape=(..., nq) [m, rad].
         frame: the frame; the tool by default.
         on_failure: "raise", or "nan" to mark poses that are not solved, those at which the length of a spring is not
             positive, and those at which the frame is free. Their number is logged.
@@ -61,7 +62,7 @@ def compliance(
 
 def stiffness(
     model: ElasticModel | Robot,
-    poses: Poses | ArrayLike,
+    poses: Poses | Configuration | ArrayLike,
     *,
     frame: str | None = None,
     on_failure: OnFailure = "raise",
@@ -87,7 +88,7 @@ def stiffness(
 
 def evaluate(
     model: ElasticModel | Robot,
-    poses: Poses | ArrayLike,
+    poses: Poses | Configuration | ArrayLike,
     quantity: ElasticQuantity,
     *,
     frame: str | None = None,

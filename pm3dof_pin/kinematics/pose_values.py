@@ -15,6 +15,7 @@ from pm3dof_pin.arrays import real_array, require_choice
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 
 _logger = logging.getLogger(__name__)
@@ -31,7 +32,7 @@ class PoseValues:
 
 def evaluate_at(
     robot: Robot,
-    poses: Poses | ArrayLike,
+    poses: Poses | Configuration | ArrayLike,
     name: str,
     shape: tuple[int, ...],
     *,
@@ -52,7 +53,7 @@ def evaluate_at(
     """
     require_choice("on_failure", on_failure, OnFailure)
     require_choice("engine", engine, Engine)
-    q = poses.q if isinstance(poses, Poses) else real_array("poses", poses)
+    q = poses.q if isinstance(poses, Poses | Configuration) else real_array("poses", poses)
     if q.shape[-1:] != (robot.model.nq,):
         raise InvalidValueError("poses", f"array of shape {q.shape}", f"shape (..., {robot.model.nq})")
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])

@@ -15,6 +15,8 @@ from pm3dof_pin.elastic.batch import compliance, evaluate, stiffness
 from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import free_motion_stiffness
+from pm3dof_pin.elastic.loaded import loaded_equilibrium
+from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.elastic.quantities import (
     COMPLIANCE,
     CONDITIONING,
@@ -79,6 +81,15 @@ def test_stiffness_is_the_inverse(name: str) -> None:
     found, careful = stiffness(model, poses), stiffness(model, poses, engine="pinocchio")
     assert difference(found, careful, model.mechanism.characteristic_length) < 1e-10
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
+
+
+def test_a_configuration_is_a_pose() -> None:
+    """The tool's position moves by C f under a small force, in the equilibrium that is found by steps."""
+    robot = Robot.load("hexapod")
+    force = np.array([3.0, -2.0, 5.0, 0.0, 0.0, 0.0])
+    loaded = loaded_equilibrium(ElasticModel(robot), robot.home, Loads(wrenches={"O_e": force}))
+    C = compliance(robot, robot.home)
+    np.testing.assert_allclose((C @ force)[:3], loaded.displacement()[:3], rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod", "delta"])
