@@ -177,8 +177,8 @@ def compensation_from(
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
-        nominal = errors.robot.forward(measurements.visits.commands)
-        compensation = cautious(identified_compensation(identification, options.eta), nominal)
+        whole = identified_compensation(identification, options.eta)
+        compensation = cautious(whole, measurements.visits.commands)
         measurements = compensation.without_loads(measurements)
     if not options.learns:
         return compensation

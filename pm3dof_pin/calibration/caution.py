@@ -23,7 +23,6 @@ import scipy.special
 
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.errors.command_correction import weighted_control
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array
 
 HARM = 0.01
@@ -43,11 +42,11 @@ class Gain:
     corrected: Array  #: T, shape=(n, 6, parameters)
 
     @classmethod
-    def of(cls, compensation: Compensation, poses: Poses) -> Gain | None:
-        """Return that of identified parameters at poses of the robot as described; None for a method without them."""
+    def of(cls, compensation: Compensation, commands: Array) -> Gain | None:
+        """Return that of identified parameters at commands, shape=(n, commands); None for a method without them."""
         if compensation.values is None or compensation.covariance is None:
             return None
-        poses = poses[:: max(1, len(poses) // _POSES)]
+        poses = compensation.errors.robot.forward(commands[:: max(1, len(commands) // _POSES)])
         effects, control = (
             compensation.effects(compensation.model_poses(poses)),
             weighted_control(poses, compensation.eta),
@@ -84,12 +83,12 @@ class Gain:
         return np.asarray(values)
 
 
-def cautious(compensation: Compensation, poses: Poses) -> Compensation:
-    """Return a compensation that corrects by what is sure enough, given poses that were measured.
+def cautious(compensation: Compensation, commands: Array) -> Compensation:
+    """Return a compensation that corrects by what is sure enough over measured commands, shape=(n, commands).
 
     What it leaves out stays uncertain: it is added to the covariance.
     """
-    gain = Gain.of(compensation, poses)
+    gain = Gain.of(compensation, commands)
     if gain is None or compensation.covariance is None:
         return compensation
     values = gain.sure_values()

@@ -236,8 +236,8 @@ def part_corrected(calibration: Calibration) -> float:
 def _gain(calibration: Calibration) -> Gain | None:
     if not calibration.options.identifies:
         return None
-    poses = calibration.compensation.errors.robot.forward(calibration.measurements.visits.commands)
-    return Gain.of(identified_compensation(calibration.identification, calibration.options.eta), poses)
+    whole = identified_compensation(calibration.identification, calibration.options.eta)
+    return Gain.of(whole, calibration.measurements.visits.commands)
 
 
 def can_be_judged(calibration: Calibration) -> bool:

@@ -163,7 +163,7 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
         ]
         gains.append(sums[0] - np.array(sums[1:]))
     harmed, gained = np.mean(np.array(gains) < 0.0, axis=0), np.mean(gains, axis=0)
-    gain = Gain.of(whole, poses)
+    gain = Gain.of(whole, poses.commands)
     assert gain is not None
     chance = gain.chance_of_harm(found.identification.values)
     assert 0.05 < chance < 0.5
