@@ -69,24 +69,28 @@ class DescriptionError(PM3DofError):
         super().__init__(f"{self.path}: {self.element}: {self.expected}")
 
 
-class FrameNotFoundError(PM3DofError):
+class _NotFoundError(PM3DofError):
+    """Something is named that the model does not have."""
+
+    kind = ""
+
+    def __init__(self, name: str, where: str, known: Sequence[str]) -> None:
+        self.name = name
+        self.where = where
+        self.known = tuple(known)
+        super().__init__(f"{where}: no {self.kind} '{name}' in the model; it has {_nearest(name, self.known)}")
+
+
+class FrameNotFoundError(_NotFoundError):
     """A frame is named that the model does not have."""
 
-    def __init__(self, frame: str, where: str, known: Sequence[str]) -> None:
-        self.frame = frame
-        self.where = where
-        self.known = tuple(known)
-        super().__init__(f"{where}: no frame '{frame}' in the model; it has {_nearest(frame, self.known)}")
+    kind = "frame"
 
 
-class JointNotFoundError(PM3DofError):
+class JointNotFoundError(_NotFoundError):
     """A joint is named that the model does not have."""
 
-    def __init__(self, joint: str, where: str, known: Sequence[str]) -> None:
-        self.joint = joint
-        self.where = where
-        self.known = tuple(known)
-        super().__init__(f"{where}: no joint '{joint}' in the model; it has {_nearest(joint, self.known)}")
+    kind = "joint"
 
 
 class InvalidValueError(PM3DofError, ValueError):

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import typer
 
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
 
+# those of pm3dof_pin.export.formats, which is not imported for the help
+_Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
+
 
 def export(
     which: MachineOptions,
     format_name: Annotated[
-        Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"],
+        _Format,
         typer.Argument(metavar="FORMAT", help="What to write."),
     ],
     out: Annotated[

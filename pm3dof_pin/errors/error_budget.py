@@ -1,13 +1,7 @@
 """All sources of error apart and together over poses of any robot: the error map of section 8.3, and its least region.
 
-To first order the error of a pose is dx = sum of shifts + sum of E_k x_k over all sources, x_k independent, of mean 0
-and deviation 1. Statistically, with W = diag(1, 1, 1, eta, eta, eta),
-
-    tip error, rms:    sqrt(|W shift|^2 + sum_k |W E_k|^2),
-
-and in the worst case, |x_k| being at most g_k, the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k
-|W E_k|. Known shifts of several sources add as vectors before they are squared. What repeats is left without the part
-that corrected commands undo, (1 - W C (W C)^+) W dx; what does not, such as vibration, is left as it is.
+Errors are those of :class:`~pm3dof_pin.errors.tool_errors.ToolErrors`. What repeats is left without the part that
+corrected commands undo; what does not, such as vibration, is left as it is.
 """
 
 from __future__ import annotations
@@ -21,13 +15,12 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.errors.command_correction import command_jacobians
-from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART, control_basis, least_sensitive, root_sum_squares
-from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import CLASSES, ErrorSources, SourceErrors
+from pm3dof_pin.errors.tool_errors import ToolErrors, control_basis
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
-from pm3dof_pin.typing import Array, Mask
+from pm3dof_pin.typing import Array
 
 TOGETHER = "together"
 """Name of all sources at once."""
@@ -49,7 +42,7 @@ class _BudgetLine:
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorBudget:
+class ErrorBudget(ToolErrors):
     """What all sources of error do to the tool at n poses."""
 
     poses: Poses  #: the poses, of the robot as described
@@ -82,31 +75,10 @@ class ErrorBudget:
         """What each independent number of all sources does at one standard deviation, shape=(n, 6, k) [m, rad]."""
         return frozen(np.concatenate([np.zeros((len(self.poses), 6, 0)), *(s.effects for s in self.sources)], axis=2))
 
-    @property
-    def tip_rms(self) -> Array:
-        """Tip error, root mean square over machines, shape=(n,) [m]."""
-        weights = tip_weights(self.eta)
-        squares = np.sum((self.shift * weights) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares + root_sum_squares(np.swapaxes(self.effects, 1, 2), weights) ** 2))
-
-    @property
-    def worst_tip(self) -> Array:
-        """A tip error that is not exceeded while every number stays within its greatest value, shape=(n,) [m]."""
-        weights = tip_weights(self.eta)
-        greatest = np.concatenate([np.zeros(0), *(source.greatest for source in self.sources)])
-        components = np.abs(self.shift) + np.abs(self.effects) @ greatest
-        added = np.linalg.norm(self.shift * weights, axis=1)
-        added = added + np.linalg.norm(self.effects * weights[:, None], axis=1) @ greatest
-        return np.asarray(np.minimum(np.linalg.norm(components * weights, axis=1), added))
-
-    @property
-    def energy(self) -> Array:
-        """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
-        covariance = self.effects @ np.swapaxes(self.effects, 1, 2)
-        position, orientation = (
-            expected_norm(self.shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
-        )
-        return np.asarray(position + self.eta * orientation)
+    @cached_property
+    def greatest(self) -> Array:
+        """The greatest value of each independent number in standard deviations, shape=(k,)."""
+        return frozen(np.concatenate([np.zeros(0), *(source.greatest for source in self.sources)]))
 
     @property
     def left_rms(self) -> Array:
@@ -128,10 +100,6 @@ class ErrorBudget:
         whole = sum(squares.values()) or 1.0
         lines = [apart[s.name]._line(s.name, s.error_class, s.long_name, squares[s.name] / whole) for s in self.sources]
         return [*lines, self._line(TOGETHER, "all", "all sources together", 1.0)]
-
-    def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
-        """Tell which poses are among the part with the smallest tip error by these sources, shape=(n,)."""
-        return least_sensitive(self.tip_rms, part)
 
     def _line(self, name: str, error_class: str, long_name: str, share: float) -> _BudgetLine:
         tip = self.tip_rms

@@ -15,19 +15,16 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
-from pm3dof_pin.errors.normal_vectors import expected_norm, norm_quantiles
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
+from pm3dof_pin.errors.tool_errors import ToolErrors, control_basis, root_sum_squares
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Engine, Mask
+from pm3dof_pin.typing import Array, Engine
 
-LEAST_SENSITIVE_PART = 0.2
-"""Part of the poses that counts as the least sensitive region."""
-
-_CONTROL_TOLERANCE = 1e-9
 _ROUNDING = 1e-10  # of an effect, below which what is left of it is nothing
 
 
@@ -43,7 +40,7 @@ class ParameterShare:
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorMap:
+class ErrorMap(ToolErrors):
     """First-order errors of the tool at n poses."""
 
     errors: GeometricErrors  #: the parameters, with their tolerances
@@ -78,6 +75,21 @@ class ErrorMap:
         return np.asarray(np.swapaxes(self._used, 1, 2) @ self.weighted)
 
     @property
+    def shift(self) -> Array:
+        """Nothing is known for certain, shape=(n, 6)."""
+        return np.zeros((len(self.poses), 6))
+
+    @property
+    def effects(self) -> Array:
+        """What each parameter does at one standard deviation, shape=(n, 6, number of parameters) [m, rad]."""
+        return np.asarray(self.sensitivities.errors * self.sigmas)
+
+    @property
+    def greatest(self) -> Array:
+        """The tolerances in standard deviations, shape=(number of parameters,)."""
+        return np.asarray(self.errors.tolerances / self.sigmas)
+
+    @property
     def tip_rms(self) -> Array:
         """Root-sum-square tip error of all parameters, shape=(n,) [m]."""
         return root_sum_squares(self.weighted, self.sigmas)
@@ -102,30 +114,6 @@ class ErrorMap:
         """Tip error that the best commands undo: the rest, at right angles to what is left, shape=(n,) [m]."""
         return root_sum_squares(self._compensable, self.sigmas)
 
-    @property
-    def energy(self) -> Array:
-        """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
-        covariance = self.covariance()
-        position, orientation = (
-            expected_norm(np.zeros(3), covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
-        )
-        return np.asarray(position + self.eta * orientation)
-
-    @property
-    def worst_case(self) -> Array:
-        """Greatest error of each component while all parameters stay within their tolerances, shape=(n, 6) [m, rad]."""
-        return np.asarray(np.abs(self.sensitivities.errors) @ self.errors.tolerances)
-
-    @property
-    def worst_tip(self) -> Array:
-        """A tip error that is not exceeded while all parameters stay within their tolerances, shape=(n,) [m].
-
-        The smaller of two bounds: of the worst components together, and of the sum of what each parameter does.
-        """
-        together = np.linalg.norm(self.worst_case * tip_weights(self.eta), axis=1)
-        added = np.sqrt(np.einsum("nik,nik->nk", self.weighted, self.weighted)) @ self.errors.tolerances
-        return np.asarray(np.minimum(together, added))
-
     def tip_bound(self, coverage: float) -> Array:
         """Return the tip error that so many machines, as 0.95, stay below at each pose, shape=(n,) [m].
 
@@ -139,8 +127,8 @@ class ErrorMap:
 
     def covariance(self) -> Array:
         """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
-        scaled = self.sensitivities.errors * self.sigmas
-        return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
+        effects = self.effects
+        return np.asarray(effects @ np.swapaxes(effects, 1, 2))
 
     def ranking(self) -> list[ParameterShare]:
         """Return all parameters, the most critical first."""
@@ -160,21 +148,6 @@ class ErrorMap:
         ]
         # parameters of equal share, as those of like legs, stay in their order
         return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
-
-    def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
-        """Tell which poses are among the part with the smallest tip error, shape=(n,)."""
-        return least_sensitive(self.tip_rms, part)
-
-
-def least_sensitive(sizes: Array, part: float) -> Mask:
-    """Tell which poses are among the part with the smallest errors, of sizes of shape=(n,).
-
-    Raises:
-        InvalidValueError: the part is not in (0, 1].
-    """
-    if not 0.0 < part <= 1.0:
-        raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
-    return np.asarray(sizes <= np.sort(sizes)[max(1, round(part * len(sizes))) - 1])
 
 
 def error_map(
@@ -243,12 +216,6 @@ def section_grid(
     return robot.grid(**{**values, **ranges}) if ranges else None
 
 
-def control_basis(control: Array) -> Array:
-    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); columns of 0 beyond it."""
-    left, values, _ = np.linalg.svd(control, full_matrices=False)
-    return np.asarray(left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
-
-
 @dataclass(frozen=True, eq=False)
 class _MonteCarlo:
     """Errors of simulated machines, found by closing their loops: no linearisation."""
@@ -280,9 +247,3 @@ def monte_carlo(
         for p in values
     ]
     return _MonteCarlo(frozen(values), frozen(np.array(differences)))
-
-
-def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:
-    """Return root-sum-square sizes of effects, shape=(n, rows, k), by deviations, shape=(k,); no copies."""
-    squares = np.broadcast_to(np.square(sigmas), effects.shape[-1:])
-    return np.asarray(np.sqrt(np.einsum("nik,nik,k->n", effects, effects, squares)))

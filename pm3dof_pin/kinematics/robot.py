@@ -64,7 +64,12 @@ class Robot(Mechanism):
         package_paths: Iterable[str | Path] = (),
         characteristic_length: float | None = None,
     ) -> Robot:
-        """Load a robot from its description.
+        """Load a robot by its name or from its description.
+
+        Example:
+            >>> import pm3dof_pin as pm
+            >>> pm.load("hexapod")
+            Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
 
         Args:
             name_or_path: name of a robot; or path of a URDF, a xacro, an MJCF or a closures file, or of the folder of
@@ -80,7 +85,7 @@ class Robot(Mechanism):
             JointNotFoundError: the closures file names a joint that the tree does not have.
         """
         described = read_description(find_robot(name_or_path, package_paths), tool_frame)
-        return cls(**vars(described), characteristic_length=characteristic_length)
+        return cls(**described, characteristic_length=characteristic_length)
 
     @cached_property
     def home(self) -> Configuration:
@@ -491,26 +496,7 @@ class Robot(Mechanism):
             return ()
 
 
-def load(
-    name_or_path: str | Path,
-    *,
-    tool_frame: str | None = None,
-    package_paths: Iterable[str | Path] = (),
-    characteristic_length: float | None = None,
-) -> Robot:
-    """Load a robot by its name or from its description; see :meth:`Robot.load` for arguments and errors.
-
-    Example:
-        >>> import pm3dof_pin as pm
-        >>> pm.load("hexapod")
-        Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
-    """
-    return Robot.load(
-        name_or_path,
-        tool_frame=tool_frame,
-        package_paths=package_paths,
-        characteristic_length=characteristic_length,
-    )
+load = Robot.load
 
 
 def _require_placements(matrices: Array) -> None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pm3dof_pin.errors.error_budget import ErrorBudget, error_budget
-from pm3dof_pin.errors.error_map import LEAST_SENSITIVE_PART
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot

@@ -3,40 +3,23 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
 
-from pm3dof_pin.description.closures import ClosuresFile, LoopClosure, read_closures
-from pm3dof_pin.description.coordinates import Command, Coordinate, LimitGroup, ToolComponent
+from pm3dof_pin.description.closures import ClosuresFile, read_closures
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.mechanism.model_files import UNLIMITED, read_model, read_named_configurations
 
 _logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
-class Description:
-    """What the files of a robot say, as the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`."""
+def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[str, Any]:
+    """Read all files of a robot, as the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
 
-    model: pin.Model
-    closures: tuple[LoopClosure, ...]
-    actuated_joints: tuple[str, ...]
-    tool_frame: str | None
-    motion_coordinates: tuple[str, ...]
-    springs: tuple[Mapping[str, Any], ...]
-    commands: tuple[Command, ...]
-    coordinates: tuple[Coordinate, ...]
-    limit_groups: tuple[LimitGroup, ...]
-    tool_motions: tuple[ToolComponent, ...]
-    files: RobotFiles
-
-
-def read_description(files: RobotFiles, tool_frame: str | None = None) -> Description:
-    """Read all files of a robot, its tool frame another than described if given.
+    The tool frame is another than described if given.
 
     Raises:
         DescriptionError: a file is unreadable or not of its form.
@@ -52,19 +35,8 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> Descri
     _free_joints_without_limits(model, said.actuated_joints, files.path)
     if files.srdf is not None:
         read_named_configurations(model, files.srdf)
-    return Description(
-        model=model,
-        closures=said.closures,
-        actuated_joints=said.actuated_joints,
-        tool_frame=tool_frame or said.tool_frame,
-        motion_coordinates=said.motion_coordinates,
-        springs=said.springs,
-        commands=said.commands,
-        coordinates=said.coordinates,
-        limit_groups=said.limit_groups,
-        tool_motions=said.tool_motions,
-        files=files,
-    )
+    arguments = vars(said) | {"tool_frame": tool_frame or said.tool_frame, "model": model, "files": files}
+    return {name: value for name, value in arguments.items() if name not in ("path", "joint_types")}
 
 
 def _free_joints_without_limits(model: pin.Model, actuated_joints: Sequence[str], path: Path) -> None:

@@ -1,0 +1,99 @@
+"""Errors of the tool to first order, by independent errors of any origin: how large they are on average and at most.
+
+The tool moves by dx = shift + sum of E_k x_k, x_k independent, of mean 0 and deviation 1, |x_k| at most g_k. With
+W = diag(1, 1, 1, eta, eta, eta), the tip error is, root mean square over machines,
+
+    sqrt(|W shift|^2 + sum_k |W E_k|^2),
+
+and at most the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k |W E_k|. Known shifts add as
+vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W dx, C being the tool's motion by the commands.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from pm3dof_pin.errors.normal_vectors import expected_norm
+from pm3dof_pin.errors.pose_error import tip_weights
+from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.typing import Array, Mask
+
+LEAST_SENSITIVE_PART = 0.2
+"""Part of the poses that counts as the least sensitive region."""
+
+_CONTROL_TOLERANCE = 1e-9
+
+
+class ToolErrors(ABC):
+    """Errors of the tool at n poses of a robot as described."""
+
+    poses: Poses  #: the poses
+    eta: float  #: weight of the orientation in the tip error [m/rad]
+
+    @property
+    @abstractmethod
+    def shift(self) -> Array:
+        """What is known for certain, shape=(n, 6) [m, rad]."""
+
+    @property
+    @abstractmethod
+    def effects(self) -> Array:
+        """What each independent number does at one standard deviation, shape=(n, 6, k) [m, rad]."""
+
+    @property
+    @abstractmethod
+    def greatest(self) -> Array:
+        """The greatest value of each number in standard deviations, shape=(k,)."""
+
+    @property
+    def tip_rms(self) -> Array:
+        """Tip error, root mean square over machines, shape=(n,) [m]."""
+        weights = tip_weights(self.eta)
+        squares = np.sum((self.shift * weights) ** 2, axis=1)
+        return np.asarray(np.sqrt(squares + root_sum_squares(np.swapaxes(self.effects, 1, 2), weights) ** 2))
+
+    @property
+    def worst_tip(self) -> Array:
+        """A tip error that is not exceeded while every number stays within its greatest value, shape=(n,) [m]."""
+        weights = tip_weights(self.eta)
+        effects, greatest = self.effects, self.greatest
+        components = np.abs(self.shift) + np.abs(effects) @ greatest
+        sizes = np.sqrt(np.einsum("nik,nik,i->nk", effects, effects, weights**2))
+        added = np.linalg.norm(self.shift * weights, axis=1) + sizes @ greatest
+        return np.asarray(np.minimum(np.linalg.norm(components * weights, axis=1), added))
+
+    @property
+    def energy(self) -> Array:
+        """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
+        effects = self.effects
+        covariance = effects @ np.swapaxes(effects, 1, 2)
+        position, orientation = (
+            expected_norm(self.shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
+        )
+        return np.asarray(position + self.eta * orientation)
+
+    def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
+        """Tell which poses are among the part with the smallest tip error, shape=(n,).
+
+        Raises:
+            InvalidValueError: the part is not in (0, 1].
+        """
+        if not 0.0 < part <= 1.0:
+            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
+        sizes = self.tip_rms
+        return np.asarray(sizes <= np.sort(sizes)[max(1, round(part * len(sizes))) - 1])
+
+
+def control_basis(control: Array) -> Array:
+    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); columns of 0 beyond it."""
+    left, values, _ = np.linalg.svd(control, full_matrices=False)
+    return np.asarray(left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
+
+
+def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:
+    """Return root-sum-square sizes of effects, shape=(n, rows, k), by deviations, shape=(k,); no copies."""
+    squares = np.broadcast_to(np.square(sigmas), effects.shape[-1:])
+    return np.asarray(np.sqrt(np.einsum("nik,nik,k->n", effects, effects, squares)))
