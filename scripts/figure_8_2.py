@@ -11,7 +11,6 @@ from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ra
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
-from pm3dof_pin.maps.boundary import workspace_boundary
 from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.maps.workspace import workspace
 
@@ -23,7 +22,7 @@ def main(out: Path = RESULTS, sections: int = 241, formats: Sequence[str] = ("pn
     reachable = workspace(tripod_space(tripod), levels=sections)
     figure = workspace_figure(reachable, PrintedRanges(printed_ranges(tripod)))
     print(*save_pictures(figure, out / "figure_8_2", formats), sep="\n")
-    print(write_csv(workspace_boundary(reachable), out / "figure_8_2_boundary.csv"))
+    print(write_csv(reachable.boundary(), out / "figure_8_2_boundary.csv"))
     for statement in compare_printed_ranges(tripod, reachable):
         print(f"- {statement.text}")
 

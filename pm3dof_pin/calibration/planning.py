@@ -43,6 +43,7 @@ from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import ErrorSources
+from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
@@ -64,8 +65,6 @@ STRATEGY_OF_METHOD: dict[Method, Strategy] = {
 
 MIN_DISTANCE = 0.05
 """Least distance between two poses of a plan: root mean square of their commands' differences over the ranges."""
-LEAST_SENSITIVE_PART = 0.2
-"""Part of the workspace that counts as its least sensitive region."""
 
 PRIOR = 3.0
 """k: standard deviation of the parameters before any measurement, in units of their tolerances."""

@@ -21,9 +21,8 @@ from pm3dof_pin.cli.map_options import (
     robot_grid,
 )
 from pm3dof_pin.cli.options import Json, MachineOptions, tilt_angle
-from pm3dof_pin.cli.output import message, print_result
+from pm3dof_pin.cli.output import message, print_result, progress_bar
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot

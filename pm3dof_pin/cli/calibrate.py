@@ -10,9 +10,8 @@ import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, RobotErrorsOptions
-from pm3dof_pin.cli.output import message, print_result, table_lines
+from pm3dof_pin.cli.output import message, print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import PictureFormat, save
-from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.calibrate import Calibration

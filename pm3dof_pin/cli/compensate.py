@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
-from pm3dof_pin.cli.output import message, print_result, stop_on_broken_limits, table_lines
+from pm3dof_pin.cli.output import message, print_result, progress_bar, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import expected_numbers, place, pose_echo, read_poses, readings, write_batch
-from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions

@@ -13,9 +13,8 @@ import typer
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
-from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare

@@ -19,9 +19,8 @@ from pm3dof_pin.cli.map_options import (
     robot_grid,
 )
 from pm3dof_pin.cli.options import Json, MachineOptions, Out
-from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.stiffness import Model
 from pm3dof_pin.description.coordinates import shown_in
 

@@ -10,9 +10,8 @@ import typer
 
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, declared_ranges, robot_grid
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
-from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.progress import progress_bar
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ import typer
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.map_options import CoordinateRange, EngineOption, Values, robot_grid
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out
-from pm3dof_pin.cli.output import print_result, table_lines
+from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
-from pm3dof_pin.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from pm3dof_pin.chapter.tripod import Tripod
@@ -55,7 +54,6 @@ def workspace(
     Angles in degrees, lengths in metres. Sections over two coordinates, stacked along a third; coordinates not named
     stay at home, or at the value of --at.
     """
-    from pm3dof_pin.maps.boundary import workspace_boundary
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
@@ -70,7 +68,7 @@ def workspace(
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
         progress(1, 4 if picture else 3)
-        boundary = workspace_boundary(found)
+        boundary = found.boundary()
         files = [write_netcdf(boundary, out / "workspace.nc"), write_csv(boundary, out / "workspace.csv")]
         progress(3, 4 if picture else 3)
         if picture:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import finite_array, frozen, listed
+from pm3dof_pin.arrays import frozen, listed
 from pm3dof_pin.exceptions import SingularConfigurationError
-from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, null_space
+from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Matrix
@@ -31,24 +30,6 @@ def mass_matrix(configuration: Configuration, *, payloads: Payloads | None = Non
     return frozen(upper + np.triu(upper, 1).T)
 
 
-def manifold_mass_matrix(
-    configuration: Configuration, motions: ArrayLike | None = None, *, payloads: Payloads | None = None
-) -> Matrix:
-    """Compute the mass matrix on the constraint manifold, Z^T M Z: the kinetic energy is half of c^T (Z^T M Z) c.
-
-    Z are `motions` that keep the loops closed, shape=(nv, p), v = Z c: by default those of
-    :func:`~pm3dof_pin.kinematics.degrees_of_freedom.null_space`. With
-    :func:`~pm3dof_pin.kinematics.actuation.independent_motions` it is the mass matrix of the motion coordinates.
-
-    Raises:
-        InvalidValueError: `motions` is not finite or has the wrong shape, or the loops are not closed.
-        PM3DofError: see :func:`mass_matrix`.
-    """
-    z = null_space(configuration)[0] if motions is None else _checked(configuration, motions)
-    product = z.T @ mass_matrix(configuration, payloads=payloads) @ z
-    return frozen(0.5 * (product + product.T))
-
-
 def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None = None) -> Matrix:
     """Compute the mass matrix that the actuated joints feel: the kinetic energy is half of du^T M du, du their rates.
 
@@ -57,7 +38,8 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
 
     Raises:
         SingularConfigurationError: the tool can move with the actuated joints at rest.
-        PM3DofError: see :func:`manifold_mass_matrix`.
+        InvalidValueError: the loops are not closed.
+        PM3DofError: see :func:`mass_matrix`.
     """
     mechanism, dof = mechanism_of(configuration), DegreesOfFreedom(configuration)
     idle = dof.idle.motions.shape[1] if mechanism.tool_frame is not None else 0
@@ -66,8 +48,5 @@ def drive_mass_matrix(configuration: Configuration, *, payloads: Payloads | None
             f"{mechanism.name}: the tool can move with the actuated joints at rest; at q = {listed(configuration.q)}"
         )
     motions = dof.scale[:, None] * dof.at_actuators.inverse / dof.scale[mechanism.actuated_indices]
-    return manifold_mass_matrix(configuration, motions, payloads=payloads)
-
-
-def _checked(configuration: Configuration, motions: ArrayLike) -> Matrix:
-    return finite_array("motions", motions, (configuration.mechanism.model.nv, np.shape(motions)[-1]))
+    product = motions.T @ mass_matrix(configuration, payloads=payloads) @ motions
+    return frozen(0.5 * (product + product.T))

@@ -15,8 +15,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.elastic.compiled import parameters as elastic_parameters
-from pm3dof_pin.elastic.compiled import structure as elastic_structure
+from pm3dof_pin.elastic.compiled import elastic_parameters, elastic_structure
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.traced import elastic_tree, spring_root
 from pm3dof_pin.exceptions import ConvergenceError, ProgramError

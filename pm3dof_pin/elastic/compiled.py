@@ -48,10 +48,10 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     """
     name = (frame, quantity.name, closed)
     if name not in model.programs:
-        key = repr((quantity.name, closed, *structure(model, frame)))
+        key = repr((quantity.name, closed, *elastic_structure(model, frame)))
         try:
             compiled = cache.known(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
-            model.programs[name] = _ElasticProgram(compiled, parameters(model, compiled.program.parameters))
+            model.programs[name] = _ElasticProgram(compiled, elastic_parameters(model, compiled.program.parameters))
         except ProgramError as error:
             _logger.warning(
                 "%s: %s is computed by Pinocchio, pose by pose: %s", model.mechanism.name, quantity.name, error
@@ -97,7 +97,7 @@ def traced_quantity(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     return graph.program(quantity.name, {quantity.name: values, "sound": select(sound, 1.0, 0.0)})
 
 
-def structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
+def elastic_structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
     """Return what programs depend on besides what they compute."""
     mechanism = model.mechanism
     entry = mechanism.model.frames[mechanism.frame_id(frame)]
@@ -111,7 +111,7 @@ def structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
     )
 
 
-def parameters(model: ElasticModel, names: tuple[str, ...]) -> Array:
+def elastic_parameters(model: ElasticModel, names: tuple[str, ...]) -> Array:
     """Return the values of a program's parameters that are springs or geometry, shape=(number of names,)."""
     springs = spring_parameters(model)
     others = [name for name in names if name not in springs]

@@ -6,7 +6,7 @@ W = diag(1, 1, 1, eta, eta, eta), the tip error is, root mean square over machin
     sqrt(|W shift|^2 + sum_k |W E_k|^2),
 
 and at most the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k |W E_k|. Known shifts add as
-vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W dx, C being the tool's motion by the commands.
+vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W dx, C the tool's motion by commands.
 """
 
 from __future__ import annotations

@@ -53,16 +53,6 @@ class RankDecision:
         return float(self.singular_values[expected_rank - 1]) if 0 < expected_rank <= len(self.singular_values) else 0.0
 
 
-def null_space(configuration: Configuration) -> tuple[Matrix, RankDecision]:
-    """Compute a basis Z, G Z = 0, orthonormal in scaled numbers; and how the rank of G was decided.
-
-    Raises:
-        InvalidValueError: the loops are not closed.
-    """
-    dof = DegreesOfFreedom(configuration)
-    return frozen(dof.scale[:, None] * dof.basis), dof.constraint_rank
-
-
 class DegreesOfFreedom:
     """The scaled degrees of freedom of a configuration, and what they do to the actuated joints and the tool.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,14 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
+from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
 from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.rays import Index, explored
 from pm3dof_pin.maps.workspace_section import WorkspaceSection, limit_shares, workspace_sections
 from pm3dof_pin.typing import Array, Mask
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LEVEL_TOLERANCE = 1e-10  # how near to the ends of the range of levels they are found
 
@@ -53,6 +58,27 @@ class Workspace:
     def limit_shares(self) -> dict[str, float]:
         """Share of the boundary points of all sections at which each limit binds."""
         return limit_shares(self.space, np.concatenate([section.limits for section in self.sections]))
+
+    def boundary(self) -> xr.Dataset:
+        """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
+
+        These are sums of the limits that end the reachable set there.
+        """
+        import xarray as xr
+
+        space = self.space
+        points = np.concatenate([section.points for section in self.sections])
+        levels = np.repeat(self.levels, [len(section.rays) for section in self.sections])
+        limits = np.concatenate([section.limits for section in self.sections]).astype(flag_type(space.limits))
+        columns = np.column_stack([points, levels])[:, : len(space.names)]
+        return xr.Dataset(
+            {"binding_limits": ("point", limits, flag_attributes(space.limits, "limits that end the reachable set"))},
+            coords={
+                name: ("point", column, coordinate_attributes(name, unit, space.machine))
+                for name, unit, column in zip(space.names, space.units, columns.T, strict=True)
+            },
+            attrs=dataset_attributes(f"Boundary of the workspace of {space.machine} under its limits", space.machine),
+        )
 
 
 def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int = 360) -> Workspace:

@@ -199,7 +199,7 @@ class _SphereCentres:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class _Drift:
     """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last."""
 
     start: float  #: time of the first row [s]
@@ -343,7 +343,7 @@ class Nuisances:
             parts.append(_SphereCentres(np.setdiff1d(measurements.spheres, [-1])))
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
-            parts.append(Drift(float(times.min()), float(np.ptp(times)), drive_units))
+            parts.append(_Drift(float(times.min()), float(np.ptp(times)), drive_units))
         if measurements.approaches is not None and measurements.approaches.any():
             parts.append(_Hysteresis(drive_units))
         if measurements.joints:

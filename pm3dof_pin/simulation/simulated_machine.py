@@ -27,8 +27,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.geometric_source import GeometricSource
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +40,18 @@ class Conditions:
     #: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default
     wrenches: ArrayLike | None = None
     hours: ArrayLike = 0.0  #: since the machine was as described, one number, or shape=(n,) [h]
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricSource:
+    """Joints and frames that sit wrong, for good: manufacturing and assembly."""
+
+    errors: GeometricErrors  #: the parameters
+    values: Vector  #: p, shape=(number of parameters,) [m, rad]
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        self.errors.values(self.values)
 
 
 @dataclass(frozen=True, eq=False)

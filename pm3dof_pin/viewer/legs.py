@@ -28,7 +28,7 @@ def _spring_joint(mechanism: Robot, spring: Spring) -> int:
     return int(model.frames[mechanism.frame_id(spring.at)].parentJoint)
 
 
-class Legs:
+class ColouredLegs:
     """Which springs colour each joint's body: those of its leg.
 
     A leg is a branch of the tree, from the base to the last body with a spring, and all its bodies have all its

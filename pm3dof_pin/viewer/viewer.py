@@ -322,7 +322,7 @@ class Viewer(ShownScene):
         """
         from pm3dof_pin.elastic.report import cartesian_compliance
         from pm3dof_pin.elastic.shares import shares
-        from pm3dof_pin.viewer.legs import Legs
+        from pm3dof_pin.viewer.legs import ColouredLegs
 
         if model.rigid is not self.mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {self.mechanism}")
@@ -331,7 +331,7 @@ class Viewer(ShownScene):
         by_spring = dict(zip(model.spring_names, shares(behaviour.contributions, load).tolist(), strict=True))
         if not np.isfinite(list(by_spring.values())).all():
             raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
-        legs = Legs(model)
+        legs = ColouredLegs(model)
         by_joint = legs.shares(by_spring)
         paint = [
             {

@@ -17,7 +17,7 @@ from study import StudyPlan, run_study
 from study_pictures import excess_picture, tip_picture
 from study_tables import study_tables
 
-from pm3dof_pin.cli.progress import progress_bar
+from pm3dof_pin.cli.output import progress_bar
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.files import write_text_atomically
 

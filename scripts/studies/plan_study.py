@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from study import StudyPlan, run_study
 from study_tables import strategies_table
 
-from pm3dof_pin.cli.progress import progress_bar
+from pm3dof_pin.cli.output import progress_bar
 from pm3dof_pin.files import write_text_atomically
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"

@@ -27,8 +27,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS, without_deflections
-from pm3dof_pin.simulation.geometric_source import GeometricSource
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
+from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine
 from pm3dof_pin.simulation.worlds import World
 
 STRONGEST = (400.0, 400.0, 400.0, 20.0, 20.0, 20.0)

@@ -16,7 +16,6 @@ from pm3dof_pin.chapter.section import stiffness_section
 from pm3dof_pin.chapter.tilt_grids import PolarGrid, RectangularGrid
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.exceptions import OutputError
-from pm3dof_pin.maps.boundary import workspace_boundary
 from pm3dof_pin.maps.storage import write_csv, write_netcdf
 from pm3dof_pin.maps.workspace import workspace
 
@@ -74,7 +73,7 @@ def test_spreadsheet(tripod: Tripod, tmp_path: Path, grid: RectangularGrid | Pol
 
 def test_boundary_of_the_workspace(tripod: Tripod, tmp_path: Path) -> None:
     reachable = workspace(tripod_space(tripod), [0.42, 0.487333, 0.55], 40)
-    boundary = workspace_boundary(reachable)
+    boundary = reachable.boundary()
     assert boundary.sizes == {"point": 120}
     np.testing.assert_array_equal(boundary.z_e, np.repeat([0.42, 0.487333, 0.55], 40))
     np.testing.assert_array_equal(boundary.theta_y[40:80], reachable.sections[1].points[:, 1])

@@ -8,7 +8,6 @@ import pytest
 
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, InvalidValueError
-from pm3dof_pin.kinematics.degrees_of_freedom import null_space
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -58,18 +57,6 @@ def test_serial_arm(ur5: Robot) -> None:
     mobility = instantaneous_mobility(ur5.configuration([0.1, -1.0, 1.2, 0.3, 0.8, 0.2]))
     assert (mobility.count, mobility.tool_mobility, mobility.redundant_constraints) == (6, 6, 0)
     assert mobility.constraint_rank.gap == np.inf
-
-
-def test_null_space_is_orthonormal_in_scaled_numbers(five_bar: Robot) -> None:
-    configuration = five_bar.assemble(FIVE_BAR_GUESS)
-    basis, decision = null_space(configuration)
-    assert basis.shape == (6, 2)
-    assert decision.rank == 4
-    np.testing.assert_allclose(configuration.constraint_jacobian @ basis, 0.0, atol=1e-15)
-    scaled = basis / five_bar.velocity_scale[:, None]
-    np.testing.assert_allclose(scaled.T @ scaled, np.eye(2), atol=1e-14)
-    with pytest.raises(ValueError, match="read-only"):
-        basis[0, 0] = 1.0
 
 
 def test_a_generic_configuration_is_assembled_near_by_and_reproducible(five_bar: Robot) -> None:

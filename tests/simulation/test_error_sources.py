@@ -24,8 +24,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
-from pm3dof_pin.simulation.geometric_source import GeometricSource
-from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine, with_all_parameters
+from pm3dof_pin.simulation.simulated_machine import Conditions, GeometricSource, SimulatedMachine, with_all_parameters
 
 HOME = [0.240272] * 3
 

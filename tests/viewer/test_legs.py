@@ -8,18 +8,18 @@ import pytest
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.viewer.legs import Legs
+from pm3dof_pin.viewer.legs import ColouredLegs
 
 
 def test_legs_of_the_tripod(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
-    assert Legs(model).springs == [
+    assert ColouredLegs(model).springs == [
         ("actuator1", "link1"),
         ("actuator2", "link2"),
         ("actuator3", "link3"),
         ("passive_leg",),
     ]
-    legs = Legs(model)
+    legs = ColouredLegs(model)
     numbers = {mechanism.model.names[j]: legs.number(j) for j in legs.shares(dict.fromkeys(model.spring_names, 0.0))}
     expected = {"passive_slider_joint": 3}
     for leg in (1, 2, 3):
@@ -31,7 +31,7 @@ def test_legs_of_the_tripod(mechanism: Robot) -> None:
 def test_shares_add_up_over_a_leg(mechanism: Robot) -> None:
     model = ElasticModel(mechanism)
     shares = {name: 2.0**-number for number, name in enumerate(model.spring_names)}
-    found = Legs(model).shares(shares)
+    found = ColouredLegs(model).shares(shares)
     slider = mechanism.model.getJointId("slider2_joint")
     assert found[slider] == shares["actuator2"] + shares["link2"]
     assert found[slider + 2] == found[slider]
@@ -44,11 +44,11 @@ def test_a_serial_robot_is_coloured_body_by_body() -> None:
         parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3.Random(), name)
     springs = [JointSpring(f"spring_{name}", name, 1.0, "N m/rad") for name in "ac"]
     elastic = ElasticModel(Robot(model), springs)
-    assert Legs(elastic).shares({"spring_a": 0.25, "spring_c": 0.75}) == {1: 0.25, 3: 0.75}
+    assert ColouredLegs(elastic).shares({"spring_a": 0.25, "spring_c": 0.75}) == {1: 0.25, 3: 0.75}
 
 
 @pytest.mark.parametrize(("robot", "legs"), [("hexapod", 6), ("three_rps", 6)])
 def test_other_robots(robot: str, legs: int) -> None:
     model = ElasticModel(Robot.load(robot))
-    assert len(Legs(model).springs) == legs
-    assert sorted(name for springs in Legs(model).springs for name in springs) == sorted(model.spring_names)
+    assert len(ColouredLegs(model).springs) == legs
+    assert sorted(name for springs in ColouredLegs(model).springs for name in springs) == sorted(model.spring_names)
