@@ -74,11 +74,11 @@ class _NotFoundError(PM3DofError):
 
     kind = ""
 
-    def __init__(self, name: str, where: str, known: Sequence[str]) -> None:
+    def __init__(self, name: str, source: str, known: Sequence[str]) -> None:
         self.name = name
-        self.where = where
+        self.source = source
         self.known = tuple(known)
-        super().__init__(f"{where}: no {self.kind} '{name}' in the model; it has {_nearest(name, self.known)}")
+        super().__init__(f"{source}: no {self.kind} '{name}' in the model; it has {_nearest(name, self.known)}")
 
 
 class FrameNotFoundError(_NotFoundError):

@@ -62,10 +62,10 @@ def _of_passive_leg(tripod: Tripod, poses: Array) -> Array:
     coupling = -sine * length**2 / (2.0 * p.bending_stiffness)
     turn = length * (sine**2 / p.bending_stiffness + cosine**2 / p.torsional_stiffness)
     determinant = lateral * turn - coupling**2
-    held = np.zeros((*poses.shape[:-1], 2, 6))
-    held[..., 0, 0], held[..., 1, 4], held[..., 1, 5] = 1.0, -sine, cosine
+    projection = np.zeros((*poses.shape[:-1], 2, 6))
+    projection[..., 0, 0], projection[..., 1, 4], projection[..., 1, 5] = 1.0, -sine, cosine
     block = np.stack([np.stack([turn, -coupling], -1), np.stack([-coupling, lateral], -1)], -2)
-    stiffness = np.swapaxes(held, -1, -2) @ (block / determinant[..., None, None]) @ held
+    stiffness = np.swapaxes(projection, -1, -2) @ (block / determinant[..., None, None]) @ projection
     stiffness[..., 1, 1] += 1.0 / lateral
     symmetric: Array = 0.5 * (stiffness + np.swapaxes(stiffness, -1, -2))
     return symmetric

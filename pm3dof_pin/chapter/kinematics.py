@@ -148,10 +148,10 @@ def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
         first = tuple(int(entry) for entry in infinite[0])
         place = f" {first} of the array" if first else ""
         raise InvalidValueError(f"pose{place}", poses[first].tolist(), "finite theta_x, theta_y [rad] and z_e [m]")
-    bad = np.argwhere(np.isnan(u))
-    if len(bad) == 0:
+    unreachable = np.argwhere(np.isnan(u))
+    if len(unreachable) == 0:
         return
-    index = tuple(int(entry) for entry in bad[0])
+    index = tuple(int(entry) for entry in unreachable[0])
     theta_x, theta_y, z_e = np.broadcast_to(poses, (*u.shape[:-1], 3))[index[:-1]]
     place = f" (pose {index[:-1]} of the array)" if len(index) > 1 else ""
     pose = f"theta_x = {np.degrees(theta_x):.4g} deg, theta_y = {np.degrees(theta_y):.4g} deg, z_e = {z_e:.4g} m"

@@ -109,9 +109,9 @@ def main() -> None:
     # the matrices here are small: threads inside BLAS only contend with each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports which fonts it looks for
-    asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
+    command = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
-        _make_app([asked] if asked in COMMANDS else COMMANDS)(prog_name="pm3dof")
+        _make_app([command] if command in COMMANDS else COMMANDS)(prog_name="pm3dof")
     except PM3DofError as error:
         typer.echo(f"pm3dof: {error}", err=True)
     except MemoryError as error:

@@ -149,18 +149,18 @@ def _tilt_ranges(
 
 def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
     """Return the ranges of all coordinates, with the numbers of --counts."""
-    number = len(robot.coordinates)
+    dimensions = len(robot.coordinates)
     try:
-        wanted = [int(word) for word in counts.replace(",", " ").split()] if counts else []
+        numbers = [int(word) for word in counts.replace(",", " ").split()] if counts else []
     except ValueError:
         raise typer.BadParameter(f"--counts {counts}: expected whole numbers") from None
-    if counts and (len(wanted) not in (1, number) or min(wanted) < LEAST_POINTS):
+    if counts and (len(numbers) not in (1, dimensions) or min(numbers) < LEAST_POINTS):
         raise typer.BadParameter(
-            f"--counts {counts}: expected one number, or {number} for {robot.name}, of at least {LEAST_POINTS}"
+            f"--counts {counts}: expected one number, or {dimensions} for {robot.name}, of at least {LEAST_POINTS}"
         )
-    if not wanted:
-        wanted = [max(LEAST_POINTS, round(_POSES ** (1.0 / max(number, 1))))]
-    return declared_ranges(robot, robot.coordinates, wanted if len(wanted) == number else wanted * number)
+    if not numbers:
+        numbers = [max(LEAST_POINTS, round(_POSES ** (1.0 / max(dimensions, 1))))]
+    return declared_ranges(robot, robot.coordinates, numbers if len(numbers) == dimensions else numbers * dimensions)
 
 
 def _draw(path: Path, robot: Robot, formats: list[PictureFormat] | None) -> list[Path]:

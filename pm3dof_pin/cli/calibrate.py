@@ -102,18 +102,18 @@ def calibrate(
             )
             if reasons and not force:
                 raise refusal(reasons, measurements, errors, eta)
-            judged = None if others is None else validated_errors(calibration, others)
+            on_others = None if others is None else validated_errors(calibration, others)
             maps = workspace_errors(calibration)
             progress(3, 4)
             name = find_robot(which.robot).name
-            said = verdict(calibration, held_out, judged)
-            more: Any = {"validation": judged, "objections": reasons, "judgement": said}
+            judgement = verdict(calibration, held_out, on_others)
+            more: Any = {"validation": on_others, "objections": reasons, "judgement": judgement}
             report = report_as_html(calibration, name, held_out, maps, **more)
             folder = write_calibration(
                 calibration, which.robot, out, held_out, report, errors_file=which.errors, **more
             )
             if formats:
-                for picture, figure in calibration_pictures(calibration, held_out, maps, validation=judged).items():
+                for picture, figure in calibration_pictures(calibration, held_out, maps, validation=on_others).items():
                     save(figure, folder / f"{picture}.png", formats)
             progress(4, 4)
     summary = summary_of(calibration, name, held_out, **more)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
-from pm3dof_pin.cli.output import message, print_result, progress_bar, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.poses import expected_numbers, place, pose_echo, read_poses, readings, write_batch
+from pm3dof_pin.cli.output import message, progress_bar, table_lines
+from pm3dof_pin.cli.poses import expected_numbers, place, print_at_pose, read_poses, readings, write_batch
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
@@ -51,7 +51,6 @@ def compensate(
     """
     from pm3dof_pin.calibration.results import read_compensation
     from pm3dof_pin.exceptions import InvalidValueError
-    from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.measuring.wrenches import WRENCH_COLUMNS
 
     chosen = PoseOptions(pose=at.pose, configuration=at.configuration, poses=poses, out=out)
@@ -83,10 +82,7 @@ def compensate(
     answer = known.compensate(solved.reshape(1), conditions)
     units = {command.unit for command in machine.commands}
     numbers = {"u": answer.commands[0], "u_nominal": answer.nominal_commands[0], "deviation": answer.deviations[0]}
-    pose_entry, pose_line = pose_echo(machine, solved.q)
     result: dict[str, Any] = {
-        "robot": machine.name,
-        **pose_entry,
         **numbers,
         "commands": [{"name": command.name, "unit": command.unit} for command in machine.commands],
         **({f"{name}_{min(units)}": values for name, values in numbers.items()} if len(units) == 1 else {}),
@@ -94,8 +90,7 @@ def compensate(
         "error_95_percent_m": answer.error_bound[0],
         "conditions": conditions,
     }
-    print_result(result, pose_line + _lines(machine, answer), as_json=as_json)
-    stop_on_broken_limits(broken_limits(machine, solved.configuration()))
+    print_at_pose(solved, result, _lines(machine, answer), as_json=as_json)
 
 
 def _loaded(robot: str, machine: Robot) -> Robot:

@@ -305,7 +305,7 @@ def _allocation_lines(allocation: dict[str, Any]) -> list[str]:
 
 def _budget_of(
     sources: ErrorSources,
-    where: Grid | Poses,
+    grid_or_poses: Grid | Poses,
     names: Sequence[str],
     eta: float,
     out: Path,
@@ -324,11 +324,11 @@ def _budget_of(
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
     from pm3dof_pin.measuring.plan_file import write_plan
 
-    if isinstance(where, Poses):
-        budget = error_budget(sources, where, eta=eta, names=names)
+    if isinstance(grid_or_poses, Poses):
+        budget = error_budget(sources, grid_or_poses, eta=eta, names=names)
         dataset = budget_table(budget)
     else:
-        dataset, budget = budget_map(sources, where, eta=eta, names=names)
+        dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
     files = [write_netcdf(dataset, out / "error_budget.nc"), write_csv(dataset, out / "error_budget.csv")]
     least = np.flatnonzero(budget.least_sensitive())
     region = budget.poses[least]

@@ -74,10 +74,10 @@ def evaluate(
             raise typer.BadParameter("--model chapter does not go with --quantity")
         if not known[_OF_CHAPTER[0]].exists(mapped):
             raise typer.BadParameter(f"--model chapter is for tripods of the chapter's family, not {loaded.name}")
-    wanted = _OF_CHAPTER if model == "chapter" else tuple(quantity) if quantity else None
+    quantities = _OF_CHAPTER if model == "chapter" else tuple(quantity) if quantity else None
     grid = _grid(loaded, ranges, values, points)
     with progress_bar("evaluation") as progress:
-        found = evaluate_workspace(mapped, grid, wanted, springs=wanted is None, engine=engine, threads=threads)
+        found = evaluate_workspace(mapped, grid, quantities, springs=quantities is None, engine=engine, threads=threads)
         progress(1, 2)
         files = [
             write_netcdf(found.dataset, out / "evaluation.nc"),

@@ -79,8 +79,8 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
     from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
 
     schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
-    wanted = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
-    (root, *springs), parts = msgspec.json.schema_components(wanted, ref_template="#/$defs/{name}")
+    schemas = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
+    (root, *springs), parts = msgspec.json.schema_components(schemas, ref_template="#/$defs/{name}")
     if kind == "parameters":  # a file of the tripod: a name and other texts, and sections of parameters
         section = {"if": {"type": "object"}, "then": {"additionalProperties": root}}
         root = {"type": "object", "properties": {"name": {"type": "string"}}, "additionalProperties": section}
@@ -200,41 +200,41 @@ def _readings(robot: Robot) -> dict[str, Any]:
 
 def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     """Say what the description lacks, and what to do about it."""
-    said = []
+    remarks = []
     gaps = {f"{c['frame_a']}-{c['frame_b']}": c["residual"] for c in result["closures"]}
     if still_open := {name: gap for name, gap in gaps.items() if not gap <= CLOSED_TOLERANCE}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
-        said.append(
+        remarks.append(
             f"loops are open at home: {listed}. No way was found to close them from there: try a configuration 'home' "
             "near an assembled one (an SRDF, a keyframe), or check these frames and the joints between them"
         )
     if robot.tool_frame is None:
-        said.append("no tool frame: what needs a tool takes --tool-frame NAME, or tool_frame in a closures file")
+        remarks.append("no tool frame: what needs a tool takes --tool-frame NAME, or tool_frame in a closures file")
     if not robot.actuated_joints:
-        said.append("no actuated joints: name them in a closures file (name_mot), or as actuators of the MJCF")
+        remarks.append("no actuated joints: name them in a closures file (name_mot), or as actuators of the MJCF")
     elif not result["limits_given"]:
-        said.append("no limits of the actuated joints are given: they count as unlimited")
+        remarks.append("no limits of the actuated joints are given: they count as unlimited")
     if free := result["free_degrees_of_freedom"]:
         idle = result["idle_degrees_of_freedom"]
         of_these = f"; {idle} of these leave the tool at rest, as the spin of a rod does" if idle else ""
-        said.append(f"with the drives locked, {free} degrees of freedom are left{of_these}")
+        remarks.append(f"with the drives locked, {free} degrees of freedom are left{of_these}")
     if not robot.springs:
-        said.append("no springs: stiffness needs some, in a closures file (springs)")
+        remarks.append("no springs: stiffness needs some, in a closures file (springs)")
     if result["errors_file"] is None:
-        said.append(
+        remarks.append(
             "no error file: error maps and calibration take every geometric error of every joint; "
             "pm3dof error-parameters makes one"
         )
     if result["links_without_mass"]:
-        said.append(
+        remarks.append(
             f"links without mass: {', '.join(result['links_without_mass'])}: kinematics do not need any; "
             "simulators refuse such links if they move"
         )
-    said += [
+    remarks += [
         f"link {name}, with what is fixed to it: {problem}: modes and inverse dynamics are refused"
         for name, problem in result["impossible_inertias"].items()
     ]
-    return said
+    return remarks
 
 
 def _lines(result: dict[str, Any], robot: Robot) -> list[str]:

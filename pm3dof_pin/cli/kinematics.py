@@ -9,7 +9,15 @@ import typer
 
 from pm3dof_pin.cli.options import Json, MachineOptions, OutFile, PoseOptions, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.poses import expected_numbers, place, read_poses, readings, si_values, solve_pose, write_batch
+from pm3dof_pin.cli.poses import (
+    expected_numbers,
+    read_poses,
+    readings,
+    si_values,
+    solve_chosen,
+    solve_pose,
+    write_batch,
+)
 from pm3dof_pin.description.coordinates import shown_in
 from pm3dof_pin.kinematics.broken_limits import BrokenLimit, broken_limits, closure_names
 
@@ -45,12 +53,9 @@ def ik(
     machine = which.load()
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
-    if chosen.poses is not None:
-        file, many = read_poses(machine, chosen.poses)
-        columns = file.columns_as_written | readings(machine.command_coordinates, many.commands)
-        write_batch(many, columns, chosen.out, as_json)
+    solved = solve_chosen(machine, chosen, lambda poses: readings(machine.command_coordinates, poses.commands), as_json)
+    if solved is None:
         return
-    solved = place(machine, chosen)
     result, broken = _result(machine, solved)
     print_result(result, _ik_lines(machine, result), as_json=as_json)
     stop_on_broken_limits(broken)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
-from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_batch
+from pm3dof_pin.cli.output import fixed, table_lines
+from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
-from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
     from pm3dof_pin.dynamics.modes import Modes
-    from pm3dof_pin.typing import Vector
+    from pm3dof_pin.kinematics.poses import Poses
+    from pm3dof_pin.typing import Array, Vector
 
 
 def modes(
@@ -38,21 +38,17 @@ def modes(
 
     machine = which.load()
     model, payloads = ElasticModel(machine), payloads_of(machine, payload)
-    if chosen.poses is not None:
-        file, many = read_poses(machine, chosen.poses)
-        frequencies = np.full((len(many), count), np.nan)
-        frequencies[many.solved] = natural_frequencies(model, many.q[many.solved], count=count, payloads=payloads)
-        columns = {column_of(f"mode{mode}", "Hz"): column for mode, column in enumerate(frequencies.T, start=1)}
-        write_batch(many, file.columns_as_written | columns, chosen.out, as_json)
+
+    def columns(poses: Poses) -> dict[str, Array]:
+        frequencies = np.full((len(poses), count), np.nan)
+        frequencies[poses.solved] = natural_frequencies(model, poses.q[poses.solved], count=count, payloads=payloads)
+        return {column_of(f"mode{mode}", "Hz"): column for mode, column in enumerate(frequencies.T, start=1)}
+
+    if (pose := solve_chosen(machine, chosen, columns, as_json)) is None:
         return
-    solved = place(machine, chosen).configuration()
-    found = natural_modes(model, solved, count=count, payloads=payloads)
-    broken = broken_limits(machine, solved)
-    pose_entry, pose_line = pose_echo(machine, solved.q)
-    result = {"robot": machine.name, **pose_entry, "payload_kg": payload, "within_limits": not broken}
-    result |= _result(found)
-    print_result(result, pose_line + _lines(result), as_json=as_json)
-    stop_on_broken_limits(broken)
+    result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)}
+    result |= _result(natural_modes(model, pose.configuration(), count=count, payloads=payloads))
+    print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
 def _result(found: Modes) -> dict[str, Any]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from pm3dof_pin.cli.options import PlaceOptions
-from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result
+from pm3dof_pin.cli.options import PlaceOptions, PoseOptions
+from pm3dof_pin.cli.output import LIMIT_BROKEN, message, print_result, stop_on_broken_limits
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
+from pm3dof_pin.kinematics.broken_limits import broken_limits
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -39,6 +40,28 @@ def place(robot: Robot, chosen: PlaceOptions) -> Poses:
     if chosen.numbers:
         return solve_pose(robot, chosen.numbers)
     return robot.at(_named_configuration(robot, chosen.configuration))
+
+
+def solve_chosen(
+    robot: Robot, chosen: PoseOptions, columns: Callable[[Poses], Mapping[str, ArrayLike]], as_json: bool
+) -> Poses | None:
+    """Find the one pose chosen, shape=(); of a file of poses write `columns` beside its own, and return None."""
+    if chosen.poses is None:
+        return place(robot, chosen)
+    file, many = read_poses(robot, chosen.poses)
+    write_batch(many, file.columns_as_written | dict(columns(many)), chosen.out, as_json)
+    return None
+
+
+def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:
+    """Print a result about one pose, shape=(), after that pose, and exit with status 1 if it breaks a limit."""
+    robot = pose.robot
+    header: dict[str, Any] = {"robot": robot.name}
+    if robot.coordinates:
+        header["pose"] = {c.name: float(value) for c, value in zip(robot.coordinates, pose.coordinates, strict=True)}
+        lines = [f"pose {_pose_in_words(robot.coordinates, pose.coordinates)}", "", *lines]
+    print_result(header | dict(result), lines, as_json=as_json)
+    stop_on_broken_limits(broken_limits(robot, pose.configuration()))
 
 
 def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
@@ -139,16 +162,6 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
         limits = "" if "inf" in lower + upper else f" {lower} .. {upper}"
         words.append(f"{coordinate.name}{limits} [{unit}]")
     return f"{robot.name} takes {', '.join(words)}"
-
-
-def pose_echo(robot: Robot, q: Vector) -> tuple[dict[str, dict[str, float]], list[str]]:
-    """Return the pose that a result answers for: an entry for JSON [m, rad] and a line for people; or nothing."""
-    coordinates = robot.coordinates
-    if not coordinates:
-        return {}, []
-    values = robot.at([q])[0].coordinates
-    entry = dict(zip((c.name for c in coordinates), map(float, values), strict=True))
-    return {"pose": entry}, [f"pose {_pose_in_words(coordinates, values)}", ""]
 
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:

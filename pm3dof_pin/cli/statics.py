@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pm3dof_pin.cli.options import Json, MachineOptions, Payload, PoseOptions, payloads_of
-from pm3dof_pin.cli.output import fixed, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, write_batch
-from pm3dof_pin.kinematics.broken_limits import broken_limits
+from pm3dof_pin.cli.output import fixed, table_lines
+from pm3dof_pin.cli.poses import column_of, print_at_pose, solve_chosen
 
 if TYPE_CHECKING:
     from pm3dof_pin.dynamics.force_balance import ActuatorForces
@@ -32,18 +31,12 @@ def statics(
 
     machine = which.load()
     payloads = payloads_of(machine, payload)
-    if chosen.poses is not None:
-        file, many = read_poses(machine, chosen.poses)
-        write_batch(many, file.columns_as_written | _columns(machine, many, payloads), chosen.out, as_json)
+    pose = solve_chosen(machine, chosen, lambda poses: _columns(machine, poses, payloads), as_json)
+    if pose is None:
         return
-    solved = place(machine, chosen).configuration()
-    forces = holding_forces(solved, payloads=payloads)
-    broken = broken_limits(machine, solved)
-    pose_entry, pose_line = pose_echo(machine, solved.q)
-    result = {"robot": machine.name, **pose_entry, "payload_kg": payload, "within_limits": not broken}
-    result |= _result(machine, forces)
-    print_result(result, pose_line + _lines(result), as_json=as_json)
-    stop_on_broken_limits(broken)
+    result = {"payload_kg": payload, "within_limits": bool(pose.within_limits)}
+    result |= _result(machine, holding_forces(pose.configuration(), payloads=payloads))
+    print_at_pose(pose, result, _lines(result), as_json=as_json)
 
 
 def _columns(robot: Robot, poses: Poses, payloads: dict[str, float]) -> dict[str, Array]:

@@ -11,7 +11,7 @@ import typer
 
 from pm3dof_pin.cli.options import THE_TRIPOD, Json, MachineOptions, PoseOptions
 from pm3dof_pin.cli.output import fixed, message, print_result, stop_on_broken_limits, table_lines
-from pm3dof_pin.cli.poses import column_of, place, pose_echo, read_poses, si_values, write_batch
+from pm3dof_pin.cli.poses import column_of, place, print_at_pose, si_values, solve_chosen
 from pm3dof_pin.cli.singularity_report import read_singularity_distances, singularity_line
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.broken_limits import broken_limits
@@ -68,24 +68,21 @@ def stiffness(
         stop_on_broken_limits(broken_limits(machine, place(machine, chosen).configuration()))
         return
     elastic = ElasticModel(machine)
-    if chosen.poses is not None:
-        file, many = read_poses(machine, chosen.poses)
-        write_batch(many, file.columns_as_written | _columns(elastic, many), chosen.out, as_json)
+    pose = solve_chosen(machine, chosen, lambda poses: _columns(elastic, poses), as_json)
+    if pose is None:
         return
-    solved = place(machine, chosen).configuration()
-    tool = cartesian_compliance(elastic, solved)
-    pose_entry, pose_line = pose_echo(machine, solved.q)
-    result = {"robot": machine.name, **pose_entry, **_read(tool.compliance, tool.spring_names, tool.contributions)}
+    configuration = pose.configuration()
+    tool = cartesian_compliance(elastic, configuration)
+    result = _read(tool.compliance, tool.spring_names, tool.contributions)
     if tool.rigid_directions.size:  # K does not exist, C does
         result |= {"K": None, "rigid_directions": tool.rigid_directions.T}
-        free = _free_motions(elastic, tool, solved)
+        free = _free_motions(elastic, tool, configuration)
         result |= {} if free is None else _read_free_motions(free)
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
-    result["singularity_distances"] = read_singularity_distances(solved)
+    result["singularity_distances"] = read_singularity_distances(configuration)
     units = {key: unit for key, unit in JSON_UNITS.items() if key in result or key in result.get("indices", {})}
-    print_result(result | {"units": units}, pose_line + _elastic_lines(result), as_json=as_json)
-    stop_on_broken_limits(broken_limits(machine, solved))
+    print_at_pose(pose, result | {"units": units}, _elastic_lines(result), as_json=as_json)
 
 
 def _free_motions(

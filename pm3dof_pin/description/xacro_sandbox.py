@@ -160,8 +160,8 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    _said = sys.stdout
+    _stdout = sys.stdout
     sys.stdout = io.StringIO()  # what the file prints is no answer
-    _said.write(json.dumps(_answer(json.load(sys.stdin))))
-    _said.flush()
+    _stdout.write(json.dumps(_answer(json.load(sys.stdin))))
+    _stdout.flush()
     os._exit(0)

@@ -162,13 +162,13 @@ def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vec
     return drift
 
 
-def _reached(what: str, given: Restriction, wanted: Vector, start: Vector, units: Vector) -> Vector:
+def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, units: Vector) -> Vector:
     """Add to a scaled start, shape=(nv,), the shortest closed-loop motion that gives joints their wanted numbers."""
-    missing = wanted - given.rows @ start
+    missing = numbers - given.rows @ start
     motion: Vector = start + given.inverse @ missing
-    left = np.linalg.norm(wanted - given.rows @ motion)
-    if left > _CONSISTENT * (np.linalg.norm(wanted) + np.linalg.norm(given.rows @ start)):
-        raise InvalidValueError(what, listed(units * wanted), "what the loops allow")
+    left = np.linalg.norm(numbers - given.rows @ motion)
+    if left > _CONSISTENT * (np.linalg.norm(numbers) + np.linalg.norm(given.rows @ start)):
+        raise InvalidValueError(argument, listed(units * numbers), "what the loops allow")
     return motion
 
 

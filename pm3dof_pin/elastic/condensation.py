@@ -182,15 +182,15 @@ class CartesianCompliance:
         if self.free_directions.size:
             raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
         scale = np.repeat([self.configuration.mechanism.characteristic_length, 1.0], 3)[:, None]
-        wanted = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
-        strains = np.linalg.lstsq(self.decomposition.twists / scale, wanted, rcond=RANK_TOLERANCE**2)[0]
-        missed = np.abs(self.decomposition.twists @ strains / scale - wanted).max(initial=0.0)
-        if missed > RANK_TOLERANCE * np.abs(wanted).max(initial=0.0):
+        targets = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
+        strains = np.linalg.lstsq(self.decomposition.twists / scale, targets, rcond=RANK_TOLERANCE**2)[0]
+        missed = np.abs(self.decomposition.twists @ strains / scale - targets).max(initial=0.0)
+        if missed > RANK_TOLERANCE * np.abs(targets).max(initial=0.0):
             raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
         return frozen(strains.T @ strains)
 
-    def _message(self, what: str, directions: Matrix) -> str:
-        return f"frame '{self.frame}' {what}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"
+    def _message(self, finding: str, directions: Matrix) -> str:
+        return f"frame '{self.frame}' {finding}: {direction_names(directions)}; at q = {listed(self.configuration.q)}"
 
 
 def condensed(
@@ -216,10 +216,10 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
     twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
     scaled = jacobian / twist_scale[:, None]
     reference = RANK_TOLERANCE * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
-    free, held, free_rank = range_and_complement(scaled @ motions.unstrained, reference)
-    moved, rigid, elastic_rank = range_and_complement(held.T @ scaled @ motions.kinematic, reference)
+    free, spanned, free_rank = range_and_complement(scaled @ motions.unstrained, reference)
+    moved, rigid, elastic_rank = range_and_complement(spanned.T @ scaled @ motions.kinematic, reference)
 
-    twists = twist_scale[:, None] * (held @ (held.T @ (scaled @ motions.elastic)))
+    twists = twist_scale[:, None] * (spanned @ (spanned.T @ (scaled @ motions.elastic)))
     strains = motions.whitened @ twists.T
     root = model.scaled_compliance_root(configuration)
     return _Decomposition(
@@ -227,11 +227,11 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
         spring_forces=frozen(np.linalg.solve(root.T, strains)),
         contributions=frozen(_contributions(model, strains)),
         free_directions=frozen(twist_scale[:, None] * free),
-        rigid_directions=frozen(twist_scale[:, None] * (held @ rigid)),
+        rigid_directions=frozen(twist_scale[:, None] * (spanned @ rigid)),
         free_rank=free_rank,
         elastic_rank=elastic_rank,
         twists=frozen(twists),
-        moved=frozen(held @ moved / twist_scale[:, None]),
+        moved=frozen(spanned @ moved / twist_scale[:, None]),
     )
 
 

@@ -106,8 +106,8 @@ class ElasticModel:
         self.blocks = tuple(_block(self.mechanism, spring, virtual.joints.get(spring.name)) for spring in self.springs)
         self.spring_indices: Indices = frozen(np.concatenate([block.indices for block in self.blocks]))
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
-        held = np.concatenate([self.spring_indices, self.locked_indices])
-        self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), held))
+        springs_and_locked = np.concatenate([self.spring_indices, self.locked_indices])
+        self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), springs_and_locked))
         self.programs: dict[tuple[str, str, bool], object] = {}
 
     @classmethod

@@ -351,7 +351,7 @@ class LoadPath:
             if state is None or drift > _GREATEST_DRIFT * length:
                 return None
             balanced = state.balanced
-            change = self._correction(state, held=target is not None)
+            change = self._correction(state, factor_fixed=target is not None)
             drift += float(np.linalg.norm(change))
             rise = self._typical_factor * float(change[-1])
             velocity = state.bearing_motions @ (self._typical_strain * change[:-1])
@@ -378,10 +378,10 @@ class LoadPath:
         y = self._typical_strain * state.coordinates(direction[:-1])
         return y, self._typical_factor * float(direction[-1])
 
-    def _correction(self, state: LoadedState, *, held: bool) -> Vector:
+    def _correction(self, state: LoadedState, *, factor_fixed: bool) -> Vector:
         """Return the least (y, df), in the path's measures, that takes away what is out of balance."""
         equations = self._equations(state)
-        if held:
+        if factor_fixed:
             equations[:, -1] = 0.0
         solved = np.linalg.lstsq(equations, -state.bearing_residual, rcond=_SINGULAR)[0]
         return np.asarray(solved, dtype=np.float64)
@@ -389,9 +389,9 @@ class LoadPath:
     def _direction(self, state: LoadedState, before: Vector) -> Vector:
         """Return the direction of the path that turns least from the one before."""
         equations = self._equations(state)
-        wanted = np.append(state.coordinates(before[:-1]), before[-1])
+        previous = np.append(state.coordinates(before[:-1]), before[-1])
         # what the equations leave free of the direction before; where they leave more than one, what is nearest to it
-        nearest = wanted - np.linalg.lstsq(equations, equations @ wanted, rcond=_BRANCHING)[0]
+        nearest = previous - np.linalg.lstsq(equations, equations @ previous, rcond=_BRANCHING)[0]
         nearest /= np.linalg.norm(nearest)
         return np.append(state.invariant(nearest[:-1]), nearest[-1])
 

@@ -105,8 +105,8 @@ class LoadedEquilibrium:
             DescriptionError: no frame is given, and the mechanism has no tool frame.
         """
         before, after = (
-            where.tool_placement if frame is None else where.frame_placement(frame)
-            for where in (self.state.rest, self.configuration)
+            configuration.tool_placement if frame is None else configuration.frame_placement(frame)
+            for configuration in (self.state.rest, self.configuration)
         )
         turned = pin.log3(after.rotation @ before.rotation.T)
         return frozen(np.concatenate([after.translation - before.translation, turned]))

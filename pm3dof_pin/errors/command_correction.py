@@ -49,15 +49,15 @@ def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_
     """
     weights = tip_weights(eta)
     control = np.asarray(commands, dtype=float) * weights[:, None]
-    wanted = np.asarray(differences, dtype=float) * weights
-    change, sound = _normal_solution(control, wanted)
+    weighted = np.asarray(differences, dtype=float) * weights
+    change, sound = _normal_solution(control, weighted)
     if not sound.all():
         inverse = np.linalg.pinv(control[~sound], rcond=_CONTROL_TOLERANCE)
-        change[~sound] = np.einsum("nij,nj->ni", inverse, wanted[~sound])
+        change[~sound] = np.einsum("nij,nj->ni", inverse, weighted[~sound])
     return -change
 
 
-def _normal_solution(control: Array, wanted: Array) -> tuple[Array, Mask]:
+def _normal_solution(control: Array, targets: Array) -> tuple[Array, Mask]:
     """Solve least squares by the normal equations, quicker than by a pseudo-inverse, and say where that is sound."""
     transposed = np.swapaxes(control, 1, 2)
     normal = transposed @ control
@@ -65,25 +65,25 @@ def _normal_solution(control: Array, wanted: Array) -> tuple[Array, Mask]:
         inverse = np.linalg.inv(normal)
     except np.linalg.LinAlgError:  # some are singular
         return np.zeros(normal.shape[:2]), np.zeros(len(control), dtype=bool)
-    change = np.einsum("nij,nj->ni", inverse, np.einsum("nij,nj->ni", transposed, wanted))
+    change = np.einsum("nij,nj->ni", inverse, np.einsum("nij,nj->ni", transposed, targets))
     condition = np.linalg.norm(normal, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
     return change, np.asarray(condition < _SOUND)
 
 
-def nearest_poses(poses: Poses, wanted: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
-    """Return the poses of a robot that come nearest to wanted transforms, tip-weighted, from poses near to them.
+def nearest_poses(poses: Poses, targets: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
+    """Return the poses of a robot that come nearest to target transforms, tip-weighted, from poses near to them.
 
     Raises:
         UnreachablePoseError: see :func:`descend`.
     """
 
     def residuals(poses: Poses) -> Array:
-        return pose_difference(wanted, poses.transforms) * tip_weights(eta)
+        return pose_difference(targets, poses.transforms) * tip_weights(eta)
 
     scales = command_scales(poses)
 
     def step(poses: Poses) -> Array:
-        difference = pose_difference(wanted, poses.transforms)
+        difference = pose_difference(targets, poses.transforms)
         return scales * best_commands(command_jacobians(poses) * scales, difference, eta)
 
     return descend(poses, poses.commands, step, residuals, on_failure=on_failure)[1]

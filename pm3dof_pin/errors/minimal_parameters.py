@@ -94,12 +94,12 @@ def error_entries(errors: GeometricErrors) -> tuple[ErrorEntry, ...]:
     lines: dict[tuple[str, tuple[str, ...], tuple[str, ...], str], list[str]] = {}
     for place in dict.fromkeys(parameter.place for parameter in errors.parameters):
         for group in errors.groups:
-            here = [p for p in errors.parameters if (p.place, p.group) == (place, group)]
+            parameters = [p for p in errors.parameters if (p.place, p.group) == (place, group)]
             translations, rotations = (
-                tuple(dict.fromkeys(_word(p) for p in here if p.motion == motion))
+                tuple(dict.fromkeys(_word(p) for p in parameters if p.motion == motion))
                 for motion in ("translation", "rotation")
             )
-            if here:
+            if parameters:
                 kind = "".join(character for character in place if not character.isdigit())
                 lines.setdefault((group, translations, rotations, kind), []).append(place)
     return tuple(
@@ -149,9 +149,9 @@ def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
         offset = model.jointPlacements[model.getJointId(place)]
     else:
         offset = model.frames[robot.frame_id(place)].placement
-    way = offset.rotation.T @ offset.translation
-    distance = np.linalg.norm(way)
-    return "length" if distance > 0.0 and abs(way @ axis) > _ALIGNED * distance else "position"
+    translation = offset.rotation.T @ offset.translation
+    distance = np.linalg.norm(translation)
+    return "length" if distance > 0.0 and abs(translation @ axis) > _ALIGNED * distance else "position"
 
 
 def _word(parameter: GeometricParameter) -> str:

@@ -156,8 +156,8 @@ class ErrorSources:
                 rest.
             ConvergenceError: no equilibrium was found where deflections are large.
         """
-        there = _SourcesAtPoses(self, poses)
-        return tuple(source for error_class in CLASSES if error_class in classes for source in there.of(error_class))
+        at_poses = _SourcesAtPoses(self, poses)
+        return tuple(source for error_class in CLASSES if error_class in classes for source in at_poses.of(error_class))
 
     @cached_property
     def others(self) -> GeometricErrors:

@@ -274,11 +274,11 @@ def _followed(chords: Array, within: Within, most: float) -> Array:
     across = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.maximum(lengths, 1e-300)[:, None]
     places = (chords[:, :1] + part[:, None] * along[:, None]).reshape(-1, 2)
     reach = np.repeat(across * np.minimum(0.5 * lengths, most)[:, None], _BETWEEN, axis=0)
-    here = within(places)
-    reach = np.where(here[:, None], reach, -reach)  # cells go round anticlockwise, so that outside is on the right
-    found = within(places + reach) != here
-    inner = np.where(here[:, None], places, places + reach)
-    outer = np.where(here[:, None], places + reach, places)
+    inside = within(places)
+    reach = np.where(inside[:, None], reach, -reach)  # cells go round anticlockwise, so that outside is on the right
+    found = within(places + reach) != inside
+    inner = np.where(inside[:, None], places, places + reach)
+    outer = np.where(inside[:, None], places + reach, places)
     moved = np.where(found[:, None], _crossing(inner, outer, within), places)
     return np.concatenate([chords[:, :1], moved.reshape(len(chords), _BETWEEN, 2), chords[:, 1:]], axis=1)
 

@@ -142,9 +142,9 @@ class _Equations:
         error = np.concatenate([placement.translation, angles])[self._rows] - self._target
         turns = np.array(self._rows) >= 3
         if self._turned:  # by the rotation that is left, which is regular where the angles are not
-            wanted = np.empty(3)
-            wanted[np.array(self._rows)[turns] - 3] = self._target[turns]
-            left = pin.log3(placement.rotation @ rotation_of_angles(wanted).T)
+            angles_of_target = np.empty(3)
+            angles_of_target[np.array(self._rows)[turns] - 3] = self._target[turns]
+            left = pin.log3(placement.rotation @ rotation_of_angles(angles_of_target).T)
             jacobian[3:] = np.linalg.solve(pin.Jexp3(-left), jacobian[3:])
             error[turns] = left[np.array(self._rows)[turns] - 3]
         elif turns.any():

@@ -78,8 +78,10 @@ class _JointsGiven:
     def closed(self, q: Matrix, targets: Matrix, walk: bool, home: Vector) -> tuple[Matrix, Vector]:
         values = (targets - self._offsets) / self._factors
         starts = np.array([[single.coordinate(row) for single in self._singles] for row in q])
-        way = np.abs(values - starts) / self._mechanism.velocity_scale[self._indices]
-        legs = max(1, int(np.ceil(way.max(initial=0.0) / _LONGEST_LEG))) if walk and self._mechanism.closures else 1
+        distances = np.abs(values - starts) / self._mechanism.velocity_scale[self._indices]
+        legs = 1
+        if walk and self._mechanism.closures:
+            legs = max(1, int(np.ceil(distances.max(initial=0.0) / _LONGEST_LEG)))
         for leg in range(1, legs + 1):
             q = self._newton(self._write(q, values if leg == legs else starts + (values - starts) * (leg / legs)))
         if not self._mechanism.closures:

@@ -211,12 +211,12 @@ class Continuation:
         _, modes = self._regularity_and_mode(q, origins)
         turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
         origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
-        way = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
-        legs = np.where(np.isfinite(way), np.maximum(np.ceil(way / self._leg), 1.0), 1.0)
+        distances = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
+        legs = np.where(np.isfinite(distances), np.maximum(np.ceil(distances / self._leg), 1.0), 1.0)
         shortest, step = shortest_leg / legs, 1.0 / legs
         done, last_step = np.zeros(len(q)), np.zeros(len(q))
         before = q.copy()
-        active = np.flatnonzero(np.isfinite(way) & np.isfinite(q).all(axis=1))
+        active = np.flatnonzero(np.isfinite(distances) & np.isfinite(q).all(axis=1))
         while active.size:
             reached = np.minimum(done[active] + step[active], 1.0)
             reached[reached > 1.0 - 0.1 * shortest[active]] = 1.0
@@ -226,13 +226,13 @@ class Continuation:
                 ratio = np.where(last_step[active] > 0.0, (reached - done[active]) / last_step[active], 0.0)
             predicted = self._predicted(q[active], before[active], ratio[:, None])
             found, accepted = self._newton(predicted, self._given_numbers(values), _JUMP, _SINGULAR, modes[active])
-            good = active[accepted]
-            before[good], q[good] = q[good], found[accepted]
-            last_step[good] = reached[accepted] - done[good]
-            done[good] = reached[accepted]
-            step[good] = np.minimum(2.0 * step[good], 1.0 / legs[good])
-            bad = active[~accepted]
-            step[bad] *= 0.5
+            advanced = active[accepted]
+            before[advanced], q[advanced] = q[advanced], found[accepted]
+            last_step[advanced] = reached[accepted] - done[advanced]
+            done[advanced] = reached[accepted]
+            step[advanced] = np.minimum(2.0 * step[advanced], 1.0 / legs[advanced])
+            rejected = active[~accepted]
+            step[rejected] *= 0.5
             active = active[(done[active] < 1.0) & (step[active] >= shortest[active])]
         return done >= 1.0, q
 
@@ -404,11 +404,11 @@ def _shares(values: bytes) -> Matrix:
     for count in range(2, HISTORY + 2):
         points = np.arange(count, len(axis) if count > HISTORY else min(count + 1, len(axis)))
         back = axis[points[:, None] - np.arange(1, count + 1)]
-        ways = axis[points, None] - back
+        gaps = axis[points, None] - back
         for j in range(1, count):
             others = [k for k in range(count) if k != j]
             with np.errstate(divide="ignore", invalid="ignore"):
-                shares[points, j - 1] = -np.prod(ways[:, others] / (back[:, j, None] - back[:, others]), axis=1)
+                shares[points, j - 1] = -np.prod(gaps[:, others] / (back[:, j, None] - back[:, others]), axis=1)
     shares[~(np.abs(shares).max(axis=1) < _GREATEST_SHARE)] = 0.0
     return frozen(shares)
 

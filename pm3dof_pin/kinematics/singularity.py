@@ -84,9 +84,9 @@ def singularities(configuration: Configuration, *, generic: Mobility | None = No
         "passive": dof.idle.motions,
     }
     return tuple(
-        _singularity(dof, judged.type, judged.measure, bases[judged.type][:, : judged.lost])
-        for judged in _judged(dof, _usual(configuration, generic))
-        if judged.lost > 0
+        _singularity(dof, loss.type, loss.measure, bases[loss.type][:, : loss.lost])
+        for loss in _rank_losses(dof, _usual(configuration, generic))
+        if loss.lost > 0
     )
 
 
@@ -125,43 +125,43 @@ def singularity_distances(
     """
     dof = DegreesOfFreedom(configuration)
     found = []
-    for judged in _judged(dof, _usual(configuration, generic)):
-        if judged.rank > 0:
-            motion = judged.seen.directions[:, min(judged.rank, judged.seen.directions.shape[1]) - 1]
+    for loss in _rank_losses(dof, _usual(configuration, generic)):
+        if loss.rank > 0:
+            motion = loss.restriction.directions[:, min(loss.rank, loss.restriction.directions.shape[1]) - 1]
             twist = dof.twist_scale * (dof.twist @ motion)
-            found.append(SingularityDistance(judged.type, judged.measure, frozen(dof.scale * motion), frozen(twist)))
+            found.append(SingularityDistance(loss.type, loss.measure, frozen(dof.scale * motion), frozen(twist)))
     return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _RankLoss:
     """A matrix over the degrees of freedom: the rank it usually has, and how much of it is lost."""
 
     type: SingularityType
-    seen: Restriction
+    restriction: Restriction
     rank: int
     lost: int
 
     @property
     def measure(self) -> float:
-        return self.seen.rank.least(self.rank)
+        return self.restriction.rank.least(self.rank)
 
 
 def _usual(configuration: Configuration, generic: Mobility | None) -> Mobility:
     return generic or instantaneous_mobility(generic_configuration(configuration))
 
 
-def _judged(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_Judged, ...]:
+def _rank_losses(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_RankLoss, ...]:
     gained = dof.count - usual.count
     actuator_rank = min(usual.actuator_rank.rank + gained, len(dof.actuators))
     tool_rank = min(usual.tool_rank.rank + gained, len(dof.tool))
     idle_rank = usual.idle_rank.rank + gained
     passive = idle_rank - dof.idle.rank.rank
     return (
-        _Judged("constraint", dof.closures, usual.constraint_rank.rank, gained),
-        _Judged("parallel", dof.at_actuators, actuator_rank, actuator_rank - dof.at_actuators.rank.rank - passive),
-        _Judged("serial", dof.at_tool, tool_rank, tool_rank - dof.at_tool.rank.rank - passive),
-        _Judged("passive", dof.idle, idle_rank, passive),
+        _RankLoss("constraint", dof.closures, usual.constraint_rank.rank, gained),
+        _RankLoss("parallel", dof.at_actuators, actuator_rank, actuator_rank - dof.at_actuators.rank.rank - passive),
+        _RankLoss("serial", dof.at_tool, tool_rank, tool_rank - dof.at_tool.rank.rank - passive),
+        _RankLoss("passive", dof.idle, idle_rank, passive),
     )
 
 

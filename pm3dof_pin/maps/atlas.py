@@ -334,18 +334,18 @@ def _compute_block(atlas: Atlas, block: Block) -> Block:
     place = atlas.slices(block)
     poses = atlas.mapped.robot.solve(atlas.grid.part(place), on_failure="nan", engine=atlas.engine, threads=1)
     size = math.prod(poses.shape)
-    wanted = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
-    chosen = poses.reshape(size) if wanted.size == size else poses.reshape(size)[wanted]
+    chosen_indices = np.flatnonzero(poses.solved if atlas.keep_beyond_limits else poses.within_limits)
+    chosen = poses.reshape(size) if chosen_indices.size == size else poses.reshape(size)[chosen_indices]
     evaluation = Evaluation(atlas.mapped, chosen, engine=atlas.engine, threads=1)
     for quantity in atlas.selected:
         shape = quantity.shape_for(atlas.mapped)
-        if wanted.size == size:
+        if chosen_indices.size == size:
             values = quantity.compute(evaluation)
         else:
             values = np.full((size, *shape), np.nan, dtype=atlas.store.dtype(quantity.name))
-            if wanted.size:
+            if chosen_indices.size:
                 with np.errstate(over="ignore"):  # beyond single precision a number is infinite
-                    values[wanted] = quantity.compute(evaluation)
+                    values[chosen_indices] = quantity.compute(evaluation)
         atlas.store.write(quantity.name, place, values.reshape(*poses.shape, *shape))
     atlas.store.write(BROKEN_LIMITS, place, poses.broken_limits)
     return block

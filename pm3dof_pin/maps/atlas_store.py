@@ -106,22 +106,22 @@ class AtlasStore:
         if belongs is not None:
             return belongs
         try:
-            said = json.loads((self.parts / "zarr.json").read_bytes())["attributes"]
+            stored = json.loads((self.parts / "zarr.json").read_bytes())["attributes"]
         except (OSError, ValueError, KeyError, TypeError):
             return True
-        return bool(said == json.loads(json.dumps(self.attributes)))
+        return bool(stored == json.loads(json.dumps(self.attributes)))
 
     def _repair(self, skeleton: Path) -> None:
         """Put everything but the blocks into the state of a new store, and take out what does not belong there."""
-        wanted = {file.relative_to(skeleton) for file in skeleton.rglob("*") if file.is_file()}
+        expected = {file.relative_to(skeleton) for file in skeleton.rglob("*") if file.is_file()}
         arrays = tuple(f"{variable.name}/c/" for variable in self.variables)
         for file in [*self.parts.rglob("*")]:
             name = file.relative_to(self.parts)
             chunk = str(name).startswith(arrays) and all(part.isdigit() for part in name.parts[2:])
-            if file.is_file() and name not in wanted and not chunk and str(name) != _JOURNAL:
+            if file.is_file() and name not in expected and not chunk and str(name) != _JOURNAL:
                 file.unlink()
         repaired = []
-        for name in sorted(wanted):
+        for name in sorted(expected):
             target = self.parts / name
             if not target.is_file() or target.read_bytes() != (skeleton / name).read_bytes():
                 repaired.append(str(name))
@@ -140,7 +140,7 @@ class AtlasStore:
             _log.warning("%s is damaged or missing; blocks it does not list are computed again", self.journal.path)
         with ThreadPoolExecutor() as pool:
             sound = list(pool.map(lambda entry: self._is_sound(*entry), listed.items()))
-        kept = {block: sums for (block, sums), good in zip(listed.items(), sound, strict=True) if good}
+        kept = {block: sums for (block, sums), intact in zip(listed.items(), sound, strict=True) if intact}
         if len(kept) < len(listed):
             _log.warning("%s: %d finished blocks are damaged; computed again", self.parts, len(listed) - len(kept))
         self.journal.write(kept)

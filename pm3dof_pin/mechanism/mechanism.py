@@ -373,13 +373,13 @@ class Mechanism:
             groups += (LimitGroup("others", others, tuple(index for group in rest for index in group.closures)),)
         return groups
 
-    def _require_joint(self, name: str, where: str) -> None:
+    def _require_joint(self, name: str, source: str) -> None:
         if not self.model.existJointName(name):
-            raise JointNotFoundError(name, where, list(self.model.names)[1:])
+            raise JointNotFoundError(name, source, list(self.model.names)[1:])
 
-    def _frame_id(self, name: str, where: str) -> int:
+    def _frame_id(self, name: str, source: str) -> int:
         if name not in self._frame_ids:
-            raise FrameNotFoundError(name, where, sorted(self._frame_ids))
+            raise FrameNotFoundError(name, source, sorted(self._frame_ids))
         return self._frame_ids[name]
 
     def _typical_length(self) -> float:

@@ -22,7 +22,7 @@ _INITIAL = "qpos0"
 _HOME = "home"
 
 
-def read_mjcf_model(files: RobotFiles, said: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
+def read_mjcf_model(files: RobotFiles, closures_file: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
     """Read the model of an MJCF file, and complete the closures file beside it, whose entries go first.
 
     Joints stand where MuJoCo has them: q is qpos but for the order of a quaternion's numbers, and home is the key of
@@ -57,12 +57,12 @@ def read_mjcf_model(files: RobotFiles, said: ClosuresFile) -> tuple[pin.Model, C
         if settings.stiffness > 0.0
     ]
     return model, replace(
-        said,
-        closures=(*closures, *said.closures),
-        actuated_joints=said.actuated_joints or tuple(drive.joint for drive in drives),
-        commands=said.commands or (() if said.actuated_joints else drives),
-        tool_frame=said.tool_frame or mjcf.tool,
-        springs=(*springs, *said.springs),
+        closures_file,
+        closures=(*closures, *closures_file.closures),
+        actuated_joints=closures_file.actuated_joints or tuple(drive.joint for drive in drives),
+        commands=closures_file.commands or (() if closures_file.actuated_joints else drives),
+        tool_frame=closures_file.tool_frame or mjcf.tool,
+        springs=(*springs, *closures_file.springs),
     )
 
 

@@ -35,12 +35,12 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     root = _read_urdf_element(urdf)
     _complete_limits(root)
     try:
-        with parser_messages() as said:
+        with parser_messages() as complaints:
             model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
-        reason = said[0].removeprefix("Error:").strip() if said else str(error)
+        reason = complaints[0].removeprefix("Error:").strip() if complaints else str(error)
         raise DescriptionError(urdf, "URDF", f"expected a robot that urdfdom accepts ({reason})") from error
-    for line in said:
+    for line in complaints:
         _logger.warning("%s: %s", urdf, line)
     if root.find("joint/mimic") is not None:
         _logger.warning("%s: <mimic> is ignored, these joints are taken as joints of their own", urdf)

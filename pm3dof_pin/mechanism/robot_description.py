@@ -25,17 +25,21 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[s
         DescriptionError: a file is unreadable or not of its form.
         JointNotFoundError: the closures file names a joint that the tree does not have.
     """
-    said = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
+    closures_file = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)
     if files.format == "mjcf":
         from pm3dof_pin.mechanism.mjcf_model import read_mjcf_model  # few robots need it
 
-        model, said = read_mjcf_model(files, said)
+        model, closures_file = read_mjcf_model(files, closures_file)
     else:
-        model = read_model(files.urdf, joint_types=said.joint_types, source=files.source)
-    _free_joints_without_limits(model, said.actuated_joints, files.path)
+        model = read_model(files.urdf, joint_types=closures_file.joint_types, source=files.source)
+    _free_joints_without_limits(model, closures_file.actuated_joints, files.path)
     if files.srdf is not None:
         read_named_configurations(model, files.srdf)
-    arguments = vars(said) | {"tool_frame": tool_frame or said.tool_frame, "model": model, "files": files}
+    arguments = vars(closures_file) | {
+        "tool_frame": tool_frame or closures_file.tool_frame,
+        "model": model,
+        "files": files,
+    }
     return {name: value for name, value in arguments.items() if name not in ("path", "joint_types")}
 
 

@@ -76,10 +76,10 @@ def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
     return turned
 
 
-def _compare(mechanism: Mechanism, what: str, traced: Array, expected: Array) -> None:
+def _compare(mechanism: Mechanism, name: str, traced: Array, expected: Array) -> None:
     difference = np.abs(traced - expected).max(initial=0.0)
     if not difference <= TOLERANCE:
         raise ProgramError(
-            f"{mechanism.name}: {what}: traced Jacobian or placement is {difference:.1e} off Pinocchio's, expected at "
+            f"{mechanism.name}: {name}: traced Jacobian or placement is {difference:.1e} off Pinocchio's, expected at "
             f"most {TOLERANCE:.0e}"
         )
