@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Array, Matrix, Vector
 
-_RIGID = 1e-12  # an axis that gives less than this times the softest of its kind gives nothing
 JSON_UNITS = {
     "K": "N/m, N, N m/rad",
     "C": "m/N, 1/N, rad/(N m)",
@@ -114,10 +113,10 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     import numpy as np
 
     from pm3dof_pin.elastic.batch import compliance
+    from pm3dof_pin.elastic.indices import felt_stiffness
 
     matrices = compliance(elastic, poses, on_failure="nan")
-    with np.errstate(divide="ignore"):
-        felt = 1.0 / np.einsum("nii->ni", matrices)
+    felt = felt_stiffness(np.einsum("nii->ni", matrices))
     columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(TOOL_COMPONENTS)}
     for row, column in itertools.combinations_with_replacement(range(6), 2):
         unit = ("m/N", "1/N", "rad/(N m)")[(row >= 3) + (column >= 3)]
@@ -141,14 +140,13 @@ def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dic
     """Return what is read from a compliance; an axis that is rigid feels infinitely stiff and has no shares."""
     import numpy as np
 
+    from pm3dof_pin.elastic.indices import felt_stiffness
     from pm3dof_pin.elastic.shares import shares
 
-    diagonal = np.diag(compliance)
-    rigid = diagonal <= _RIGID * np.repeat(diagonal.reshape(2, 3).max(axis=1), 3)
+    felt = felt_stiffness(np.diag(compliance))
     with np.errstate(divide="ignore", invalid="ignore"):
-        felt = np.where(rigid, np.inf, 1.0 / diagonal)
         parts = shares(contributions[None], np.eye(6))  # a unit force or moment along each axis in turn
-    parts[rigid] = np.nan
+    parts[np.isinf(felt)] = np.nan
     return {
         "model": "elastic",
         "C": compliance,

@@ -20,6 +20,7 @@ Motion = Literal["translation", "rotation"]
 OtherMotions = Literal["free", "held"]
 
 _MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
+_RIGID = 1e-12  # part of the softest axis' compliance that is rounding
 _BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
 
 
@@ -40,6 +41,20 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
         return _block(inverse_definite(compliance), motion)
     inverse: Array = inverse_definite(_block(compliance, motion))
     return inverse
+
+
+def felt_stiffness(compliances: ArrayLike) -> Array:
+    """Return the stiffness along and about each axis, all other motions free, shape=(..., 6) [N/m, N m/rad].
+
+    Axes that give less than rounding beside the softest of their kind are rigid: infinitely stiff.
+
+    Args:
+        compliances: the diagonal of C, shape=(..., 6).
+    """
+    diagonal = np.asarray(compliances, dtype=float)
+    softest = np.repeat(diagonal.reshape(*diagonal.shape[:-1], 2, 3).max(axis=-1), 3, axis=-1)
+    with np.errstate(divide="ignore"):
+        return np.where(diagonal <= _RIGID * softest, np.inf, 1.0 / diagonal)
 
 
 def principal_axes(matrix: ArrayLike) -> Ellipsoid:

@@ -58,9 +58,8 @@ def _both(roots: Roots) -> Objects:
     return np.stack([_matrix(roots.compliance), stiffness])
 
 
-def _felt(roots: Roots) -> Objects:
-    squares = [total([entry * entry for entry in row]) for row in roots.compliance]
-    return np.array([math.inf if is_zero(square) else 1.0 / square for square in squares], dtype=object)
+def _axis_compliance(roots: Roots) -> Objects:
+    return np.array([total([entry * entry for entry in row]) for row in roots.compliance], dtype=object)
 
 
 def _principal(roots: Roots) -> Objects:
@@ -111,11 +110,6 @@ def _computed_conditioning(report: CartesianCompliance) -> Array:
     return np.append(indices.eigenvalues(report.stiffness, length), length)
 
 
-def _computed_felt(report: CartesianCompliance) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / report.compliance.diagonal())
-
-
 def _computed_both(report: CartesianCompliance) -> Array:
     return np.stack([report.compliance, _computed_stiffness(report)])
 
@@ -131,8 +125,10 @@ STIFFNESS = ElasticQuantity("stiffness", (6, 6), lambda roots: _matrix(roots.sti
 COMPLIANCE_AND_STIFFNESS = ElasticQuantity("compliance_and_stiffness", (2, 6, 6), _both, _computed_both)
 """C and K; K is NaN where a direction is rigid."""
 
-FELT_STIFFNESS = ElasticQuantity("felt_stiffness", (6,), _felt, _computed_felt)
-"""Stiffness felt along and about each axis, all else free [N/m, N m/rad]."""
+AXIS_COMPLIANCE = ElasticQuantity(
+    "axis_compliance", (6,), _axis_compliance, lambda report: report.compliance.diagonal()
+)
+"""What each axis gives under a unit force or moment along it, all else free [m/N, rad/(N m)]."""
 
 PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), _principal, _computed_principal)
 """Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pm3dof_pin.elastic.batch import evaluate
-from pm3dof_pin.elastic.quantities import FELT_STIFFNESS
+from pm3dof_pin.elastic.indices import felt_stiffness
+from pm3dof_pin.elastic.quantities import AXIS_COMPLIANCE
 from pm3dof_pin.figures.labels import entry_words
 from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.kinematics.robot import Robot
@@ -34,7 +35,7 @@ def universal_joint_figure(robots: Mapping[str, Robot], height: float) -> Figure
             poses = robot.solve(robot.grid(theta_y=(_TILTS[0], _TILTS[-1], len(_TILTS)), z_e=height), on_failure="nan")
             inside = poses.within_limits
             felt = np.full((len(_TILTS), 6), np.nan)
-            felt[inside] = evaluate(robot, poses[inside], FELT_STIFFNESS).values
+            felt[inside] = felt_stiffness(evaluate(robot, poses[inside], AXIS_COMPLIANCE).values)
             for panel, (axis, (name, size, unit)) in zip(panels, _AXES.items(), strict=True):
                 panel.plot(np.degrees(_TILTS), felt[:, axis] / size, color=color)
                 panel.set_title(f"felt {entry_words(name)} [{unit}]")

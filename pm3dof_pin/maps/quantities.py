@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natu
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
+from pm3dof_pin.elastic.indices import felt_stiffness
 from pm3dof_pin.elastic.quantities import (
+    AXIS_COMPLIANCE,
     COMPLIANCE,
     CONDITIONING,
-    FELT_STIFFNESS,
     PRINCIPAL_STIFFNESS,
     STIFFNESS,
     ElasticQuantity,
@@ -36,10 +37,9 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
-from pm3dof_pin.typing import Array, Engine
+from pm3dof_pin.typing import Array, Engine, OnFailure
 
 _MODES = 6
-_RIGID = 1e-12  # an axis that gives less than this part of the softest of its kind gives nothing
 
 
 class MappedRobot:
@@ -96,6 +96,12 @@ class MappedRobot:
             return None
 
 
+class _BatchOptions(TypedDict):
+    on_failure: OnFailure
+    engine: Engine
+    threads: int | None
+
+
 class Evaluation:
     """A robot at a batch of poses (unsolved ones give NaN); what several quantities need is computed once."""
 
@@ -104,7 +110,7 @@ class Evaluation:
     ) -> None:
         self.mapped = mapped
         self.poses = poses
-        self.batch: Any = {"on_failure": "nan", "engine": engine, "threads": threads}
+        self.batch: _BatchOptions = {"on_failure": "nan", "engine": engine, "threads": threads}
         self._elastic: dict[str, Array] = {}
 
     def elastic(self, quantity: ElasticQuantity) -> Array:
@@ -243,11 +249,7 @@ for _names, _source, _unit, _long_name in (
     long_name="stiffness felt along one axis, all other motions free",
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
-    felt = evaluation.elastic(FELT_STIFFNESS)
-    if not felt.size or np.fmax.reduce(felt, axis=None) * _RIGID < np.fmin.reduce(felt, axis=None):
-        return felt  # no axis is near to rigid
-    least = felt.reshape(*felt.shape[:-1], 2, 3).min(axis=-1)
-    return np.where(felt * _RIGID >= np.repeat(least, 3, axis=-1), np.inf, felt)
+    return felt_stiffness(evaluation.elastic(AXIS_COMPLIANCE))
 
 
 for _name, _row, _unit, _long_name in (
