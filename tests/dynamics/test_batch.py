@@ -12,7 +12,7 @@ import pytest
 
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
 from pm3dof_pin.dynamics.inverse_dynamics import inverse_dynamics, loop_motion
-from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, manifold_mass_matrix, mass_matrix
+from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix, mass_matrix
 from pm3dof_pin.dynamics.modes import natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -138,7 +138,7 @@ def test_a_robot_that_its_actuators_do_not_hold_has_no_forces(
 @pytest.mark.parametrize("wrong", ["pm3dof", None, 3.0, np.zeros(12), {}])
 def test_objects_of_a_wrong_kind_are_refused(wrong: object) -> None:
     of_robots = (actuator_forces, drive_mass_matrices)
-    of_configurations = (holding_forces, mass_matrix, manifold_mass_matrix, drive_mass_matrix)
+    of_configurations = (holding_forces, mass_matrix, drive_mass_matrix)
     calls: list[Callable[[Any], object]] = [
         *(lambda value, f=f: f(value, np.zeros((1, 12))) for f in of_robots),
         *of_configurations,
