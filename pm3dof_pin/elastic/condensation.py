@@ -235,33 +235,6 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
     )
 
 
-def twist_transform(origin: ArrayLike, target: ArrayLike, rotation: ArrayLike | None = None) -> Matrix:
-    """Return X with twist_B = X twist_A, shape=(6, 6), for two frames A and B on one body.
-
-    v_B = R (v_A + omega x (B - A)), omega_B = R omega; points [m] are in A's axes, R takes these to B's, 1 by default.
-    """
-    x, y, z = np.asarray(target, dtype=float) - np.asarray(origin, dtype=float)
-    turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=float)
-    transform = np.zeros((6, 6))
-    transform[:3, :3] = transform[3:, 3:] = turn
-    transform[:3, 3:] = turn @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    return transform
-
-
-def transformed_stiffness(stiffness: ArrayLike, transform: ArrayLike) -> Matrix:
-    """Return K_A = X^T K_B X, the stiffness in frame A of a body, X of :func:`twist_transform`, twist_B = X twist_A."""
-    x = np.asarray(transform, dtype=float)
-    transformed: Matrix = np.swapaxes(x, -1, -2) @ np.asarray(stiffness, dtype=float) @ x
-    return transformed
-
-
-def transformed_compliance(compliance: ArrayLike, transform: ArrayLike) -> Matrix:
-    """Return C_B = X C_A X^T, the compliance in frame B, X of :func:`twist_transform`, twist_B = X twist_A."""
-    x = np.asarray(transform, dtype=float)
-    transformed: Matrix = x @ np.asarray(compliance, dtype=float) @ np.swapaxes(x, -1, -2)
-    return transformed
-
-
 def _contributions(model: ElasticModel, strains: Matrix) -> Matrix:
     """Return each spring's part of the compliance out of its strains in units of the springs, shape=(s, 6)."""
     ends = np.cumsum([len(block.indices) for block in model.blocks])

@@ -41,11 +41,11 @@ def calibration_pictures(
     pictures = {} if validation is None else {"tip_error_validation": held_out_picture(validation)}
     if held_out is not None:
         pictures["tip_error_held_out"] = held_out_picture(held_out)
-    pictures["residuals"] = residuals_picture(found)
+    pictures["residuals"] = _residuals_picture(found)
     if maps is not None:
         pictures["workspace"] = workspace_picture(maps)
     if calibration.compensation.values is not None:
-        pictures["parameters"] = parameters_picture(found)
+        pictures["parameters"] = _parameters_picture(found)
     return pictures
 
 
@@ -76,7 +76,7 @@ def held_out_picture(held_out: HeldOut) -> Figure:
     return figure
 
 
-def parameters_picture(found: Identification) -> Figure:
+def _parameters_picture(found: Identification) -> Figure:
     """Draw every identified parameter with two standard deviations, in units of its tolerance."""
     values = found.values / found.errors.tolerances
     spread = np.minimum(found.sigmas / found.errors.tolerances, found.prior)
@@ -94,7 +94,7 @@ def parameters_picture(found: Identification) -> Figure:
     return figure
 
 
-def residuals_picture(found: Identification) -> Figure:
+def _residuals_picture(found: Identification) -> Figure:
     """Draw the residual of every measurement in units of its sigma; outliers stand out."""
     size = np.sqrt(np.mean(found.normalized_residuals**2, axis=1))
     outliers = np.zeros(len(size), dtype=bool)

@@ -14,7 +14,6 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.elastic.batch import compliance
-from pm3dof_pin.elastic.condensation import transformed_compliance, transformed_stiffness, twist_transform
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
@@ -207,8 +206,8 @@ def test_a_weld_that_gives(rigid_tree: Callable[..., Robot]) -> None:
         root = generator.uniform(-1.0, 1.0, (6, 6)) + 3.0 * np.eye(6)
         matrix = 1e6 * root @ root.T
         springs.append(ClosureSpring(f"weld{k}", k, matrix))
-        to_place = twist_transform(np.zeros(3), place.translation, place.rotation.T)
-        expected += transformed_stiffness(matrix, to_place)
+        to_place = place.inverse().action
+        expected += to_place.T @ matrix @ to_place
     model = ElasticModel(tree, springs)
     assert_same(cartesian_compliance(model, pin.neutral(tree.model)).stiffness, expected, 1e-12)
 
@@ -402,19 +401,10 @@ def test_stiffness_at_another_frame_of_the_platform(
     (q,) = tripod_positions(POSE[None])
     where = elastic.rigid.configuration(q)
     tool, joint = cartesian_compliance(elastic, q), cartesian_compliance(elastic, q, frame="E1")
-    points = (where.frame_placement(name).translation for name in ("O_e", "E1"))
-    transform = twist_transform(*points)
-    assert_same(transformed_compliance(tool.compliance, transform), joint.compliance, 1e-12)
-    assert_same(transformed_stiffness(joint.stiffness, transform), tool.stiffness, 1e-10)
-
-
-def test_a_twist_seen_from_another_frame() -> None:
-    """The velocity field of a turning body: v_B = v_A + omega x AB, in B's axes."""
-    generator = np.random.default_rng(8)
-    a, b, v, omega = generator.uniform(-1.0, 1.0, (4, 3))
-    turn = Rotation.random(random_state=9).as_matrix()
-    seen = twist_transform(a, b, turn) @ np.concatenate([v, omega])
-    np.testing.assert_allclose(seen, np.concatenate([turn @ (v + np.cross(omega, b - a)), turn @ omega]), atol=1e-15)
+    origin, target = (where.frame_placement(name).translation for name in ("O_e", "E1"))
+    transform = pin.SE3(np.eye(3), origin - target).action
+    assert_same(transform @ tool.compliance @ transform.T, joint.compliance, 1e-12)
+    assert_same(transform.T @ joint.stiffness @ transform, tool.stiffness, 1e-10)
 
 
 def test_a_frame_that_is_not_there(elastic: ElasticModel) -> None:
