@@ -175,7 +175,7 @@ class OutputError(PM3DofError):
 
 
 class ServerError(PM3DofError):
-    """The viewer cannot listen where it was told to."""
+    """The viewer cannot listen at the given address."""
 
 
 class BrowserError(PM3DofError):

@@ -20,10 +20,10 @@ MOST_BYTES = 64 * 2**20
 
 
 def read_bytes(path: Path | str) -> bytes:
-    """Read an ordinary file of moderate size: no device or pipe, which may give bytes for ever, or none.
+    """Read a regular file of moderate size: no device or pipe, which may give bytes for ever, or none.
 
     Raises:
-        DescriptionError: it is unreadable, no ordinary file, or too large.
+        DescriptionError: it is unreadable, not a regular file, or too large.
     """
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
@@ -46,7 +46,7 @@ def read_text(path: Path | str) -> str:
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise DescriptionError(path, "file", f"expected UTF-8 text (byte {error.start} is none)") from error
+        raise DescriptionError(path, "file", f"expected UTF-8 text (byte {error.start} is invalid)") from error
 
 
 @contextmanager
@@ -128,7 +128,7 @@ def _prefix(folder: Path, name: str) -> str:
 
 
 def _is_running(process: int) -> bool:
-    if process == os.getpid() or os.name != "posix":  # elsewhere signal 0 is no question
+    if process == os.getpid() or os.name != "posix":  # elsewhere signal 0 is not a mere test
         return True
     try:
         os.kill(process, 0)

@@ -60,7 +60,7 @@ def error_map(
     at: Values = None,
     whole: Annotated[
         bool,
-        typer.Option("--whole", help="Over all coordinates that have ranges; --points values of each, 13 if not said."),
+        typer.Option("--whole", help="Over all coordinates that have ranges; --points values of each, 13 by default."),
     ] = False,
     points: Annotated[
         int | None, typer.Option(min=2, help="Number of values of each coordinate without --over. [default: 41]")
@@ -109,7 +109,7 @@ def error_map(
 ) -> None:
     """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
 
-    With --budget, or a number of it, all sources of error are told apart: parts, temperature, loads, drives, vibration.
+    With --budget, or an option of it, errors are listed by their source: parts, temperature, loads, drives, vibration.
     Their numbers stand in the same file; what it leaves out has a documented default.
 
     Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its description; a robot

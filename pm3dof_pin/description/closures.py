@@ -100,7 +100,7 @@ def read_closures(path: Path | str) -> ClosuresFile:
     """Read and check a closures file, YAML with the keys of :class:`ClosuresFile`.
 
     Raises:
-        DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
+        DescriptionError: the file is unreadable, has an unknown key, or an entry is malformed.
     """
     path = Path(path)
     file = checked(read_mapping(path), ClosuresSchema, path)

@@ -64,7 +64,7 @@ def read_error_file(path: Path | str) -> ErrorFile:
     """Read and check an error file, YAML as `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
 
     Raises:
-        DescriptionError: the file is unreadable, has an unknown key, or an entry is not of its form.
+        DescriptionError: the file is unreadable, has an unknown key, or an entry is malformed.
     """
     path = Path(path)
     file = checked(read_mapping(path), ErrorFileSchema, path)

@@ -25,7 +25,7 @@ def find_mesh(files: RobotFiles, name: str) -> Path:
     folders that were named as package paths; symbolic links are followed before that is judged.
 
     Raises:
-        DescriptionError: the file is not there, is no mesh, or is one of elsewhere.
+        DescriptionError: the file is missing, is not a mesh, or lies outside the folders of the robot.
     """
     place, found = f"mesh '{name}'", [(path, own) for path, own in _candidates(files, name) if path.is_file()]
     if not found:

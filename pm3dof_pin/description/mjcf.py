@@ -73,7 +73,7 @@ def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:
     """Read an MJCF file and those that it includes, from `own_folders`: by default those of its own package.
 
     Raises:
-        DescriptionError: a file is unreadable or no XML, a number is none, or the file has an element that is not read.
+        DescriptionError: a file is unreadable or not XML, a number is malformed, or an element is not supported.
     """
     root = read_xml(path)
     _include(root, path, own_folders or (package_of(path),))

@@ -50,9 +50,9 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
     """Check the numbers of an MJCF file that Pinocchio reads, and its size; included files are part of it.
 
     Raises:
-        DescriptionError: a number is none, not finite, negative where none may be, or beyond physical reach; a
-            direction is zero; moments of inertia have a wrong sign; a range is not in order; or there are too many
-            joints, or bodies in a row.
+        DescriptionError: an attribute is not a number, not finite, negative where it must not be, or physically
+            impossible; a direction is zero; moments of inertia have a wrong sign; a range is not in order; or there are
+            too many joints, or bodies in a row.
     """
     for section in (element for tag in _SECTIONS for element in root.findall(tag)):
         for element in section.iter():

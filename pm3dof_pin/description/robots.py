@@ -39,7 +39,7 @@ class RobotFiles:
 
     @property
     def urdf(self) -> Path:
-        """The tree as a URDF; DescriptionError if it is none."""
+        """The tree as a URDF; DescriptionError if it is not one."""
         if self.format != "urdf":
             raise DescriptionError(self.path, "file", f"expected URDF for this, not {self.format.upper()}")
         return self.path
@@ -92,7 +92,7 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
 
     Raises:
         UnknownRobotError: neither a known name nor an existing path.
-        DescriptionError: what is there is no description of a robot, or not of one.
+        DescriptionError: the path is not the description of a robot, or is that of several.
     """
     tree, closures = _tree_and_closures(_existing_path(name_or_path))
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)

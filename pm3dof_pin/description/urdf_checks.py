@@ -1,6 +1,6 @@
 """A URDF checked before it is parsed: what urdfdom would drop in silence, and what no machine has.
 
-urdfdom drops the whole inertial of a link, or all its shapes, if one of their numbers is none: "0,1945", "nan", or
+urdfdom drops the whole inertial of a link, or all its shapes, if one of their numbers is malformed: "0,1945", "nan", or
 a number with a space behind it. It does not miss links that hang in a circle, and follows the tree by recursion.
 """
 
@@ -61,9 +61,9 @@ def check_urdf(root: ElementTree.Element, path: Path | str) -> dict[str, str]:
     of inertia though kinematics and statics do without them.
 
     Raises:
-        DescriptionError: a number is none, not finite, negative where none may be, or beyond physical reach; a mass is
-            missing; moments of inertia have a wrong sign; limits are not in order; an axis is zero; a name is missing,
-            taken or unknown; or the links are not one tree of moderate size.
+        DescriptionError: an attribute is not a number, not finite, negative where it must not be, or physically
+            impossible; a mass is missing; moments of inertia have a wrong sign; limits are not in order; an axis is
+            zero; a name is missing, taken or unknown; or the links are not one tree of moderate size.
     """
     checks = _Checks(path)
     if not (root.get("name") or "").strip():

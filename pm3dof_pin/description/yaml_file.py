@@ -32,7 +32,7 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
         mark = getattr(error, "problem_mark", None)
         line = f"line {mark.line + 1}" if mark else "file"
         raise DescriptionError(path, line, f"expected YAML ({getattr(error, 'problem', error)})") from error
-    except (ValueError, OverflowError) as error:  # a date that is none, a number of a million digits
+    except (ValueError, OverflowError) as error:  # an impossible date, a number of a million digits
         raise DescriptionError(path, "file", f"expected YAML ({error})") from error
     if not isinstance(data, dict):
         raise DescriptionError(path, "file", "expected a mapping of keys to values at the top level")

@@ -23,7 +23,7 @@ from pm3dof_pin.typing import Vector
 _log = logging.getLogger(__name__)
 
 _REACH = 10.0
-_ROUNDING = 1e-9  # part of the loads' greatest stiffness below which what they take away counts as none
+_ROUNDING = 1e-9  # softening relative to the loads' greatest stiffness, below which it is rounding
 _MOST_POINTS = 1000
 _AT_BIFURCATION = 1e-6  # least eigenvalue of a point that counts as one
 _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
@@ -49,7 +49,7 @@ class BucklingLoad:
 class BucklingSearch:
     """What a search for a buckling load found."""
 
-    load: BucklingLoad | None  #: the buckling load; None if the mechanism was stable as far as it was looked
+    load: BucklingLoad | None  #: the buckling load; None if the mechanism was stable over the whole search
     largest_factor: float  #: the largest factor that the loads were multiplied by
     end: str  #: why the search ended there
 
@@ -62,7 +62,7 @@ def search_buckling(
     permanent: Loads | None = None,
     largest_factor: float | None = None,
 ) -> BucklingSearch:
-    """Find the first buckling load on the path of equilibria from no loads on, or say how far there is none.
+    """Find the first buckling load along the equilibrium path from zero load, or report how far it is stable.
 
     The path is followed by its arc length until the least eigenvalue of Z^T H Z changes its sign, and the bracket is
     closed in on from the nearest point found. An imperfect structure has no bifurcation: it bends away, and its path is

@@ -28,7 +28,7 @@ from pm3dof_pin.elastic.directions import direction_names, range_and_complement
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.motions import ElasticMotions, elastic_motions
 from pm3dof_pin.exceptions import FreeDirectionError, RigidDirectionError
-from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -42,8 +42,6 @@ class _Decomposition:
     contributions: Matrix
     free_directions: Matrix
     rigid_directions: Matrix
-    free_rank: RankDecision
-    elastic_rank: RankDecision
     twists: Matrix
     moved: Matrix
 
@@ -113,16 +111,6 @@ class CartesianCompliance:
     def rigid_directions(self) -> Matrix:
         """Twists that the frame cannot have at all, orthonormal in scaled numbers, shape=(6, r)."""
         return self.decomposition.rigid_directions
-
-    @property
-    def free_rank(self) -> RankDecision:
-        """The decision on the frame's twists with all springs at rest."""
-        return self.decomposition.free_rank
-
-    @property
-    def elastic_rank(self) -> RankDecision:
-        """The decision on the frame's twists when springs are strained, free directions left out."""
-        return self.decomposition.elastic_rank
 
     @property
     def exists(self) -> bool:
@@ -216,8 +204,8 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
     twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
     scaled = jacobian / twist_scale[:, None]
     reference = RANK_TOLERANCE * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
-    free, spanned, free_rank = range_and_complement(scaled @ motions.unstrained, reference)
-    moved, rigid, elastic_rank = range_and_complement(spanned.T @ scaled @ motions.kinematic, reference)
+    free, spanned = range_and_complement(scaled @ motions.unstrained, reference)
+    moved, rigid = range_and_complement(spanned.T @ scaled @ motions.kinematic, reference)
 
     twists = twist_scale[:, None] * (spanned @ (spanned.T @ (scaled @ motions.elastic)))
     strains = motions.whitened @ twists.T
@@ -228,8 +216,6 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
         contributions=frozen(_contributions(model, strains)),
         free_directions=frozen(twist_scale[:, None] * free),
         rigid_directions=frozen(twist_scale[:, None] * (spanned @ rigid)),
-        free_rank=free_rank,
-        elastic_rank=elastic_rank,
         twists=frozen(twists),
         moved=frozen(spanned @ moved / twist_scale[:, None]),
     )

@@ -10,11 +10,11 @@ from pm3dof_pin.typing import Matrix, Vector
 _NO_PART = 1e-6
 
 
-def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDecision]:
-    """Return orthonormal bases of what columns span and of its complement, and how the rank was decided."""
+def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix]:
+    """Return orthonormal bases of what columns span and of its complement."""
     left, values, _ = np.linalg.svd(columns) if columns.size else (np.eye(len(columns)), np.zeros(0), None)
-    rank = RankDecision.of(values, threshold)
-    return left[:, : rank.rank], left[:, rank.rank :], rank
+    rank = RankDecision.of(values, threshold).rank
+    return left[:, :rank], left[:, rank:]
 
 
 def direction_names(twists: Matrix) -> str:

@@ -204,7 +204,7 @@ def section_grid(
     `ranges` are first value, last value, count by name; `fixed` values by name [m, rad].
 
     Raises:
-        InvalidValueError: the robot has no such coordinate, or a range is not of its form.
+        InvalidValueError: the robot has no such coordinate, or a range is malformed.
     """
     known = {c.name: robot.range_of(c) for c in robot.coordinates}
     limited = {name: ends for name, ends in known.items() if np.isfinite(ends).all()}

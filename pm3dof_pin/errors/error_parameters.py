@@ -116,7 +116,7 @@ class GeometricErrors:
 
         Raises:
             UnknownRobotError: no such robot.
-            DescriptionError: a file is unreadable or not of its form.
+            DescriptionError: a file is unreadable or malformed.
             FrameNotFoundError: a file names a joint or frame that the URDF does not have.
         """
         robot = Robot.load(name_or_path, tool_frame=tool_frame, package_paths=package_paths)
@@ -131,7 +131,7 @@ class GeometricErrors:
             file: the path of an error file, which need not exist.
 
         Raises:
-            DescriptionError: the file is unreadable or not of its form.
+            DescriptionError: the file is unreadable or malformed.
             FrameNotFoundError: it names a joint or frame that the robot does not have.
         """
         if not file.is_file():

@@ -15,7 +15,7 @@ from pm3dof_pin.typing import Array
 _SMALL_HALF_ANGLE = 1e-3
 
 TIP_LENGTH = 0.1
-"""eta where nothing else is said [m/rad]: the distance at which a turn counts as much as the way it makes there."""
+"""Default of eta [m/rad]: the distance at which a turn counts as much as the way it makes there."""
 
 
 def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:

@@ -90,7 +90,7 @@ class ErrorSources:
         distribution: see the argument.
 
     Raises:
-        DescriptionError: the error file is unreadable or not of its form.
+        DescriptionError: the error file is unreadable or malformed.
         InvalidValueError: the wrench is not finite or not of shape (6,).
     """
 

@@ -56,7 +56,7 @@ def closures_text(xacro: Path, config: Path) -> str:
 
 
 class _FormError(Exception):
-    """An element is not of its form."""
+    """An element is malformed."""
 
     def __init__(self, element: ElementTree.Element, expected: str) -> None:
         name = f" name='{element.get('name')}'" if "name" in element.attrib else ""

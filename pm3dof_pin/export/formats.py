@@ -75,7 +75,7 @@ def export_robot(
     Raises:
         UnknownRobotError: no such robot.
         InvalidValueError: no such format.
-        DescriptionError: a file of the robot is missing, unreadable or not of its form, or the robot has something that
+        DescriptionError: a file of the robot is missing, unreadable or malformed, or the robot has something that
             the format cannot say.
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.

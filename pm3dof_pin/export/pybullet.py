@@ -29,7 +29,7 @@ def close_loops(client: int, body: int, robot: str | Path) -> tuple[int, ...]:
 
     Raises:
         UnknownRobotError: no such robot.
-        DescriptionError: the closures file is not of its form.
+        DescriptionError: the closures file is malformed.
         FrameNotFoundError: a closure names a link that the body does not have.
     """
     import pybullet

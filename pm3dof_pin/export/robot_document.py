@@ -148,7 +148,7 @@ def read_robot(
 
     Raises:
         UnknownRobotError: no such robot.
-        DescriptionError: a file is missing, unreadable or not of its form.
+        DescriptionError: a file is missing, unreadable or malformed.
         FrameNotFoundError: the closures file names a frame that the URDF does not have.
         JointNotFoundError: the closures file or the SRDF names a joint that the URDF does not have.
     """

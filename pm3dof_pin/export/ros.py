@@ -12,7 +12,7 @@ from pm3dof_pin.export.robot_document import RobotDocument
 
 UNDECLARED_LICENSE = "TODO: License declaration"
 UNKNOWN_EMAIL = "user@todo.todo"
-"""What `ros2 pkg create` writes when it is not told."""
+"""The defaults of `ros2 pkg create`."""
 
 OUR_MANIFEST = {
     "maintainer": "The pm3dof-pin authors",

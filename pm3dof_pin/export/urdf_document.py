@@ -174,7 +174,7 @@ def read_urdf(path: Path, *, meshes: bool = True) -> UrdfDocument:
     """Read a URDF that Pinocchio has read already, so that its tree is known to be one, with or without meshes.
 
     Raises:
-        DescriptionError: a number is none, or a joint or shape is of a kind that the exports do not know.
+        DescriptionError: a number is malformed, or a type of joint or shape is not supported.
     """
     text = path.read_text(encoding="utf-8")
     root = ElementTree.fromstring(text)

@@ -31,7 +31,7 @@ class ColorScale:
     levels: Array
     logarithmic: bool  #: whether equal steps of colour are equal ratios
     extend: Literal["neither", "min", "max", "both"]
-    note: str  #: what a reader has to be told, or ""
+    note: str  #: a note for the reader, or ""
 
     def smooth_norm(self) -> Normalize:
         """Return the scale without steps, for shaded surfaces."""

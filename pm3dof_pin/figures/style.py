@@ -90,7 +90,7 @@ def spring_colors(count: int) -> list[str]:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw with the house style inside the block, whatever the user's own settings, and leave them as they were."""
+    """Draw in the house style inside the block; the user's own settings are ignored there, and restored after it."""
     with style.context(["default", _STYLE]):
         yield
 

@@ -80,7 +80,7 @@ class Robot(Mechanism):
 
         Raises:
             UnknownRobotError: no such robot.
-            DescriptionError: a file is missing, unreadable or not of its form.
+            DescriptionError: a file is missing, unreadable or malformed.
             FrameNotFoundError: the tool or a closure is at a frame that the tree does not have.
             JointNotFoundError: the closures file names a joint that the tree does not have.
         """

@@ -20,7 +20,7 @@ class NamedArray(NamedTuple):
 
     dims: tuple[str, ...]  #: names of the dimensions of `values`
     values: NDArray[Any]
-    attrs: dict[str, Any]  #: units, long name and what else is said of it (CF conventions)
+    attrs: dict[str, Any]  #: units, long name and other attributes of the CF conventions
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,7 +137,7 @@ def evaluate_workspace(
 
 
 def stiffness_quantities(mapped: MappedRobot) -> tuple[str, ...]:
-    """Return what tells the stiffness of a robot: of its 6 x 6 matrix, or of its free motions where there is none."""
+    """Return the quantities of a robot's stiffness: those of its 6 x 6 matrix or, without one, of its free motions."""
     return _OF_FREE_MOTIONS if _has_rigid_directions(mapped) else _ELASTIC
 
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 from pm3dof_pin.typing import Matrix, Vector
 
 _CLOSED = 1e-13
-"""Closure error that counts as none beside rounding [m, rad]."""
+"""Closure error at the level of rounding [m, rad]."""
 
 
 class LoopKinematics(threading.local):

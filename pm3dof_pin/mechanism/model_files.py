@@ -28,8 +28,8 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     """Read the tree of a URDF, its joints without limits unlimited, some replaced as :func:`with_joint_types` does.
 
     Raises:
-        DescriptionError: the file is unreadable, no XML (with the line) or no URDF, something in it cannot be (see
-            :func:`~pm3dof_pin.description.urdf_checks.check_urdf`), or there is no such type of joint.
+        DescriptionError: the file is unreadable, not XML (with the line), not a URDF or physically impossible (see
+            :func:`~pm3dof_pin.description.urdf_checks.check_urdf`), or a type of joint is unknown.
         JointNotFoundError: a joint to be replaced is not there.
     """
     root = _read_urdf_element(urdf)

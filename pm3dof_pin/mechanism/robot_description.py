@@ -22,7 +22,7 @@ def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[s
     The tool frame is another than described if given.
 
     Raises:
-        DescriptionError: a file is unreadable or not of its form.
+        DescriptionError: a file is unreadable or malformed.
         JointNotFoundError: the closures file names a joint that the tree does not have.
     """
     closures_file = read_closures(files.closures) if files.closures is not None else ClosuresFile(files.path)

@@ -20,7 +20,7 @@ def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
     """Read the visual geometry of a model's files; `package://x/y` is the file `x/y` below one of their package paths.
 
     Raises:
-        DescriptionError: a shape or mesh cannot be read, or a mesh is a file of elsewhere, see
+        DescriptionError: a shape or mesh cannot be read, or a mesh lies outside the folders of the robot, see
             :func:`~pm3dof_pin.description.mesh_files.find_mesh`.
     """
     if files.format == "urdf":
