@@ -171,11 +171,6 @@ class Measurements:
         return 3 if self.rotations is None else 6
 
     @property
-    def is_partial(self) -> bool:
-        """Whether of some row less than a position, or a pose, was measured."""
-        return not self.seen.all()
-
-    @property
     def shows_poses(self) -> bool:
         """Whether some row tells of the tool at one pose, as encoders and distances between two poses do not."""
         alone = self.seen[:, : self.tool_columns].any(axis=1)

@@ -189,11 +189,6 @@ class Number(Value):
         self.value = value
 
     @property
-    def is_constant(self) -> bool:
-        """Whether this is a constant; its `value` then is not None."""
-        return self.value is not None
-
-    @property
     def is_zero(self) -> bool:
         """Whether this is the constant 0."""
         return self.value == 0.0
