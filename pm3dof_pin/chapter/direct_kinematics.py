@@ -100,17 +100,17 @@ def _shortened(step: Array) -> Array:
     return shorter
 
 
-def direct_kinematics(tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None) -> Array:
-    """Return the poses, shape=(..., 3) [rad, rad, m], at slider travels u [m] in the assembly mode of a guess (home).
+def direct_kinematics(tripod: Tripod, u: ArrayLike) -> Array:
+    """Return the poses, shape=(..., 3) [rad, rad, m], at slider travels u [m] in the assembly mode of home.
 
     Raises:
-        ConvergenceError: no pose was found for some travels: the loops cannot be closed, or not from this guess.
+        ConvergenceError: no pose was found for some travels: the loops cannot be closed, or not from home.
         InvalidValueError: u is not finite or not of shape (..., n).
     """
     travels = _checked_travels(tripod, u)
     if not np.all(np.isfinite(travels)):
         raise InvalidValueError("u", travels, "finite slider travels in metres")
-    result = newton(tripod, travels, guess)
+    result = newton(tripod, travels)
     if not np.all(result.converged):
         worst = np.unravel_index(np.nanargmax(np.nan_to_num(result.residual, nan=np.inf)), result.residual.shape)
         listed = ", ".join(

@@ -65,5 +65,5 @@ def parse_numbers(text: str, bounds: Bounds, count: int | None = None) -> tuple[
     return tuple(number for number, _ in read), next((problem for _, problem in read if problem), "")
 
 
-def _shortened(text: str, most: int = 60) -> str:
-    return text if len(text) <= most else f"{text[:most]}..."
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:60]}..."

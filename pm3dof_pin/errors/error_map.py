@@ -223,9 +223,9 @@ class _MonteCarlo:
     values: Array  #: p of each machine, shape=(machines, number of parameters) [m, rad]
     differences: Array  #: pose errors at fixed commands [translation; rotation vector], shape=(machines, n, 6) [m, rad]
 
-    def tip_rms(self, eta: float = TIP_LENGTH) -> Array:
+    def tip_rms(self) -> Array:
         """Return the root mean square tip error over the machines, shape=(n,) [m]."""
-        return np.asarray(np.sqrt(np.mean(np.sum((self.differences * tip_weights(eta)) ** 2, axis=2), axis=0)))
+        return np.asarray(np.sqrt(np.mean(np.sum((self.differences * tip_weights(TIP_LENGTH)) ** 2, axis=2), axis=0)))
 
 
 def monte_carlo(

@@ -69,8 +69,8 @@ class ColorScale:
         bar.outline.set_linewidth(0.7)
 
 
-def color_scale(values: Array, also: Array | None = None, count: int = 16) -> ColorScale:
-    """Return the scale of about `count` steps for all finite values that are drawn in a picture.
+def color_scale(values: Array, also: Array | None = None) -> ColorScale:
+    """Return the scale for all finite values that are drawn in a picture.
 
     `also` are values that are drawn too but do not count where the bulk of them is sought.
     """
@@ -94,7 +94,7 @@ def color_scale(values: Array, also: Array | None = None, count: int = 16) -> Co
     if 0.0 < _TAIL_SPAN * (scaled[2] - scaled[1]) < scaled[3] - scaled[0]:
         low, high = float(bulk[0]), float(bulk[1])
     logarithmic = low > 0.0 and high > _LOGARITHMIC_FROM * low
-    levels = _decade_levels(low, high) if logarithmic else _round_levels(low, high, count)
+    levels = _decade_levels(low, high) if logarithmic else _round_levels(low, high)
     slack = 1e-9 * abs(levels[-1] - levels[0])
     below, above = least < levels[0] - slack, greatest > levels[-1] + slack
     extend: Literal["neither", "min", "max", "both"] = (
@@ -124,8 +124,8 @@ def _decimals(value: float) -> int:
     return 0 if "e" in behind else len(behind)
 
 
-def _round_levels(least: float, greatest: float, count: int) -> Array:
-    return np.asarray(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
+def _round_levels(least: float, greatest: float) -> Array:
+    return np.asarray(MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(least, greatest), dtype=float)
 
 
 def _decade_levels(least: float, greatest: float) -> Array:

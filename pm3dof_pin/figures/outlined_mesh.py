@@ -60,11 +60,11 @@ class OutlinedMesh:
         )
         return clipped
 
-    def fine(self, field: Array, times: int = 8) -> Array:
-        """Return a field on a grid so many times finer, extrapolated like the values at the points; NaN farther out."""
+    def fine(self, field: Array) -> Array:
+        """Return a field on a grid eight times finer, extrapolated like the values at the points; NaN farther out."""
         filled = _extended(np.where(np.isfinite(field), field, np.nan), self.fillable)
         fine = [
-            np.interp(np.linspace(0, len(axis) - 1, times * (len(axis) - 1) + 1), range(len(axis)), axis)
+            np.interp(np.linspace(0, len(axis) - 1, 8 * (len(axis) - 1) + 1), range(len(axis)), axis)
             for axis in self.axes
         ]
         places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1)

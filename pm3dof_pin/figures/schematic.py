@@ -133,7 +133,7 @@ def _extension(axes: Axes, start: Array, end: Array) -> None:
     axes.plot(*np.stack([start, end], axis=1), color=_DIMENSION, linewidth=0.5, zorder=1)
 
 
-def _angle(axes: Axes, centre: Array, radius: float, first: float, last: float, text: str, push: float = 9.0) -> None:
+def _angle(axes: Axes, centre: Array, radius: float, first: float, last: float, text: str) -> None:
     """Draw an arc between two directions [rad], an arrow head at the last, and its name outside of the middle."""
     low, high = sorted((first, last))
     axes.add_patch(
@@ -143,7 +143,7 @@ def _angle(axes: Axes, centre: Array, radius: float, first: float, last: float, 
     back = centre + radius * _unit(last - np.sign(last - first) * min(0.25, 0.6 * abs(last - first)))
     _arrow(axes, back, tip, _DIMENSION)
     middle = _unit(0.5 * (first + last))
-    _label(axes, centre + radius * middle, text, push * middle)
+    _label(axes, centre + radius * middle, text, 9.0 * middle)
 
 
 def _unit(angle: float) -> Array:

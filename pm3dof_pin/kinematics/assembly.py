@@ -42,7 +42,6 @@ def assemble(
     *,
     joints: Mapping[str, ArrayLike] | None = None,
     tool: Mapping[ToolComponent, float] | None = None,
-    tolerance: float = CLOSURE_TOLERANCE,
     max_steps: int = 100,
 ) -> _Assembly:
     """Close the loops of a mechanism, with joints or components of the tool's placement at given values.
@@ -60,7 +59,6 @@ def assemble(
         joints: coordinates of joints that stay where they are [m, rad]; shape=(joint's nq,) for a joint with several
             degrees of freedom.
         tool: components of the tool's placement in the base, x, y, z [m], rx, ry, rz [rad], R = Rx Ry Rz.
-        tolerance: greatest residual that counts as converged [m, rad]. One more step is tried beyond it.
         max_steps: iterations to give up after.
 
     Raises:
@@ -71,8 +69,8 @@ def assemble(
     start = mechanism.checked_positions(guess.q if isinstance(guess, Configuration) else guess)
     q, free = mechanism.place_joints(start, joints or {})
     equations = _Equations(mechanism, free, tool or {})
-    point, steps = _iterate(equations, equations.at(q), tolerance, max_steps)
-    return _Assembly(point.residual <= tolerance, steps, point.residual, Configuration(mechanism, point.q))
+    point, steps = _iterate(equations, equations.at(q), max_steps)
+    return _Assembly(point.residual <= CLOSURE_TOLERANCE, steps, point.residual, Configuration(mechanism, point.q))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +151,10 @@ class _Equations:
         return error, jacobian[self._rows]
 
 
-def _iterate(equations: _Equations, point: _Point, tolerance: float, max_steps: int) -> tuple[_Point, int]:
+def _iterate(equations: _Equations, point: _Point, max_steps: int) -> tuple[_Point, int]:
     damping = _FIRST_DAMPING
     for step in range(max_steps):
-        was_closed = point.residual <= tolerance
+        was_closed = point.residual <= CLOSURE_TOLERANCE
         move = point.move(damping)
         left = point.error + point.jacobian @ move
         predicted = point.cost - float(left @ left)

@@ -25,6 +25,8 @@ QUANTITIES = {
     "orientation_rms": ("rad", "orientation error, root mean square"),
 }
 
+_DIRECTIONS = 240  # of rays that find the boundary
+
 
 def error_section(
     errors: GeometricErrors,
@@ -61,7 +63,7 @@ def error_section(
     ), result
 
 
-def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, directions: int = 240) -> xr.Dataset | None:
+def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset) -> xr.Dataset | None:
     """Compute the errors at points along the edge of a section over two coordinates, so that a picture ends smoothly.
 
     None if the edge is not one line that can be seen from the middle of the grid.
@@ -72,7 +74,7 @@ def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, dire
     from pm3dof_pin.maps.workspace_section import workspace_section
 
     robot, names = errors.robot, grid.dims
-    edge = workspace_section(robot_space(robot, names, grid.fixed), directions=directions)
+    edge = workspace_section(robot_space(robot, names, grid.fixed), directions=_DIRECTIONS)
     ends = np.array([[values[0], values[-1]] for values in grid.axes.values()])
     rays = edge.points - edge.space.centre
     if not edge.star_shaped or np.any(edge.space.centre <= ends[:, 0]) or np.any(edge.space.centre >= ends[:, 1]):
@@ -81,7 +83,7 @@ def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset, dire
     shares = np.divide(to_ends, rays, out=np.full_like(rays, np.inf), where=rays != 0.0).min(axis=1)
     # a little inside, where the limits hold to rounding
     points = edge.space.centre + rays * np.minimum(1.0 - 1e-9, shares)[:, None]
-    values = np.tile([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates], (directions, 1))
+    values = np.tile([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates], (_DIRECTIONS, 1))
     columns = [[c.name for c in robot.coordinates].index(name) for name in names]
     values[:, columns] = points
     poses = robot.solve(values, on_failure="nan")
