@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.description.robots import RobotFiles
     from pm3dof_pin.kinematics.robot import Robot
 
-CLOSED_TOLERANCE = 1e-6
-"""Residual up to which a closure is called closed [m or rad]."""
+_CLOSED = 1e-6  # residual up to which a closure is called closed [m or rad]
 
 _FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
 """The YAML files of a robot."""
@@ -202,7 +201,7 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     """Say what the description lacks, and what to do about it."""
     remarks = []
     gaps = {f"{c['frame_a']}-{c['frame_b']}": c["residual"] for c in result["closures"]}
-    if still_open := {name: gap for name, gap in gaps.items() if not gap <= CLOSED_TOLERANCE}:
+    if still_open := {name: gap for name, gap in gaps.items() if not gap <= _CLOSED}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
         remarks.append(
             f"loops are open at home: {listed}. No way was found to close them from there: try a configuration 'home' "

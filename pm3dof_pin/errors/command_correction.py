@@ -17,7 +17,9 @@ from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask, OnFailure
 
-_CONTROL_TOLERANCE = 1e-9
+CONTROL_TOLERANCE = 1e-9
+"""Singular value of the tool's motions by the commands, beside the greatest, below which they move it no further."""
+
 _SOUND = 1e6  # condition of normal equations, the square of that of a control matrix
 _STEPS = 3  # each leaves about a thousandth of the error
 _SHORTER = (0.25, 0.25, 0.25, 0.0)  # what a step that leads away is multiplied by, one trial after the other
@@ -52,7 +54,7 @@ def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_
     weighted = np.asarray(differences, dtype=float) * weights
     change, sound = _normal_solution(control, weighted)
     if not sound.all():
-        inverse = np.linalg.pinv(control[~sound], rcond=_CONTROL_TOLERANCE)
+        inverse = np.linalg.pinv(control[~sound], rcond=CONTROL_TOLERANCE)
         change[~sound] = np.einsum("nij,nj->ni", inverse, weighted[~sound])
     return -change
 

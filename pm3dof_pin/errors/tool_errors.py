@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from pm3dof_pin.errors.command_correction import CONTROL_TOLERANCE
 from pm3dof_pin.errors.normal_vectors import expected_norm
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
@@ -23,8 +24,6 @@ from pm3dof_pin.typing import Array, Mask
 
 LEAST_SENSITIVE_PART = 0.2
 """Part of the poses that counts as the least sensitive region."""
-
-_CONTROL_TOLERANCE = 1e-9
 
 
 class ToolErrors(ABC):
@@ -90,7 +89,7 @@ class ToolErrors(ABC):
 def control_basis(control: Array) -> Array:
     """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); columns of 0 beyond it."""
     left, values, _ = np.linalg.svd(control, full_matrices=False)
-    return np.asarray(left * (values > _CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
+    return np.asarray(left * (values > CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
 
 
 def root_sum_squares(effects: Array, sigmas: Array | float = 1.0) -> Array:
