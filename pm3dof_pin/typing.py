@@ -14,6 +14,9 @@ Mask: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.intp]
 Objects: TypeAlias = NDArray[np.object_]
 
+Motion: TypeAlias = Literal["translation", "rotation"]
+"""The two parts of a twist or of a displacement."""
+
 OnFailure: TypeAlias = Literal["raise", "nan"]
 """What happens to a pose that fails: an error, or NaN in its place."""
 

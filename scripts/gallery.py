@@ -16,11 +16,11 @@ import numpy as np
 
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Motion
 from pm3dof_pin.viewer import Viewer
 from pm3dof_pin.viewer.browser import find_browser
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix

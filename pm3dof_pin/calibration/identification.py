@@ -36,7 +36,7 @@ from pm3dof_pin.typing import Array, Indices
 Loss = Literal["squares", "huber", "tukey"]
 
 PRIOR = 3.0
-"""k: standard deviation of the parameters before the measurements, in units of their tolerances, as in planning."""
+"""k: standard deviation of the parameters before the measurements, in units of their tolerances."""
 
 PRIOR_DOMINATED = 0.9
 """A parameter whose standard deviation stays above this part of what it was before is dominated by the prior."""

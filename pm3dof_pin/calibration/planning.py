@@ -38,6 +38,7 @@ from pm3dof_pin.calibration.identifiability import (
     identifiability,
     stacked_regressor,
 )
+from pm3dof_pin.calibration.identification import PRIOR
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -65,9 +66,6 @@ STRATEGY_OF_METHOD: dict[Method, Strategy] = {
 
 MIN_DISTANCE = 0.05
 """Least distance between two poses of a plan: root mean square of their commands' differences over the ranges."""
-
-PRIOR = 3.0
-"""k: standard deviation of the parameters before any measurement, in units of their tolerances."""
 
 _PROCESS_NOISE = 0.05  # of a measured deviation, standard deviation over that of the deviations
 _MAX_PASSES = 50
@@ -112,7 +110,7 @@ class PlanningProblem:
         instrument: what is measured; full poses by default.
         eta: weight of the orientation in the tip error [m/rad].
         min_distance: see :data:`MIN_DISTANCE`.
-        prior: see :data:`PRIOR`.
+        prior: see :data:`~pm3dof_pin.calibration.identification.PRIOR`.
         wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them
             the stiffness of the springs is unknown too, and the tip error predicted is that under such wrenches.
         sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.

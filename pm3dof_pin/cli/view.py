@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pm3dof_pin.elastic.elastic_model import ElasticModel
-    from pm3dof_pin.elastic.indices import Motion, OtherMotions
+    from pm3dof_pin.elastic.indices import OtherMotions
     from pm3dof_pin.kinematics.poses import Poses
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.mechanism.configuration import Configuration
-    from pm3dof_pin.typing import Matrix
+    from pm3dof_pin.typing import Matrix, Motion
     from pm3dof_pin.viewer import Viewer
     from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
 

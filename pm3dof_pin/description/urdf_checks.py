@@ -35,7 +35,7 @@ MOST_IN_A_ROW = 200
 """Links that a chain may have, and joints that may move: Pinocchio's data take 60 bytes times their number cubed."""
 
 _JOINT_TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
-_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _SIZES: dict[str, dict[str, tuple[int, Bounds]]] = {
     "box": {"size": (3, SIZE)},
     "cylinder": {"radius": (1, SIZE), "length": (1, SIZE)},
@@ -137,10 +137,10 @@ class _Checks:
         assert inertia is not None
         mass = self._number(mass_element, "value", MASS, f"{place}: mass")
         place = f"{place}: inertia"
-        moments = [self._number(inertia, key, PRODUCT, place) for key in _MOMENTS]
+        moments = [self._number(inertia, key, PRODUCT, place) for key in MOMENTS]
         matrix = inertia_matrix(moments)
         if is_reversed(mass, matrix):
-            for key, moment in zip(_MOMENTS[:3], moments, strict=False):
+            for key, moment in zip(MOMENTS[:3], moments, strict=False):
                 if problem := MOMENT.problem(moment):
                     self._fail(f"{place}: {key}", problem)
             self._fail(place, inertia_problem(mass, matrix))

@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Motion
 
-Motion = Literal["translation", "rotation"]
 OtherMotions = Literal["free", "held"]
 
 _MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
-_RIGID = 1e-12  # part of the softest axis' compliance that is rounding
+RIGID = 1e-12
+"""Part of the greatest compliance of its kind below which a direction is rigid."""
+
 _BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
 
 
@@ -54,7 +55,7 @@ def felt_stiffness(compliances: ArrayLike) -> Array:
     diagonal = np.asarray(compliances, dtype=float)
     softest = np.repeat(diagonal.reshape(*diagonal.shape[:-1], 2, 3).max(axis=-1), 3, axis=-1)
     with np.errstate(divide="ignore"):
-        return np.where(diagonal <= _RIGID * softest, np.inf, 1.0 / diagonal)
+        return np.where(diagonal <= RIGID * softest, np.inf, 1.0 / diagonal)
 
 
 def principal_axes(matrix: ArrayLike) -> Ellipsoid:

@@ -26,8 +26,6 @@ from pm3dof_pin.programs.graph import is_zero, less, select, sqrt
 from pm3dof_pin.programs.singular_values import squared_singular_values
 from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
-_RIGID = 1e-12  # part of the greatest principal compliance below which a direction is rigid
-
 
 @dataclass(frozen=True)
 class ElasticQuantity:
@@ -67,7 +65,7 @@ def _principal(roots: Roots) -> Objects:
     result = zeros(2, 3)
     for block in range(2):
         squares = squared_singular_values(roots.compliance[3 * block : 3 * block + 3])
-        rigid = squares[-1] * _RIGID
+        rigid = squares[-1] * indices.RIGID
         result[block] = [1.0 / select(less(rigid, s), s, 0.0) for s in reversed(squares)]
     return result
 
@@ -100,7 +98,7 @@ def _principal_stiffnesses(block: Matrix) -> Vector:
         return indices.principal_axes(stiffness).values
     values = np.linalg.eigvalsh(block)[::-1]
     with np.errstate(divide="ignore"):
-        return np.where(values > _RIGID * values[0], 1.0 / values, np.inf)
+        return np.where(values > indices.RIGID * values[0], 1.0 / values, np.inf)
 
 
 def _computed_conditioning(report: CartesianCompliance) -> Array:

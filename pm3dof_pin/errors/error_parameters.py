@@ -18,9 +18,8 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import InvalidValueError, JointNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.typing import Matrix, Vector
+from pm3dof_pin.typing import Matrix, Motion, Vector
 
-Motion = Literal["translation", "rotation"]
 Distribution = Literal["normal", "uniform"]
 
 LENGTH_TOLERANCE = 1e-4

@@ -15,6 +15,7 @@ import numpy as np
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.normal_vectors import mean_radius
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
+from pm3dof_pin.errors.sensitivity import PROGRAM_FROM
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.exceptions import ProgramError
@@ -29,7 +30,6 @@ KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
 """Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
 
 _CLASS = "kinematic parameters"
-_PROGRAM_FROM = 50  # poses, as for sensitivities
 
 
 def kinematic_sum(
@@ -59,7 +59,7 @@ def kinematic_sum(
     robot, numbers = sources.robot, sources.kinematic
 
     def program(q: Matrix) -> tuple[Array, Mask]:
-        if len(q) < _PROGRAM_FROM:
+        if len(q) < PROGRAM_FROM:
             raise ProgramError(f"{len(q)} poses are too few for a program")
         values = {"eta": eta}
         for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):

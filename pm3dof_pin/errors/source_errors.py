@@ -45,7 +45,9 @@ CLASSES: tuple[ErrorClass, ...] = get_args(ErrorClass)
 GREATEST_VIBRATION = 3.0
 """Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
 
-_LINKS_SHARE = 0.5  # of the screws' rise
+LINKS_SHARE = 0.5
+"""Temperature rise of the links, as a part of the screws'."""
+
 _HALF_WIDTH = float(np.sqrt(3.0))  # of a uniform distribution, in standard deviations
 _ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
@@ -123,7 +125,7 @@ class ErrorSources:
         numbers, robot = self.numbers.thermal, self.robot
         shares = numbers.members
         if shares is None:
-            shares = {loop.frame_a: _LINKS_SHARE for loop in robot.closures}
+            shares = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
         growing = GeometricErrors(robot, translation_errors(robot, shares, "thermal"))
         closing = {parameter.place for parameter in closable(growing).parameters}
         kept = {place: share for place, share in shares.items() if place in closing}

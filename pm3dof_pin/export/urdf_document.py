@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pm3dof_pin.description.inertia_checks import inertia_matrix
+from pm3dof_pin.description.urdf_checks import MOMENTS
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.export.xml_text import document_text
 
@@ -23,7 +24,6 @@ WORLD = "world"
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
 _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "mesh": ()}
-_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ class _Reader:
 
     def _inertial(self, element: ElementTree.Element) -> Inertial:
         moments = element.find("inertia")
-        values = tuple(self._number(moments, name, 0.0) for name in _MOMENTS)
+        values = tuple(self._number(moments, name, 0.0) for name in MOMENTS)
         return Inertial(self._number(element.find("mass"), "value", 0.0), self._origin(element), values)
 
     def _shape(self, element: ElementTree.Element) -> Shape:

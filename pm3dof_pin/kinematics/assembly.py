@@ -21,7 +21,7 @@ CLOSURE_TOLERANCE = 1e-12
 """Greatest residual that counts as closed [m, rad]."""
 
 _FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
-_LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
+LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
 _LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
 _STATIONARY = 1e-13
 
@@ -101,7 +101,7 @@ class _Point:
         weights[kept] = values[kept] / (values[kept] ** 2 + damping * self.cost)
         move = -(right.T @ (weights * error))
         longest = np.abs(move).max(initial=0.0)
-        return move if longest <= _LONGEST_STEP else move * (_LONGEST_STEP / longest)
+        return move if longest <= LONGEST_STEP else move * (LONGEST_STEP / longest)
 
 
 class _Equations:

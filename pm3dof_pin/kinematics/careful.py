@@ -10,13 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, LONGEST_STEP, assemble
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 _NEWTON_STEPS = 8
 _NEARLY_CLOSED = 1e-9  # from here one quadratic step ends in rounding
-_LONGEST_STEP = 0.5  # rad, or characteristic lengths
 _LONGEST_LEG = 0.25  # of the way to a far pose, so that no other assembly mode is met [rad, characteristic lengths]
 
 
@@ -130,5 +129,5 @@ class _JointsGiven:
         scaled = jacobians[:, :, self._free] * self._scale / scale[:, None]
         moves = -np.einsum("nij,nj->ni", np.linalg.pinv(scaled, rcond=1e-10), errors / scale)
         longest = np.abs(moves).max(axis=1, initial=0.0, keepdims=True)
-        short: Matrix = moves * self._scale * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, _LONGEST_STEP))
+        short: Matrix = moves * self._scale * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, LONGEST_STEP))
         return short

@@ -21,7 +21,7 @@ from pm3dof_pin.typing import Array, Matrix
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Headings of a unit quaternion, the orientation of the tool."""
 
-_UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
+UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class PoseFile:
             )
         quaternions = np.stack([file.numbers[name] for name in QUATERNION], axis=-1)
         lengths = np.linalg.norm(quaternions, axis=-1)
-        if not np.all(np.abs(lengths - 1.0) < _UNIT_QUATERNION):
+        if not np.all(np.abs(lengths - 1.0) < UNIT_QUATERNION):
             worst = lengths[np.abs(lengths - 1.0).argmax()]
             raise DescriptionError(path, ", ".join(QUATERNION), f"a quaternion of length {worst:.6g}, expected 1")
         transforms = np.zeros((len(quaternions), 4, 4))

@@ -11,6 +11,7 @@ import numpy as np
 from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.files import write_text_atomically
+from pm3dof_pin.kinematics.pose_file import UNIT_QUATERNION
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.command_columns import (
@@ -43,7 +44,6 @@ SPHERE_COLUMN = "sphere"
 SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 
 _TIME_COLUMN = "time_s"
-_UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
 _SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _LEAST_OF_A_SPHERE = 4  # rows
@@ -395,7 +395,7 @@ class _Reader:
             return None
         quaternions = self._table.matrix(QUATERNION_COLUMNS)
         norms = np.linalg.norm(quaternions, axis=1)
-        bad = np.abs(norms - 1.0) > _UNIT_QUATERNION
+        bad = np.abs(norms - 1.0) > UNIT_QUATERNION
         if bad.any():
             problem = f"is no rotation: its length is {norms[bad][0]:.6g}, expected 1"
             lines = self._table.lines_where(bad)

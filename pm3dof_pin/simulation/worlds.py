@@ -11,6 +11,7 @@ import numpy as np
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.source_errors import LINKS_SHARE
 from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness
@@ -28,7 +29,6 @@ TEMPERATURE = "temperature_screws_K"
 """Column of the screws' temperature rise."""
 
 _WARMEST = 8.0
-_LINKS_SHARE = 0.5  # of the screws' temperature rise
 _VIBRATION = (2e-6, 1e-5)  # m, rad
 
 
@@ -70,7 +70,7 @@ class World:
             return cls(machine)
         # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
         lengths = {p.place for p in truth.parameters if p.motion == "translation"}
-        links = {loop.frame_a: _LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
+        links = {loop.frame_a: LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
             machine,
             waviness=waves_that_close(robot, GuideWaviness.random(len(robot.actuated_joints), generator)),

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
-from pm3dof_pin.elastic.indices import Motion, OtherMotions
+from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Motion
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.scene import Scene
 

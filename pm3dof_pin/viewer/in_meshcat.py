@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.indices import Motion
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.typing import Motion
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 from pm3dof_pin.viewer.scene import TYPED_ARRAYS, Message
 from pm3dof_pin.viewer.viewer import Viewer

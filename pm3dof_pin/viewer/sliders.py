@@ -13,13 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, Unit
-from pm3dof_pin.elastic.indices import Motion, OtherMotions
+from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import closure_names, limit_reading
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.programs.tool_motion import PIVOT
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.typing import Array, Matrix, Motion, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity

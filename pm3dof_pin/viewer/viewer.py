@@ -11,14 +11,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, require_kind
-from pm3dof_pin.elastic.indices import Motion, OtherMotions
+from pm3dof_pin.elastic.indices import OtherMotions
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import broken_limits
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Motion
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
 from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
