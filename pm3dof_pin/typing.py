@@ -17,6 +17,9 @@ Objects: TypeAlias = NDArray[np.object_]
 Motion: TypeAlias = Literal["translation", "rotation"]
 """The two parts of a twist or of a displacement."""
 
+MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
+"""Both of them, in the order of a twist."""
+
 OnFailure: TypeAlias = Literal["raise", "nan"]
 """What happens to a pose that fails: an error, or NaN in its place."""
 

@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.typing import Array, Motion
+from pm3dof_pin.typing import MOTIONS, Array, Motion
 
 OtherMotions = Literal["free", "held"]
 
-_MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
 RIGID = 1e-12
 """Part of the greatest compliance of its kind below which a direction is rigid."""
 
@@ -73,7 +72,7 @@ def principal_axes(matrix: ArrayLike) -> Ellipsoid:
 
 def characteristic_length(stiffness: ArrayLike) -> Array:
     """Return sqrt(tr K_rr / tr K_tt) [m], at which rotations and translations are equally stiff on average."""
-    translation, rotation = (np.trace(_block(stiffness, motion), axis1=-2, axis2=-1) for motion in _MOTIONS)
+    translation, rotation = (np.trace(_block(stiffness, motion), axis1=-2, axis2=-1) for motion in MOTIONS)
     length: Array = np.sqrt(rotation / translation)
     return length
 

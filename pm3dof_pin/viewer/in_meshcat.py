@@ -12,13 +12,12 @@ from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Motion
+from pm3dof_pin.typing import MOTIONS
 from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix
 from pm3dof_pin.viewer.scene import TYPED_ARRAYS, Message
 from pm3dof_pin.viewer.viewer import Viewer
 
 _OWN = ("/robot", "/ellipsoids", "/forces")  # background, floor and light are the user's
-_KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
 def draw_in_meshcat(
@@ -41,13 +40,13 @@ def draw_in_meshcat(
     drawn = []
     if of is not None and robot.springs and robot.tool_frame is not None:
         compliance = cartesian_compliance(ElasticModel(robot), configuration).compliance
-        for kind in _KINDS:
+        for kind in MOTIONS:
             try:
                 viewer.stiffness_ellipsoid(compliance=compliance, kind=kind, of=of)
                 drawn.append(kind)
             except SingularConfigurationError:
                 continue
-    for kind in _KINDS:
+    for kind in MOTIONS:
         if kind not in drawn:  # of an earlier call
             visualizer["ellipsoids"][kind].delete()
 

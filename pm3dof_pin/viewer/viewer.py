@@ -18,7 +18,7 @@ from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Array, Motion
+from pm3dof_pin.typing import MOTIONS, Array, Motion
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
 from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
@@ -40,7 +40,6 @@ _NEAR = 1.2  # closeness of the camera: the corners of a box around a machine ar
 _BULK = (
     3.0  # ratio of the longest semi-axis to the shortest below which an ellipsoid is drawn smaller, not to hide much
 )
-_KINDS: tuple[Motion, Motion] = ("translation", "rotation")
 
 
 class Viewer(ShownScene):
@@ -616,7 +615,7 @@ class Viewer(ShownScene):
         self.display(configuration)
         transforms = self._bodies.placements(configuration)
         if stiffness is not None or compliance is not None:
-            for kind in _KINDS:
+            for kind in MOTIONS:
                 drawn = self.stiffness_ellipsoid(stiffness, compliance=compliance, kind=kind, of=of, others=others)
                 transforms[f"/ellipsoids/{kind}"] = drawn.transform
         if forces is not None:
