@@ -44,7 +44,7 @@ def test_examples_run_in_an_empty_folder(
         assert ended.returncode == 0, ended.stderr
         printed = ended.stdout
     else:
-        with plt.rc_context({"backend": "Agg"}):
+        with plt.rc_context({"backend": "agg"}):
             runpy.run_path(str(path), run_name="__main__")
             plt.close("all")
         printed = capsys.readouterr().out
