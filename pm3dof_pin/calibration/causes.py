@@ -78,10 +78,10 @@ def likely_cause(
         best = min((cause.after for cause in found), default=0.0)
         return next((cause for cause in found if cause.after <= _EQUAL * best), None)
 
-    def simplest(kinds: Iterable[Iterable[Mistake]]) -> _Cause | None:
+    def simplest(kinds: Iterable[Iterable[Mistake]], enough: float = 0.0) -> _Cause | None:
         causes = [cause for kind in kinds if (cause := explanation(kind)) is not None]
         best = min((cause.after for cause in causes), default=0.0)
-        first = next((cause for cause in causes if cause.after <= _AS_WELL * best), None)
+        first = next((cause for cause in causes if cause.after <= max(_AS_WELL * best, enough)), None)
         if first is None:
             return None
         others = [cause.text for cause in causes if cause is not first and cause.after <= _ALIKE * first.after]
@@ -90,7 +90,7 @@ def likely_cause(
     whole = simplest(usual_mistakes(measurements, nominal, eta))
     if (whole is not None and whole.after <= least) or before <= _MUCH * least:
         return whole
-    column = simplest(wrong_columns(measurements, nominal, eta))
+    column = simplest(wrong_columns(measurements, nominal, eta), least)
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
 
 

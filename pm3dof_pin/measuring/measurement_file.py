@@ -36,7 +36,7 @@ from pm3dof_pin.measuring.plausibility import (
     warn_of_copies,
 )
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_sphere, register
-from pm3dof_pin.typing import Array, Indices, Mask
+from pm3dof_pin.typing import Array, Mask
 
 DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN = "distance_m", "sigma_distance_m"
 ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
@@ -254,13 +254,8 @@ class _Reader:
             distances=np.concatenate([distances, np.full(len(begins), np.nan)]),
             origins=np.nan_to_num(origins[rows]),
             partners=partners,
-            spheres=self._of_distances(spheres, far, rows) if on_sphere.any() else None,
+            spheres=np.where(far, spheres, -1)[rows] if on_sphere.any() else None,
         )
-
-    @staticmethod
-    def _of_distances(spheres: Indices, far: Mask, rows: Indices) -> Indices:
-        """Return the spheres of the rows with distances, -1 for the others."""
-        return np.asarray(np.where(far, spheres, -1)[rows])
 
     def _approaches(self, commands: Array) -> Array | None:
         names = approach_columns(self._robot)
