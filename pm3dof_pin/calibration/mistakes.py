@@ -122,7 +122,8 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
     nearest = _nearest_rows(measurements, nominal)
     if np.array_equal(np.sort(nearest), np.arange(count)):
         yield Mistake("the poses stand in another order than their commands", *taken(nearest))
-    for shift in (1, -1):
+    step = int(measurements.target_numbers.max()) + 1  # rows of a visit
+    for shift in (step, -step):
         # commands that were not read again in time: of some rows those of a neighbour
         neighbour = np.clip(np.arange(count) - shift, 0, count - 1)
         mixed = np.where(nearest == neighbour, neighbour, np.arange(count))
@@ -130,7 +131,8 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
         if moved.size:
             first = f"from line {measurements.lines[moved[0]]} on the" if np.ptp(moved) > 0.5 * moved.size else "the"
             where = "below" if shift > 0 else "above"
-            text = f"{first} poses of {moved.size} rows stand 1 row {where} their commands: stale commands"
+            far = f"{step} row{'s' * (step > 1)}"
+            text = f"{first} poses of {moved.size} rows stand {far} {where} their commands: stale commands"
             yield Mistake(text, *taken(mixed))
 
 

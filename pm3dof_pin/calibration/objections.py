@@ -175,9 +175,10 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))
         if after >= before:
             noise = _noise_in_words(calibration)
+            noise = f"; {noise}" if noise and not any(noise in reason for reason in reasons) else ""
             reasons.append(
                 f"on poses it was not shown the corrected commands do not improve on none: {1e6 * after:.1f} µm after, "
-                f"{1e6 * before:.1f} µm before{'; ' if noise else ''}{noise}"
+                f"{1e6 * before:.1f} µm before{noise}"
             )
     return reasons
 

@@ -354,13 +354,13 @@ WRONG: dict[str, Wrong] = {
     "one drive the other way": Wrong(_negated(slice(0, 1)), "u1"),
     "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|all drives count"),
     "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|all drives count"),
-    "one row below": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=0)), "1 row above"),
-    "one row above": Wrong(_commands(lambda u, g: np.roll(u, -1, axis=0)), "1 row below"),
+    "one row below": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=0)), "[13] rows? above"),
+    "one row above": Wrong(_commands(lambda u, g: np.roll(u, -1, axis=0)), "[13] rows? below"),
     "seven rows below": Wrong(_commands(lambda u, g: np.roll(u, 7, axis=0)), "7 rows above"),
     "poses backwards": Wrong(_commands(lambda u, g: u[::-1]), "reverse|backwards|order"),
     "poses in another order": Wrong(_commands(lambda u, g: np.random.default_rng(2).permutation(u)), "order|belong"),
-    "half stale": Wrong(_stale(0.5), "stale|row above|from line"),
-    "three quarters stale": Wrong(_stale(0.75), "stale|row above|from line"),
+    "half stale": Wrong(_stale(0.5), "stale|rows? above|from line"),
+    "three quarters stale": Wrong(_stale(0.75), "stale|rows? above|from line"),
     "one drive a row off": Wrong(_commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1"),
     "one drive constant": Wrong(
         _commands(lambda u, g: np.column_stack([np.full(len(u), u[:, 0].mean()), u[:, 1:]])), "u1"
