@@ -91,7 +91,7 @@ class _Sheet:
         ranges = [drawn(row, unit) for row, unit in zip(self.workspace.ranges, self.units, strict=False)]
         spans = np.array(ranges if self.printed is None else np.concatenate([ranges, self.printed[:2]], axis=1))
         low, high = spans.min(axis=1), spans.max(axis=1)
-        if self.same_unit and np.all((low < 0.0) & (high > 0.0)):
+        if self.units[0] == self.units[1] == "rad" and np.all((low < 0.0) & (high > 0.0)):
             reach = _MARGIN * float(np.abs(spans).max())
             plane = np.array([[-reach, reach], [-reach, reach]])
         else:
