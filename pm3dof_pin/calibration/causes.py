@@ -9,6 +9,7 @@ where the platform never turns, another tool point is another frame.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -88,9 +89,11 @@ def likely_cause(
         return replace(first, text=", or ".join([first.text, *others[:_OTHERS]]))
 
     whole = simplest(usual_mistakes(measurements, nominal, eta))
-    if (whole is not None and whole.after <= least) or before <= _MUCH * least:
+    if whole is not None and whole.after <= least:
         return whole
-    column = simplest(wrong_columns(measurements, nominal, eta), least)
+    # all positions, or all orientations, say little where the machine itself could be as far off
+    kinds = itertools.islice(wrong_columns(measurements, nominal, eta), None if before > _MUCH * least else 1)
+    column = simplest(kinds, least)
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
 
 

@@ -354,7 +354,7 @@ def _difference(name: str, table: dict[str, Array], wanted: Array) -> str:
     zero = np.median(off)
     if np.median(np.abs(off - zero)) < _LIKE * abs(zero):
         return f"{name} has another zero: it is {1e3 * zero:.4g} mm or mrad off"
-    for shift in range(-_SHIFTS, _SHIFTS + 1):
+    for shift in sorted(range(-_SHIFTS, _SHIFTS + 1), key=abs):
         if shift and np.median(np.abs(column - np.roll(wanted, shift))) < _LIKE * np.median(np.abs(off)):
             ways = f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'below' if shift > 0 else 'above'}"
             return f"{name} stands {ways} the rows it belongs to"

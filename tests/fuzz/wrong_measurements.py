@@ -361,7 +361,9 @@ WRONG: dict[str, Wrong] = {
     "poses in another order": Wrong(_commands(lambda u, g: np.random.default_rng(2).permutation(u)), "order|belong"),
     "half stale": Wrong(_stale(0.5), "stale|rows? above|from line"),
     "three quarters stale": Wrong(_stale(0.75), "stale|rows? above|from line"),
-    "one drive a row off": Wrong(_commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1"),
+    "one drive a row off": Wrong(
+        _commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1|cannot take"
+    ),
     "one drive constant": Wrong(
         _commands(lambda u, g: np.column_stack([np.full(len(u), u[:, 0].mean()), u[:, 1:]])), "u1"
     ),
