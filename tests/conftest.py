@@ -35,7 +35,7 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-_LIBRARIES = ("PYTEST_CURRENT_TEST", "HDF5_PLUGIN_PATH", "KMP_")  # variables that pytest, netCDF4 and OpenMP set
+_OURS = ("PM3DOF_", "ROS_", "HOME", "PATH", "MPL", "PYTHONPATH", "XDG_")  # others libraries set as they like
 
 
 def _state() -> dict[str, Any]:
@@ -44,7 +44,7 @@ def _state() -> dict[str, Any]:
 
     return {
         "folder": os.getcwd(),
-        "environment": {item for item in os.environ.items() if not item[0].startswith(_LIBRARIES)},
+        "environment": {name: value for name, value in os.environ.items() if name.startswith(_OURS)},
         "arguments": list(sys.argv),
         "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
         "handlers of logs": list(logging.getLogger("pm3dof_pin").handlers),

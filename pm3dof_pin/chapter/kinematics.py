@@ -134,11 +134,15 @@ def inverse_kinematics(
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    pose_array, modes = tripod.checked(poses), tripod.checked_modes(assembly_mode)
+    return _legs(tripod, poses, on_failure, tripod.checked_modes(assembly_mode)).travels
+
+
+def _legs(tripod: Tripod, poses: ArrayLike, on_failure: OnFailure, modes: Array | float = -1.0) -> Legs:
+    pose_array = tripod.checked(poses)
     legs = Legs.at(tripod, pose_array, modes)
     if on_failure == "raise":
         require_reach(tripod, pose_array, legs.travels)
-    return legs.travels
+    return legs
 
 
 def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
@@ -176,28 +180,28 @@ def platform_joint_jacobians(tripod: Tripod, poses: ArrayLike) -> Array:
     return twists[..., :3, :] + np.swapaxes(turned, -1, -2)
 
 
-def link_jacobian(tripod: Tripod, poses: ArrayLike) -> Array:
+def link_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return J_a, the elongation of the links against (theta_x, theta_y, z_e) with the sliders locked, (8.10).
 
-    NaN out of reach, shape=(..., n, 3) [m/rad, m/rad, 1].
+    Shape=(..., n, 3) [m/rad, m/rad, 1]; errors are those of :func:`inverse_kinematics`.
     """
-    pose_array = tripod.checked(poses)
-    return Legs.at(tripod, pose_array).wrenches @ motion_twists(pose_array)
+    return _legs(tripod, poses, on_failure).wrenches @ motion_twists(poses)
 
 
-def slider_jacobian(tripod: Tripod, poses: ArrayLike) -> Array:
+def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9), as J_a."""
-    return link_jacobian(tripod, poses) / Legs.at(tripod, tripod.checked(poses)).cosines[..., None]
+    legs = _legs(tripod, poses, on_failure)
+    return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]
 
 
-def passive_joint_angles(tripod: Tripod, poses: ArrayLike) -> Array:
+def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return (first, second, swing), the angles of the passive joints of every leg, shape=(..., n, 3) [rad].
 
     The universal joint at D_i first turns about the horizontal axis normal to the link's home direction, then about the
     axis normal to both; both angles count from home. The swing of the spherical joint is the angle between the link and
-    the joint's axis in the platform. NaN out of reach.
+    the joint's axis in the platform. Errors are those of :func:`inverse_kinematics`.
     """
-    return Legs.at(tripod, tripod.checked(poses)).passive_angles
+    return _legs(tripod, poses, on_failure).passive_angles
 
 
 def joint_positions(tripod: Tripod, pose: ArrayLike) -> dict[str, float]:

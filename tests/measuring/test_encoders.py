@@ -152,7 +152,7 @@ def test_what_is_wrong_with_encoders_is_named(tripod_nominal: Poses, tmp_path: P
     text = path.read_text()
     for wrong, problem in (
         (text.replace("encoder_platform_x_joint_rad", "encoder_slider1_joint_m"), "columns of passive joints"),
-        (text.replace("encoder_platform_x_joint_rad", "encoder_platform_x_joint_deg"), "columns of passive joints"),
+        (text.replace("encoder_platform_x_joint_rad", "encoder_platform_x_joint_mm"), "columns of passive joints"),
         (text.replace(f",{SIGMA!r}\n", ",-1\n"), "sigma_encoder_platform_x_joint_rad is not positive"),
     ):
         path.write_text(wrong)
