@@ -458,7 +458,7 @@ def _result(linear: _Linearised, fit: _Fit, loss: Loss, prior_error: float, step
     certainties = fit.weights / _usual_weights(linear.dimensions, loss) / fit.noise_factor**2
     covariance = linear.covariance(certainties, prior_error)
     hidden = linear.hidden_shifts(certainties, fit.noise_factor, covariance)
-    # many parameters are looked at, and of the worst of them it is said how far off it may be: twice the error of k
+    # of many parameters the worst has to be within its bounds too: twice the error of k
     variances = np.diag(linear.covariance(certainties, 2.0 * prior_error))[:count]
     machine = int(linear.ends[1])
     return Identification(

@@ -13,7 +13,6 @@ from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
 from pm3dof_pin.dynamics.modes import NO_MASS, natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.pose_values import evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -91,11 +90,17 @@ def _of_drives(
 
         return of_drives(name, robot, model, q, threads)
 
-    def careful_at(q: Vector) -> Array:
-        return careful(robot.configuration(q), payloads)
-
-    shape = (len(robot.actuated_joints),) * order
-    return _evaluated(robot, poses, name, shape, program, careful_at, on_failure, engine)
+    return evaluate_at(
+        robot,
+        poses,
+        name,
+        (len(robot.actuated_joints),) * order,
+        program=program,
+        careful=lambda q: careful(robot.configuration(q), payloads),
+        on_failure=on_failure,
+        engine=engine,
+        program_from=_PROGRAM_FROM,
+    ).values
 
 
 def natural_frequencies(
@@ -130,28 +135,17 @@ def natural_frequencies(
         found = natural_modes(elastic, q, count=count, payloads=payloads).frequencies
         return np.append(found, np.full(count - len(found), np.nan))
 
-    return _evaluated(elastic.rigid, poses, "natural frequencies", (count,), program, careful, on_failure, engine)
-
-
-def _evaluated(
-    robot: Robot,
-    poses: Poses | ArrayLike,
-    name: str,
-    shape: tuple[int, ...],
-    program: Callable[[Matrix], tuple[Array, Mask]],
-    careful: Callable[[Vector], Array],
-    on_failure: OnFailure,
-    engine: Engine,
-) -> Array:
-    """Return values at poses: by the program where these are many enough for one."""
-
-    def of_many(q: Matrix) -> tuple[Array, Mask]:
-        if len(q) < _PROGRAM_FROM:
-            raise ProgramError(f"{len(q)} poses are too few for a program")
-        return program(q)
-
-    given = (robot, poses, name, shape)
-    return evaluate_at(*given, program=of_many, careful=careful, on_failure=on_failure, engine=engine).values
+    return evaluate_at(
+        elastic.rigid,
+        poses,
+        "natural frequencies",
+        (count,),
+        program=program,
+        careful=careful,
+        on_failure=on_failure,
+        engine=engine,
+        program_from=_PROGRAM_FROM,
+    ).values
 
 
 def _frequencies(inverse_squares: NDArray[Any], count: int) -> Matrix:

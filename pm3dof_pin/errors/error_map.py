@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from pm3dof_pin.arrays import frozen, require_kind
-from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution, GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import Sensitivities, sensitivities
@@ -125,11 +125,6 @@ class ErrorMap(ToolErrors):
         scaled = self.weighted * self.sigmas
         return norm_quantiles(np.zeros(scaled.shape[:2]), scaled @ np.swapaxes(scaled, 1, 2), coverage)
 
-    def covariance(self) -> Array:
-        """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
-        effects = self.effects
-        return np.asarray(effects @ np.swapaxes(effects, 1, 2))
-
     def ranking(self) -> list[ParameterShare]:
         """Return all parameters, the most critical first."""
         squares, left = (
@@ -185,7 +180,7 @@ def error_map(
     require_kind("poses", poses, Poses, "Robot.solve")
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
-    sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / np.sqrt(3.0)
+    sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / HALF_WIDTH
     return ErrorMap(
         errors, poses, sensitivities(errors, poses, engine=engine), frozen(np.array(sigmas)), eta, distribution
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +22,9 @@ from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Motion, Vector
 
 Distribution = Literal["normal", "uniform"]
+
+HALF_WIDTH = math.sqrt(3.0)
+"""Half width of a uniform distribution, in standard deviations."""
 
 LENGTH_TOLERANCE = 1e-4
 """Tolerance of a length where none is given [m]."""

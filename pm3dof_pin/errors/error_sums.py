@@ -18,7 +18,6 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity import PROGRAM_FROM
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
-from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.programs.elimination import eliminate, total, zeros
@@ -59,8 +58,6 @@ def kinematic_sum(
     robot, numbers = sources.robot, sources.kinematic
 
     def program(q: Matrix) -> tuple[Array, Mask]:
-        if len(q) < PROGRAM_FROM:
-            raise ProgramError(f"{len(q)} poses are too few for a program")
         values = {"eta": eta}
         for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
             values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
@@ -81,6 +78,7 @@ def kinematic_sum(
         careful=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
         on_failure=on_failure,
         engine=engine,
+        program_from=PROGRAM_FROM,
     )
 
 

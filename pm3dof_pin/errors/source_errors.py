@@ -19,7 +19,7 @@ from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
-from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
+from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution, GeometricErrors
 from pm3dof_pin.errors.normal_vectors import covariance_root
 from pm3dof_pin.errors.sensitivity import closable, sensitivities
 from pm3dof_pin.errors.thermal_growth import (
@@ -48,7 +48,6 @@ GREATEST_VIBRATION = 3.0
 LINKS_SHARE = 0.5
 """Temperature rise of the links, as a part of the screws'."""
 
-_HALF_WIDTH = float(np.sqrt(3.0))  # of a uniform distribution, in standard deviations
 _ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
 
 
@@ -195,7 +194,7 @@ class ErrorSources:
     @property
     def geometry_factor(self) -> float:
         """How many standard deviations a tolerance of the geometry is."""
-        return _HALF_WIDTH if self.distribution == "uniform" else 1.0
+        return HALF_WIDTH if self.distribution == "uniform" else 1.0
 
     @cached_property
     def slides(self) -> Array:
@@ -246,7 +245,7 @@ class _SourcesAtPoses:
     ) -> SourceErrors:
         """A source of uniform numbers, `reach` being what each does at its greatest value."""
         return self._source(
-            error_class, name, long_name, effects=reach / _HALF_WIDTH, greatest=_HALF_WIDTH, repeats=repeats
+            error_class, name, long_name, effects=reach / HALF_WIDTH, greatest=HALF_WIDTH, repeats=repeats
         )
 
     def _drift(self, error_class: ErrorClass, name: str, long_name: str, per_hour: Array) -> SourceErrors:
@@ -321,7 +320,7 @@ class _SourcesAtPoses:
                 if named.keys() <= moved.keys():  # else it would strain the loops
                     terms = np.array([amount * moved[name] for name, amount in named.items()])
                     column = terms.sum(axis=0)
-                    # links between two joints turn about them, and leave the tool where it was
+                    # a link between two joints turns about them, which does not move the tool
                     if np.abs(column).max() > _ROUNDING * np.abs(bend).max():
                         columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))

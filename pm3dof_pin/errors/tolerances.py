@@ -16,14 +16,13 @@ import numpy as np
 import scipy.optimize
 
 from pm3dof_pin.errors.error_map import ErrorMap
-from pm3dof_pin.errors.error_parameters import GeometricParameter
+from pm3dof_pin.errors.error_parameters import HALF_WIDTH, GeometricParameter
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.typing import Array
 
 _MACHINES = 2000
 _CHUNK = 200  # machines at a time
 _LINEAR = 0.05  # of the machine's size: errors beyond are no small ones
-_HALF_WIDTH = np.sqrt(3.0)  # of a uniform distribution, in standard deviations
 
 _ROUNDS = 50
 _RELATIVE_TOLERANCE = 1e-9
@@ -163,7 +162,7 @@ def _greatest_tips(error_map: ErrorMap, compensated: bool, sigmas: Array) -> Arr
         drawn = (
             generator.standard_normal(shape)
             if error_map.distribution == "normal"
-            else generator.uniform(-_HALF_WIDTH, _HALF_WIDTH, shape)
+            else generator.uniform(-HALF_WIDTH, HALF_WIDTH, shape)
         )
         tips = (effects @ drawn).reshape(-1, 6, _CHUNK)
         greatest.append(np.sqrt(np.max(np.einsum("nim,nim->nm", tips, tips), axis=0)))
@@ -175,7 +174,7 @@ def _allocation(error_map: ErrorMap, names: list[str], squares: Array, costs: Ar
     parts = squares[:, finite] * sigmas[finite] ** 2
     shares = np.zeros(len(names))
     shares[finite] = parts.mean(axis=0) / parts.mean(axis=0).sum()
-    tolerances = sigmas * (1.0 if error_map.distribution == "normal" else _HALF_WIDTH)
+    tolerances = sigmas * (1.0 if error_map.distribution == "normal" else HALF_WIDTH)
     return _Allocation(
         tolerances=dict(zip(names, tolerances.tolist(), strict=True)),
         shares=dict(zip(names, shares.tolist(), strict=True)),

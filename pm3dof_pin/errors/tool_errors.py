@@ -67,12 +67,16 @@ class ToolErrors(ABC):
     @property
     def energy(self) -> Array:
         """E of (8.15), E_xyz + eta E_orientation, mean over machines with normal errors, shape=(n,) [m]."""
-        effects = self.effects
-        covariance = effects @ np.swapaxes(effects, 1, 2)
+        covariance = self.covariance()
         position, orientation = (
             expected_norm(self.shift[:, part], covariance[:, part, part]) for part in (slice(0, 3), slice(3, 6))
         )
         return np.asarray(position + self.eta * orientation)
+
+    def covariance(self) -> Array:
+        """Return the covariance of the tool's pose error, shape=(n, 6, 6) [m^2, m rad, rad^2]."""
+        effects = self.effects
+        return np.asarray(effects @ np.swapaxes(effects, 1, 2))
 
     def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
         """Tell which poses are among the part with the smallest tip error, shape=(n,).

@@ -40,12 +40,13 @@ def evaluate_at(
     careful: Callable[[Vector], ArrayLike],
     on_failure: OnFailure,
     engine: Engine,
+    program_from: int = 0,
 ) -> PoseValues:
     """Compute something, named for the log, at many poses or configurations q, shape=(..., nq).
 
     `program` goes from configurations, shape=(n, nq), to values, shape=(n, size), and where nothing is in doubt,
     shape=(n,); it raises ProgramError where there is none. `careful` goes from one configuration to its value of the
-    given shape, and decides where the program does not.
+    given shape, and decides where the program does not, and at fewer poses than `program_from`.
 
     Raises:
         InvalidValueError: `poses` has another shape.
@@ -59,7 +60,7 @@ def evaluate_at(
     rows = q.reshape(math.prod(q.shape[:-1]), q.shape[-1])
     values: Array | None = None
     doubtful = np.arange(len(rows))
-    if engine == "program":
+    if engine == "program" and len(rows) >= program_from:
         with suppress(ProgramError):
             values, sound = program(rows)
             doubtful = np.flatnonzero(~sound)
