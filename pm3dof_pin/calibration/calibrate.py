@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 
 from pm3dof_pin.arrays import require_kind
-from pm3dof_pin.calibration.caution import cautious
+from pm3dof_pin.calibration.caution import Gain, cautious
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, prior_from_data
@@ -71,6 +72,14 @@ class Calibration:
     #: the parameters identified; by the methods without parameters for finding outliers only
     identification: Identification
     compensation: Compensation  #: what to command the machine by
+
+    @cached_property
+    def gain(self) -> Gain | None:
+        """What corrections gain over the measured commands; None for a method without parameters."""
+        if not self.options.identifies:
+            return None
+        whole = identified_compensation(self.identification, self.options.eta)
+        return Gain.of(whole, self.measurements.visits.commands)
 
     def with_scatter(self, scatter: Scatter) -> Calibration:
         """Return it with what a cross-validation says is left of errors."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from, identified_compensation
-from pm3dof_pin.calibration.caution import Gain
+from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
@@ -223,21 +222,14 @@ def chance_of_harm(calibration: Calibration) -> float:
 
     See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
     """
-    gain, values = _gain(calibration), calibration.compensation.values
+    gain, values = calibration.gain, calibration.compensation.values
     return 0.0 if gain is None or values is None else gain.chance_of_harm(values)
 
 
 def part_corrected(calibration: Calibration) -> float:
     """Return how much of the correction that the parameters would be is sure enough to be made, 1 for all of it."""
-    gain, values = _gain(calibration), calibration.compensation.values
+    gain, values = calibration.gain, calibration.compensation.values
     return 1.0 if gain is None or values is None else gain.part(values)
-
-
-def _gain(calibration: Calibration) -> Gain | None:
-    if not calibration.options.identifies:
-        return None
-    whole = identified_compensation(calibration.identification, calibration.options.eta)
-    return Gain.of(whole, calibration.measurements.visits.commands)
 
 
 def can_be_judged(calibration: Calibration) -> bool:

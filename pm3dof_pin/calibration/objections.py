@@ -234,16 +234,17 @@ def refusal(
     return CalibrationRefusedError([*reasons, *([] if cause is None else [f"most likely {cause}"])])
 
 
-def _cause(measurements: Measurements, errors: GeometricErrors, eta: float, prior: float) -> object | None:
-    """Return the likeliest mistake, which says itself in words, of a machine that should be some tolerances off.
+def _cause(measurements: Measurements, errors: GeometricErrors, eta: float, prior: float) -> str | None:
+    """Return the likeliest mistake, in words, of a machine that should be some tolerances off.
 
     None if none of the usual ones explains anything.
     """
     try:
         least = _possible_error(errors, measurements, eta, prior)
-        return likely_cause(measurements, errors.robot, eta, least=least)
+        cause = likely_cause(measurements, errors.robot, eta, least=least)
     except PM3DofError:
         return None
+    return None if cause is None else str(cause)
 
 
 def _possible_error(errors: GeometricErrors, measurements: Measurements, eta: float, prior: float) -> float:

@@ -86,13 +86,11 @@ def _unseen(calibration: Calibration) -> list[str]:
     counts = np.bincount(found.measurements.visits.pose_numbers)
     if counts.max() < 2:
         hidden.append("repeatability (no pose was measured twice)")
-    untimed = [
-        kind
-        for kind, values in (("drift", found.measurements.times), ("hysteresis", found.measurements.approaches))
-        if values is None
-    ]
-    if untimed:
-        hidden.append(f"{' and '.join(untimed)} (the file has no times)")
+    unapproached = found.measurements.approaches is None
+    if found.measurements.times is None:
+        hidden.append(f"drift{' and hysteresis' if unapproached else ''} (the file has no times)")
+    elif unapproached:
+        hidden.append("hysteresis (the measurements have no approaches)")
     return hidden
 
 
