@@ -108,12 +108,13 @@ def calibrate(
             name = find_robot(which.robot).name
             judgement = verdict(calibration, held_out, on_others)
             more: Any = {"validation": on_others, "objections": reasons, "judgement": judgement}
-            report = report_as_html(calibration, name, held_out, maps, **more)
+            pictures = calibration_pictures(calibration, held_out, maps, validation=on_others)
+            report = report_as_html(calibration, name, held_out, maps, pictures=pictures, **more)
             folder = write_calibration(
                 calibration, which.robot, out, held_out, report, errors_file=which.errors, **more
             )
             if formats:
-                for picture, figure in calibration_pictures(calibration, held_out, maps, validation=on_others).items():
+                for picture, figure in pictures.items():
                     save(figure, folder / f"{picture}.png", formats)
             progress(4, 4)
     summary = summary_of(calibration, name, held_out, **more)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -52,10 +52,11 @@ def report_as_html(
     validation: HeldOut | None = None,
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
+    pictures: Mapping[str, Figure] | None = None,
 ) -> str:
-    """Return the report of a calibration; the same calibration gives the same bytes."""
+    """Return the report of a calibration, with its pictures; the same calibration gives the same bytes."""
     options, found = calibration.options, calibration.identification
-    pictures = calibration_pictures(calibration, held_out, maps, validation=validation)
+    pictures = pictures or calibration_pictures(calibration, held_out, maps, validation=validation)
     of_validation, of_held_out = (pictures.get(f"tip_error_{kind}") for kind in ("validation", "held_out"))
     parts = [
         f"<h1>Calibration of {escape(robot)}</h1>",
