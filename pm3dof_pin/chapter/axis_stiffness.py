@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.elastic import indices
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array
 
@@ -30,8 +31,7 @@ def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
     Arguments, result and errors as of :func:`held_stiffness`.
     """
     flexibility = inverse_definite(elastic_stiffness(tripod, poses))
-    felt: Array = 1.0 / np.diagonal(flexibility, axis1=-2, axis2=-1)[..., _ROWS]
-    return felt
+    return indices.felt_stiffness(np.diagonal(flexibility, axis1=-2, axis2=-1))[..., _ROWS]
 
 
 READINGS: dict[str, Callable[[Tripod, ArrayLike], Array]] = {
