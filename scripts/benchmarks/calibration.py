@@ -9,11 +9,12 @@ import argparse
 import os
 import resource
 import time
-from collections.abc import Callable
+from functools import partial
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import numpy as np
+from timing import least_time
 
 from pm3dof_pin.calibration.calibrate import METHODS, Options, calibrate
 from pm3dof_pin.calibration.identification import identify
@@ -22,16 +23,6 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.simulation.worlds import World
 
 BATCH, FEW = 20_000, 100
-
-
-def seconds(run: Callable[[], object], tries: int) -> float:
-    """Return the least processor time of some tries, the first of which compiles."""
-    taken = []
-    for _ in range(tries):
-        start = time.process_time()
-        run()
-        taken.append(time.process_time() - start)
-    return min(taken)
 
 
 def main() -> None:
@@ -45,16 +36,17 @@ def main() -> None:
     for count in arguments.poses:
         measurements = world.measure(reachable_poses(errors.robot, count, generator).commands, generator)
         tries = 4 if count <= FEW else 2
-        taken = seconds(lambda measured=measurements: identify(measured, errors), tries)
+        taken = least_time(partial(identify, measurements, errors), tries, time.process_time)
         print(f"{len(errors)} parameters from {count} poses: {taken:.3f} s", flush=True)
         for method in arguments.methods:
             options = Options(method)
-            taken = seconds(lambda measured=measurements, by=options: calibrate(measured, errors, by), tries)
+            taken = least_time(partial(calibrate, measurements, errors, options), tries, time.process_time)
             most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
             print(f"  calibration by {method}: {taken:.2f} s, up to {most:.0f} MB", flush=True)
     wanted, compensation = reachable_poses(errors.robot, BATCH, generator), calibrate(measurements, errors).compensation
     middle = {} if compensation.learned is None else compensation.learned.inputs.middle()
-    print(f"commands for {BATCH} poses: {seconds(lambda: compensation.compensate(wanted, middle), 2):.2f} s")
+    taken = least_time(partial(compensation.compensate, wanted, middle), 2, time.process_time)
+    print(f"commands for {BATCH} poses: {taken:.2f} s")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from timing import least_time
 
 from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natural_frequencies
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -18,17 +19,6 @@ from pm3dof_pin.typing import Array
 
 ROBOTS = ("pm3dof", "hexapod", "three_rps")
 POSES, FEW = 4000, 20
-ROUNDS = 5
-
-
-def least(work: Callable[[], Array]) -> float:
-    """Return the least processor time of some work [s]."""
-    times = []
-    for _ in range(ROUNDS):
-        start = time.thread_time()
-        work()
-        times.append(time.thread_time() - start)
-    return min(times)
 
 
 def main() -> dict[str, float]:
@@ -46,8 +36,8 @@ def main() -> dict[str, float]:
             start = time.thread_time()
             compute(many, threads=1)
             first = time.thread_time() - start
-            each = least(lambda c=compute, q=many: c(q, threads=1)) / POSES
-            careful = least(lambda c=compute, q=few: c(q, engine="pinocchio")) / FEW
+            each = least_time(partial(compute, many, threads=1), clock=time.thread_time) / POSES
+            careful = least_time(partial(compute, few, engine="pinocchio"), clock=time.thread_time) / FEW
             ratios[f"{name}: {what} against Pinocchio"] = careful / each
             print(
                 f"{name}: {what:26} {1e6 * each:7.2f} us a pose, pose by pose {1e6 * careful:6.0f} us, "

@@ -11,13 +11,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from cpp_pinocchio import jacobians_microseconds
+from timing import least_time
 
 from pm3dof_pin.elastic.batch import compliance
 from pm3dof_pin.elastic.compiled import elastic_program
@@ -56,16 +55,6 @@ print(time.perf_counter() - start)
 """
 
 
-def least(work: Callable[[], object], rounds: int = ROUNDS) -> float:
-    """Return the least time of some work [s]."""
-    times = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
 def map_of(robot: Robot) -> Grid:
     """Return a grid over the first two coordinates, well within the limits."""
     values = reachable_poses(robot, 200, np.random.default_rng(0)).coordinates
@@ -91,12 +80,12 @@ def gains_of_two_threads(model: ElasticModel, poses: Poses) -> dict[str, float]:
             program.compiled(q[: len(room)], program.parameters, out=room, threads=1)
 
     def run(threads: int) -> float:
-        return least(lambda: program.compiled(q, program.parameters, out=out, threads=threads), 4 * ROUNDS)
+        return least_time(lambda: program.compiled(q, program.parameters, out=out, threads=threads), 4 * ROUNDS)
 
     with ThreadPoolExecutor(2) as pool:
         rooms = np.array_split(out[: 2 * IN_CACHE], 2)
-        ceiling = least(lambda: alone(rooms[0])) / least(lambda: list(pool.map(alone, rooms)))
-    new = [least(lambda n=n: compliance(model, poses, on_failure="nan", threads=n)) for n in (1, 2)]  # type: ignore[misc]
+        ceiling = least_time(lambda: alone(rooms[0])) / least_time(lambda: list(pool.map(alone, rooms)))
+    new = [least_time(lambda n=n: compliance(model, poses, on_failure="nan", threads=n)) for n in (1, 2)]  # type: ignore[misc]
     return {"program": run(1) / run(2), "into new memory": new[0] / new[1], "ceiling of the machine": 2.0 * ceiling}
 
 
@@ -117,13 +106,15 @@ def main() -> dict[str, float]:
         model = ElasticModel(robot)
         grid = map_of(robot)
         poses = robot.solve(grid, on_failure="nan")
-        closing = least(lambda robot=robot, grid=grid: robot.solve(grid, on_failure="nan", threads=1).within_limits)
-        elastic = least(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=1))
+        closing = least_time(
+            lambda robot=robot, grid=grid: robot.solve(grid, on_failure="nan", threads=1).within_limits
+        )
+        elastic = least_time(lambda m=model, p=poses: compliance(m, p, on_failure="nan", threads=1))
         gains = gains_of_two_threads(model, poses)
         each = 1e6 / grid.size
         sample = reachable_poses(robot, FEW, np.random.default_rng(1))
-        careful = least(lambda r=robot, s=sample: r.solve(s.coordinates, engine="pinocchio"), 2) * 1e6 / FEW
-        draw = least(lambda r=robot: reachable_poses(r, 5000, np.random.default_rng(2)), 2) * 1e6 / 5000
+        careful = least_time(lambda r=robot, s=sample: r.solve(s.coordinates, engine="pinocchio"), 2) * 1e6 / FEW
+        draw = least_time(lambda r=robot: reachable_poses(r, 5000, np.random.default_rng(2)), 2) * 1e6 / 5000
         first, second = uses(path)
         cpp = jacobians_microseconds(sample)
         print(f"{name}: {robot.model.nv} joint velocities, first use {first:.2f} s, second use {second:.3f} s")
