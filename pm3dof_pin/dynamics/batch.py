@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from pm3dof_pin.dynamics.mass_matrix import drive_mass_matrix
 from pm3dof_pin.dynamics.modes import NO_MASS, natural_modes
 from pm3dof_pin.dynamics.statics import holding_forces
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -23,16 +23,13 @@ from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 _PROGRAM_FROM = 1000  # poses: fewer take Pinocchio no longer than a program takes to be recorded and compiled
 
 
-class Options(TypedDict, total=False):
-    """Keywords of what is computed at many poses."""
+class LoadedBatchOptions(BatchOptions, total=False):
+    """Keywords of what is computed at many poses of a robot with payloads."""
 
     payloads: Payloads | None  #: bodies fixed to frames, by frame: a point mass at its origin [kg], or a `pin.Inertia`
-    on_failure: OnFailure  #: "raise"; or "nan" to mark poses that are not solved, and those that have no value
-    engine: Engine  #: "program", where there are many poses; or "pinocchio", pose by pose
-    threads: int | None  #: the number of processors by default; the result does not depend on it
 
 
-def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Options]) -> Array:
+def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[LoadedBatchOptions]) -> Array:
     """Compute the forces of the actuators that hold many poses against gravity and payloads.
 
     Example:
@@ -45,7 +42,7 @@ def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Op
     Args:
         robot: the robot.
         poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
-        options: see :class:`Options`.
+        options: see :class:`LoadedBatchOptions` and :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
 
     Returns:
         Forces along the actuated joints, see :func:`~pm3dof_pin.dynamics.statics.holding_forces`,
@@ -59,7 +56,7 @@ def actuator_forces(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Op
     )
 
 
-def drive_mass_matrices(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[Options]) -> Array:
+def drive_mass_matrices(robot: Robot, poses: Poses | ArrayLike, **options: Unpack[LoadedBatchOptions]) -> Array:
     """Compute :func:`~pm3dof_pin.dynamics.mass_matrix.drive_mass_matrix` at many poses, shape=(..., u, u).
 
     Arguments and errors are those of :func:`actuator_forces`.

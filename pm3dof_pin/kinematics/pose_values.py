@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,14 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
 
 _logger = logging.getLogger(__name__)
+
+
+class BatchOptions(TypedDict, total=False):
+    """Keywords of what is computed at many poses."""
+
+    on_failure: OnFailure  #: "raise"; or "nan" to mark poses that are not solved, and those that have no value
+    engine: Engine  #: "program", where poses are enough for one; or "pinocchio", pose by pose
+    threads: int | None  #: the number of processors by default; the result does not depend on it
 
 
 @dataclass(frozen=True, eq=False)

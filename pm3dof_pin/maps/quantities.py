@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias, TypedDict
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -32,12 +32,13 @@ from pm3dof_pin.elastic.quantities import (
 )
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.pose_values import BatchOptions
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
-from pm3dof_pin.typing import Array, Engine, OnFailure
+from pm3dof_pin.typing import Array, Engine
 
 _MODES = 6
 
@@ -96,12 +97,6 @@ class MappedRobot:
             return None
 
 
-class _BatchOptions(TypedDict):
-    on_failure: OnFailure
-    engine: Engine
-    threads: int | None
-
-
 class Evaluation:
     """A robot at a batch of poses (unsolved ones give NaN); what several quantities need is computed once."""
 
@@ -110,7 +105,7 @@ class Evaluation:
     ) -> None:
         self.mapped = mapped
         self.poses = poses
-        self.batch: _BatchOptions = {"on_failure": "nan", "engine": engine, "threads": threads}
+        self.batch: BatchOptions = {"on_failure": "nan", "engine": engine, "threads": threads}
         self._elastic: dict[str, Array] = {}
 
     def elastic(self, quantity: ElasticQuantity) -> Array:
