@@ -139,18 +139,20 @@ class Continuation:
 
     # walking
 
-    def walk(self, targets: Matrix, starts: Matrix | None = None, *, thorough: bool = True) -> Solution:
+    def walk(
+        self, targets: Matrix, starts: Matrix | None = None, *, thorough: bool = True, home_too: bool = True
+    ) -> Solution:
         """Find the poses at targets [m, rad], each by a walk of its own from its start, by default home.
 
-        Not `thorough`, a walk that meets trouble is given up: quick where many poses are out of reach, at the price of
-        some next to singular ones.
+        Where a walk fails, damped steps start where it ended and (`home_too`) at home. Not `thorough`, a walk that
+        meets trouble is given up: quick where many poses are out of reach, at the price of some next to singular ones.
         """
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
         for first in range(0, len(q), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             if thorough:
-                self._solve_each(q[part], targets[part], self._home)
+                self._solve_each(q[part], targets[part], *([self._home] if home_too else []))
             else:
                 arrived, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
                 q[part] = np.where(arrived[:, None], found, np.nan)

@@ -393,19 +393,21 @@ class Robot(Mechanism):
             found = continuation.march(values, threads)
         else:
 
-            def walked(rows: Matrix, starts: Matrix | None) -> tuple[Any, ...]:
+            def walked(rows: Matrix, starts: Matrix | None, *, again: bool = False) -> tuple[Any, ...]:
                 if continuation is None:
                     return (close_all(self, self.home.q, coordinates, rows, starts)[0],)
-                return continuation.walk(rows, starts)
+                return continuation.walk(rows, starts, home_too=not again)
 
             found = walked(rows, starts)
             for start in self._further_starts(coordinates) if starts is None else ():
                 failed = np.flatnonzero(np.isnan(found[0][:, 0]))
                 if failed.size:
-                    again = walked(rows[failed], np.tile(start, (failed.size, 1)))
-                    for kept, value in zip(found, again, strict=True):
+                    others = walked(rows[failed], np.tile(start, (failed.size, 1)), again=True)
+                    for kept, value in zip(found, others, strict=True):
                         if kept is not None:
                             kept[failed] = value
+            if starts is None and (turned := self._turned_back(found[0], coordinates)) is not found[0]:
+                found = (turned, *found[1:2], None, *found[3:])  # the same poses, but for the limits they break
         failed = np.flatnonzero(np.isnan(found[0][:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
@@ -419,6 +421,22 @@ class Robot(Mechanism):
             return np.empty((0, self.model.nq))
         ways = np.random.default_rng(0).uniform(-np.pi, np.pi, (_FURTHER_STARTS, self.model.nv)) * self.velocity_scale
         return np.array([pin.integrate(self.model, self.home.q, way) for way in ways])
+
+    def _turned_back(self, q: Matrix, coordinates: tuple[Coordinate, ...]) -> Matrix:
+        """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
+        if self.closures or any(coordinate.tool is None for coordinate in coordinates):
+            return q
+        turning = [j.q_index for j in self._single_joints.values() if not (j.translates or j.is_continuous)]
+        lower, upper, angles = self.lower_limits[turning], self.upper_limits[turning], q[:, turning]
+        turns = np.where(angles > upper, np.floor((upper - angles) / (2.0 * np.pi)), 0.0)
+        turns = np.where(angles < lower, np.ceil((lower - angles) / (2.0 * np.pi)), turns)
+        turned = angles + 2.0 * np.pi * turns
+        turned = np.where((turned >= lower) & (turned <= upper), turned, angles)
+        if np.array_equal(turned, angles, equal_nan=True):
+            return q
+        found = q.copy()
+        found[:, turning] = turned
+        return found
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
         """Refuse values that are in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""
