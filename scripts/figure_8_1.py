@@ -7,15 +7,14 @@ from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.figures.schematic import schematic_figure
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
 def main(out: Path = RESULTS) -> None:
     figure = schematic_figure(Tripod.load())
-    for kind in ("pdf", "png", "svg"):
-        print(save_figure(figure, out / f"figure_8_1.{kind}"))
+    print(*save_pictures(figure, out / "figure_8_1", FORMATS), sep="\n")
 
 
 if __name__ == "__main__":

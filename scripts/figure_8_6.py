@@ -6,15 +6,14 @@ import argparse
 from pathlib import Path
 
 from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
 def main(out: Path = RESULTS) -> None:
     figure = compensation_flow_figure()
-    for kind in ("pdf", "png", "svg"):
-        print(save_figure(figure, out / f"figure_8_6.{kind}"))
+    print(*save_pictures(figure, out / "figure_8_6", FORMATS), sep="\n")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from pm3dof_pin.chapter.chapter_stiffness import AXES
 from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 FACTORS = (1.1, 1.2, 1.5, 2.0)
@@ -21,8 +21,7 @@ FACTORS = (1.1, 1.2, 1.5, 2.0)
 
 def main(out: Path = RESULTS) -> None:
     tripod = Tripod.load()
-    for kind in ("pdf", "png", "svg"):
-        print(save_figure(passive_leg_radius_figure(tripod), out / f"passive_leg_radius.{kind}"))
+    print(*save_pictures(passive_leg_radius_figure(tripod), out / "passive_leg_radius", FORMATS), sep="\n")
     tilts = np.radians(np.arange(-45.0, 46.0))
     poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = poses[limit_flags(tripod, poses) == 0]

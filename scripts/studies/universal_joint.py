@@ -9,7 +9,7 @@ import numpy as np
 
 import pm3dof_pin as pm
 from pm3dof_pin.export.description import temporary_description
-from pm3dof_pin.figures.style import save_figure
+from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.figures.universal_joint import universal_joint_figure
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
@@ -23,8 +23,7 @@ def main(out: Path = RESULTS, points: int = POINTS) -> None:
         "universal joint on the platform": pm.load("pm3dof"),
         "universal joint at the base": pm.load(temporary_description("pm3dof", "universal_joint_at_base")),
     }
-    for kind in ("pdf", "png", "svg"):
-        print(save_figure(universal_joint_figure(robots, 0.487333), out / f"universal_joint.{kind}"))
+    print(*save_pictures(universal_joint_figure(robots, 0.487333), out / "universal_joint", FORMATS), sep="\n")
     print(f"\n{'mean over the workspace':32}" + "".join(f"{axis:>12}" for axis in ("x", "y", "z", "rx", "ry", "rz")))
     for words, robot in robots.items():
         grid = robot.grid(**{c.name: (*robot.range_of(c), points) for c in robot.coordinates})
