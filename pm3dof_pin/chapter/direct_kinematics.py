@@ -15,7 +15,7 @@ from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.typing import Array
 
 TOLERANCE = 1e-13  # largest link-length error of a solution [m]
-MOST_STEPS = 50
+_MOST_STEPS = 50
 
 # Origins of the half-angle tangents: with them no pose of interest has an infinite tangent, and machines with
 # symmetries do not meet the elimination in a special position.
@@ -35,7 +35,7 @@ class _DirectKinematics:
 
 
 def newton(
-    tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = MOST_STEPS
+    tripod: Tripod, u: ArrayLike, guess: ArrayLike | None = None, *, most_steps: int = _MOST_STEPS
 ) -> _DirectKinematics:
     """Solve the direct kinematics by Newton's method on the link lengths; quadratic near a solution.
 

@@ -16,7 +16,7 @@ import pm3dof_pin
 from pm3dof_pin.cli.options import with_groups
 from pm3dof_pin.exceptions import PM3DofError
 
-WORK_FAILED = 1
+_WORK_FAILED = 1
 NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
 """Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is not a number."""
 
@@ -120,4 +120,4 @@ def main() -> None:
         typer.echo(f"pm3dof: {error}", err=True)
     else:
         return
-    sys.exit(WORK_FAILED)
+    sys.exit(_WORK_FAILED)

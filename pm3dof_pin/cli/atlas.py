@@ -27,7 +27,7 @@ from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-LEAST_POINTS = 2
+_LEAST_POINTS = 2
 _POSES = 10_000  # of an atlas over all coordinates, about
 _TILTS = ("theta_x", "theta_y", "z_e")
 _DEFAULT_POINTS = (91, 91, 61)
@@ -85,8 +85,8 @@ def atlas(
     known = known_quantities(quantity)
     if out.suffix not in (".nc", ".zarr"):
         raise typer.BadParameter(f"--out {out}: expected a name ending in .nc or .zarr")
-    if points and min(points) < LEAST_POINTS:
-        raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {LEAST_POINTS} each")
+    if points and min(points) < _LEAST_POINTS:
+        raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {_LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
         raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
     loaded = which.load()
@@ -154,12 +154,12 @@ def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
         numbers = [int(word) for word in counts.replace(",", " ").split()] if counts else []
     except ValueError:
         raise typer.BadParameter(f"--counts {counts}: expected whole numbers") from None
-    if counts and (len(numbers) not in (1, dimensions) or min(numbers) < LEAST_POINTS):
+    if counts and (len(numbers) not in (1, dimensions) or min(numbers) < _LEAST_POINTS):
         raise typer.BadParameter(
-            f"--counts {counts}: expected one number, or {dimensions} for {robot.name}, of at least {LEAST_POINTS}"
+            f"--counts {counts}: expected one number, or {dimensions} for {robot.name}, of at least {_LEAST_POINTS}"
         )
     if not numbers:
-        numbers = [max(LEAST_POINTS, round(_POSES ** (1.0 / max(dimensions, 1))))]
+        numbers = [max(_LEAST_POINTS, round(_POSES ** (1.0 / max(dimensions, 1))))]
     return declared_ranges(robot, robot.coordinates, numbers if len(numbers) == dimensions else numbers * dimensions)
 
 

@@ -28,7 +28,7 @@ PICTURES = {
     "error_map_uncompensable.png": "uncompensable_rms",
     "error_map_worst.png": "worst_tip",
 }
-SHOWN = 10
+_SHOWN = 10
 SAMPLES = 300
 
 
@@ -268,7 +268,7 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
             f"{share['share']:.1%}",
             f"{share['uncompensable_share']:.1%}",
         ]
-        for share in result["ranking"][:SHOWN]
+        for share in result["ranking"][:_SHOWN]
     ]
     lines = [
         f"{result['robot']}: {result['parameters']} error parameters, {result['poses']:,} poses of {place}, "

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.mechanism.configuration import Configuration
     from pm3dof_pin.typing import Array, Matrix, Vector
 
-JSON_UNITS = {
+_JSON_UNITS = {
     "K": "N/m, N, N m/rad",
     "C": "m/N, 1/N, rad/(N m)",
     "felt": "N/m (x, y, z), N m/rad (rx, ry, rz)",
@@ -80,7 +80,7 @@ def stiffness(
     else:
         result |= _read_stiffness(tool.stiffness, tool.compliance)
     result["singularity_distances"] = read_singularity_distances(configuration)
-    units = {key: unit for key, unit in JSON_UNITS.items() if key in result or key in result.get("indices", {})}
+    units = {key: unit for key, unit in _JSON_UNITS.items() if key in result or key in result.get("indices", {})}
     print_at_pose(pose, result | {"units": units}, _elastic_lines(result), as_json=as_json)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.named_arrays import Map
     from pm3dof_pin.typing import Array, Engine
 
-LEAST_TO_DRAW = 3
+_LEAST_TO_DRAW = 3
 PICTURES = {
     "figure_8_3a_theta_x.png": "stiffness_theta_x",
     "figure_8_3b_theta_y.png": "stiffness_theta_y",
@@ -172,7 +172,7 @@ def _draw(
     entries = _entries(dataset)
     files = []
     for done, (name, label, values) in enumerate(entries, start=1):
-        if np.isfinite(values).sum() >= LEAST_TO_DRAW:
+        if np.isfinite(values).sum() >= _LEAST_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
             figure = section_map(dataset, name, entry=label or None, within=lambda points: broken(points) == 0)
             files += save(figure, path, formats)
@@ -242,7 +242,7 @@ def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | Non
         if tripod is not None:
             hint = f"--height: the level platform goes from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
         raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
-    if drawn and inside < LEAST_TO_DRAW:
+    if drawn and inside < _LEAST_TO_DRAW:
         raise UnreachablePoseError(
             f"{inside} of the poses of the map {place} within every joint limit, too few to draw: "
             "more --points, other ranges, or --no-pictures"

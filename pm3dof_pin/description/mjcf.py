@@ -21,7 +21,7 @@ from pm3dof_pin.description.xml_file import read_xml
 from pm3dof_pin.exceptions import DescriptionError
 
 WORLD = "world"
-TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector", "attachment_site")
+_TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector", "attachment_site")
 
 _POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 _NOT_READ = ("replicate", "attach", "composite", "flexcomp")
@@ -178,7 +178,7 @@ class _Reader:
             equalities=equalities,
             actuators=actuators,
             gravity=self._gravity(),
-            tool=next((self.sites[name] for name in TOOL_SITES if name in self.sites), None),
+            tool=next((self.sites[name] for name in _TOOL_SITES if name in self.sites), None),
         )
 
     def _rewrite(self, body: ElementTree.Element, default_class: str) -> None:

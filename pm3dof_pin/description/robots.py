@@ -16,7 +16,7 @@ from pm3dof_pin.exceptions import DescriptionError, UnknownRobotError
 
 DESCRIPTION_SUFFIX = "_description"
 CLOSURES_SUFFIX = ".closures.yaml"
-CLOSURES_FALLBACK = "robot.yaml"
+_CLOSURES_FALLBACK = "robot.yaml"
 
 Format = Literal["urdf", "mjcf"]
 
@@ -101,7 +101,7 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
     path = _expand(tree.resolve(), name, packages) if tree.suffix == ".xacro" else tree
     form = _format_of(path)
     if closures is None:
-        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([CLOSURES_FALLBACK] if form == "urdf" else []))
+        closures = _beside(tree, "urdf", name + CLOSURES_SUFFIX, *([_CLOSURES_FALLBACK] if form == "urdf" else []))
     return RobotFiles(
         name=name,
         path=path,
@@ -140,8 +140,8 @@ def _example_robot(name: str) -> Path | None:
 def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
     """Find the tree that a path stands for, and the closures file if the path says which."""
     if path.is_dir():
-        if (path / CLOSURES_FALLBACK).is_file():
-            return _tree_and_closures(path / CLOSURES_FALLBACK)
+        if (path / _CLOSURES_FALLBACK).is_file():
+            return _tree_and_closures(path / _CLOSURES_FALLBACK)
         for pattern in ("*.urdf", "urdf/*.urdf", "*.urdf.xacro", "*/*.urdf.xacro", "*.xml", "mjcf/*.xml"):
             if trees := sorted(tree for tree in path.glob(pattern) if tree.suffix != ".xml" or _is_mjcf(tree)):
                 return _only(trees, path), None

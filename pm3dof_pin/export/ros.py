@@ -10,7 +10,7 @@ import pm3dof_pin
 from pm3dof_pin.export.plain_urdf import description_texts
 from pm3dof_pin.export.robot_document import RobotDocument
 
-UNDECLARED_LICENSE = "TODO: License declaration"
+_UNDECLARED_LICENSE = "TODO: License declaration"
 UNKNOWN_EMAIL = "user@todo.todo"
 """The defaults of `ros2 pkg create`."""
 
@@ -149,7 +149,7 @@ def ros_files(
     *,
     maintainer: str = "TODO",
     email: str = UNKNOWN_EMAIL,
-    license_name: str = UNDECLARED_LICENSE,
+    license_name: str = _UNDECLARED_LICENSE,
     version: str = "0.0.0",
 ) -> dict[str, str]:
     """Write a ROS 2 package (ament_cmake) around a robot, its folder to be named :func:`ros_package_name`.

@@ -14,7 +14,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
 # Okabe and Ito's colours
-STRATEGY_COLORS: Mapping[Strategy, str] = {
+_STRATEGY_COLORS: Mapping[Strategy, str] = {
     "d-optimal": "#0072B2",
     "tip-optimal": "#009E73",
     "space-filling": "#CC79A7",
@@ -22,7 +22,7 @@ STRATEGY_COLORS: Mapping[Strategy, str] = {
     "random": "#999999",
     "least-sensitive": "#D55E00",
 }
-STRATEGY_NAMES: Mapping[Strategy, str] = {
+_STRATEGY_NAMES: Mapping[Strategy, str] = {
     "d-optimal": "D-optimal",
     "tip-optimal": "best for the tip",
     "space-filling": "space-filling",
@@ -49,8 +49,8 @@ def plan_accuracy(
         axes = figure.add_axes((0.15, 1.0 - 2.43 / height, 0.83, 2.4 / height))
         for strategy, curve in curves.items():
             microns = 1e6 * curve
-            color = STRATEGY_COLORS[strategy]
-            axes.plot(counts, microns.mean(axis=1), "o-", markersize=3.5, color=color, label=STRATEGY_NAMES[strategy])
+            color = _STRATEGY_COLORS[strategy]
+            axes.plot(counts, microns.mean(axis=1), "o-", markersize=3.5, color=color, label=_STRATEGY_NAMES[strategy])
             axes.fill_between(counts, microns.min(axis=1), microns.max(axis=1), color=color, alpha=0.15, linewidth=0.0)
         if minimum is not None:
             axes.axvline(minimum, color="#222222", linestyle=":", linewidth=0.8)
