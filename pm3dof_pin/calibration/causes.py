@@ -48,11 +48,12 @@ class _Cause:
 
 
 def likely_cause(
-    measurements: Measurements, robot: Robot, eta: float = TIP_LENGTH, *, least: float = 0.0
+    measurements: Measurements, robot: Robot, eta: float = TIP_LENGTH, *, least: float = 0.0, alike: float = 0.0
 ) -> _Cause | None:
     """Find the mistake that explains best why measurements do not fit a robot; None if none of the usual ones does.
 
-    A tip error of `least` [m] needs no mistake to explain it. eta weighs the orientation [m/rad].
+    A tip error of `least` [m] needs no mistake to explain it, and mistakes that leave less than `alike` [m] explain as
+    much as each other. eta weighs the orientation [m/rad].
 
     Raises:
         PM3DofError: the commands cannot be taken, or no base can be found.
@@ -85,10 +86,11 @@ def likely_cause(
         first = next((cause for cause in causes if cause.after <= max(_AS_WELL * best, enough)), None)
         if first is None:
             return None
-        others = [cause.text for cause in causes if cause is not first and cause.after <= _ALIKE * first.after]
+        as_good = _ALIKE * (first.after if first.after <= _AS_WELL * best else best)
+        others = [cause.text for cause in causes if cause is not first and cause.after <= as_good]
         return replace(first, text=", or ".join([first.text, *others[:_OTHERS]]))
 
-    whole = simplest(usual_mistakes(measurements, nominal, eta))
+    whole = simplest(usual_mistakes(measurements, nominal, eta), alike)
     if whole is not None and whole.after <= least:
         return whole
     # all positions, or all orientations, say little where the machine itself could be as far off

@@ -19,7 +19,8 @@ from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
-from pm3dof_pin.measuring.registration import register
+from pm3dof_pin.measuring.nuisances import datum_motions
+from pm3dof_pin.measuring.registration import fitted_sphere, register
 from pm3dof_pin.typing import Array, Indices
 
 _MANY_DRIVES = 4  # more are not permuted in every way
@@ -29,6 +30,8 @@ _LIKE = 0.1  # of the differences is left where a simpler form describes them
 _SAME = 1e-9
 _ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
 _STEPS = 3  # times those of one descent
+_FAR = 2.0  # times the median: rows that count less
+_FEWEST_TOUCHES = 4  # by which a fixed point is found
 _QUATERNION = "wxyz"
 
 
@@ -56,12 +59,13 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
     yield _of_axes(measurements, nominal)
     yield _of_quaternions(measurements, nominal)
     yield _of_scale(measurements, nominal)
+    yield from _of_distances(measurements, nominal)
     yield from _of_counters(measurements, nominal, eta)
     if measurements.registration is None:
         text = "the instrument's frame is not that of the base: --own-frame finds the base in it"
         yield [Mistake(text, measurements, nominal, free=True)]
         yield _of_scale(measurements, nominal, free=True)
-    yield from _of_the_tool(measurements, nominal)
+    yield from _of_the_tool(measurements, nominal, eta)
     yield from _of_positions(measurements, nominal)
 
 
@@ -164,6 +168,9 @@ def _of_axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
                 turned = axes @ rotations @ (axes.T if hand == "mirrored" else np.eye(3))
                 text = f"the axes of the poses are {hand}: x, y, z of the base are their {names}"
                 yield Mistake(text, replace(moved, rotations=turned), nominal)
+            if measurements.points.any():
+                text = f"the axes of the positions and of the targets' points are {hand}: x, y, z are their {names}"
+                yield Mistake(text, moved.with_points(measurements.points @ axes.T), nominal)
             what = "the axes of the positions" if rotations is None else "the axes of the positions alone"
             yield Mistake(f"{what} are {hand}: x, y, z of the base are their {names}", moved, nominal)
 
@@ -192,11 +199,11 @@ def _of_quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mist
             yield Mistake(text, replace(measurements, rotations=read), nominal)
 
 
-def _of_the_tool(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
-    seen = nominal.rotations if measurements.rotations is None else measurements.rotations
-    shift = np.median(
-        np.einsum("nji,nj->ni", seen, measurements.positions - nominal.positions) - measurements.points, axis=0
-    )
+def _of_the_tool(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
+    shift = np.zeros(3)
+    for _ in range(_STEPS):  # distances are not linear in it
+        moved = measurements.with_points(measurements.points + shift)
+        shift = shift + _explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
     shifted = measurements.with_points(measurements.points + shift)
     text = f"the point seen is about ({_in_millimetres(shift)}) mm from where it is said to be, in the tool's axes"
     yield [Mistake(text, shifted, nominal)]
@@ -254,30 +261,87 @@ def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
         yield [Mistake(text, replace(measurements, positions=moved), nominal)]
 
 
-def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
-    """Zero or lead of one drive, then the zeros of all."""
-    drives = list(range(len(nominal.robot.commands)))
-    wanted = _asked_for(measurements, nominal, drives, eta)
-    if wanted is None or not (told := np.isfinite(wanted).all(axis=1)).any():
+def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
+    """Units of distances, what all of them are too long, and where they are from."""
+    distances, origins, partners = measurements.distances, measurements.origins, measurements.partners
+    if distances is None or origins is None or partners is None:
         return
-    commands = measurements.commands
-    shifts = np.median((commands - wanted)[told], axis=0)
+    rows = np.flatnonzero(np.isfinite(distances))
+    expected = distances[rows] - measurements.residuals(nominal)[rows, 0]
 
-    def with_column(k: int, column: Array) -> Measurements:
-        return replace(measurements, commands=np.column_stack([commands[:, :k], column, commands[:, k + 1 :]]))
+    def with_distances(text: str, changed: Array) -> Mistake:
+        return Mistake(text, replace(measurements, distances=changed), nominal)
+
+    yield [with_distances(f"the distances are in {unit}", factor * distances) for unit, factor in _LENGTHS.items()]
+    longer = float(np.median(distances[rows] - expected))
+    yield [with_distances(f"all distances are {1e3 * longer:.4g} mm too long", distances - longer)]
+    scale = float(np.median(distances[rows] / np.maximum(expected, np.finfo(float).tiny)))
+    if abs(scale - 1.0) > _ANOTHER:
+        yield [with_distances(f"the distances are {scale:.6g} times what they should be", distances / scale)]
+    fixed = rows[partners[rows] < 0]
+    places, points = np.unique(origins[fixed], axis=0), _expected(measurements, nominal)
+    centres = origins.copy()
+    for place in places:
+        of_it = fixed[(origins[fixed] == place).all(axis=1)]
+        if len(of_it) >= _FEWEST_TOUCHES:
+            with contextlib.suppress(np.linalg.LinAlgError):
+                centres[of_it] = fitted_sphere(points[of_it], distances[of_it])
+    if len(places):
+        found = [centres[fixed][(origins[fixed] == place).all(axis=1)][0] for place in places[:2]]
+        text = (
+            f"the fixed points are not where the file has them but at ({'), ('.join(map(_in_millimetres, found))}) mm"
+        )
+        yield [Mistake(text, measurements.with_origins(centres), nominal)]
+
+
+def _explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
+    """Return how much of some motions of the tool, shape=(n, 6, k), explains what was seen: robust least squares.
+
+    The base may stand anywhere where measurements are those of an instrument with a frame of its own.
+    """
+    count, columns = motions.shape[2], measurements.tool_columns
+    if measurements.registration is not None:
+        motions = np.concatenate([motions, datum_motions(poses)[:, :, :6]], axis=2)
+    seen = measurements.seen[:, :columns] * tip_weights(eta)[:columns]
+    residuals = measurements.residuals(poses)[:, :columns] * seen
+    sizes = np.linalg.norm(residuals, axis=1)
+    trust = 1.0 / np.maximum(sizes, _FAR * np.median(sizes) + np.finfo(float).tiny)
+    rows = measurements.derivatives(poses, motions)[:, :columns] * (seen * trust[:, None])[:, :, None]
+    answer = np.linalg.lstsq(rows.reshape(-1, motions.shape[2]), (residuals * trust[:, None]).reshape(-1), rcond=1e-9)
+    return np.asarray(answer[0][:count])
+
+
+def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
+    """Zero or lead of one drive, then the zeros of all: numbers that are fitted to all rows together."""
+    commands, count = measurements.commands, measurements.commands.shape[1]
+
+    def without(changes: Array) -> tuple[Array, Measurements] | None:
+        """Return how much of some changes of the commands, shape=(n, drives, k), to take, and without them."""
+        poses, found = nominal, np.zeros(changes.shape[2])
+        with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
+            for _ in range(_STEPS):
+                found = found + _explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
+                poses = nominal.robot.forward(commands + changes @ found, guess=poses.q)
+            return found, replace(measurements, commands=commands + changes @ found)
+        return None
 
     def of_one() -> Iterator[Mistake]:
-        for k in drives:
-            text = f"the zero of u{k + 1} is off by about {1e3 * shifts[k]:.3g} mm or mrad"
-            yield Mistake(text, with_column(k, commands[:, k] - shifts[k]), None)
-            slope, start = np.polyfit(wanted[told, k], commands[told, k], 1)
-            if abs(slope - 1.0) > _ANOTHER and abs(slope) > _LIKE:
-                text = f"u{k + 1} is {slope:.5g} times what it should be: another lead, unit or sign"
-                yield Mistake(text, with_column(k, (commands[:, k] - start) / slope), None)
+        for k in range(count):
+            column = np.zeros((len(commands), count, 2))
+            column[:, k] = np.column_stack([np.ones(len(commands)), commands[:, k]])
+            if (fitted := without(column[:, :, :1])) is not None:
+                text = f"the zero of u{k + 1} is off by about {-1e3 * fitted[0][0]:.3g} mm or mrad"
+                yield Mistake(text, fitted[1], None)
+            if (fitted := without(column)) is not None and abs(fitted[0][1]) > _ANOTHER:
+                text = (
+                    f"u{k + 1} is {1.0 / (1.0 + fitted[0][1]):.5g} times what it should be: another lead, unit or sign"
+                )
+                yield Mistake(text, fitted[1], None)
 
     yield of_one()
-    text = f"the zeros of the drives are off by about ({_in_millimetres(shifts)}) mm or mrad"
-    yield [Mistake(text, replace(measurements, commands=commands - shifts), None)]
+    if (fitted := without(np.tile(np.eye(count), (len(commands), 1, 1)))) is not None:
+        text = f"the zeros of the drives are off by about ({_in_millimetres(-fitted[0])}) mm or mrad"
+        yield [Mistake(text, fitted[1], None)]
 
 
 def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:

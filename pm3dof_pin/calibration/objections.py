@@ -49,6 +49,8 @@ def calibrate_and_object(
 ) -> tuple[Calibration, HeldOut | None, list[str]]:
     """Calibrate a machine and judge the result: return it with its cross-validation and what speaks against it.
 
+    The last of what speaks against it is the likeliest cause, if one of the usual mistakes explains it.
+
     Args:
         measurements: what was measured.
         errors: the parameters, with their tolerances.
@@ -66,9 +68,12 @@ def calibrate_and_object(
             calibration = calibration.with_scatter(held_out.scatter)
         reasons = objections(calibration, held_out)
     except (ConvergenceError, UnreachablePoseError, InvalidValueError, SingularConfigurationError) as error:
-        raise refusal([str(error)], measurements, errors, options.eta) from error
+        raise CalibrationRefusedError([str(error), *_likeliest(measurements, errors, options.eta)]) from error
     progress(2, 2)
-    if not reasons:
+    if reasons:
+        tolerances = 1.0 if strain(calibration) > STRAIN else PRIOR
+        reasons += _likeliest(measurements, errors, options.eta, tolerances)
+    else:
         _warn_of_noise(calibration)
         _warn_of_other_parts(calibration, measurements)
     return calibration, held_out, reasons
@@ -112,11 +117,11 @@ def _warn_of_other_parts(calibration: Calibration, measurements: Measurements) -
         if abs(value) > _OTHER * parameter.tolerance
     ]
     if parts:
-        cause = _cause(measurements, found.errors, calibration.options.eta, 1.0)
+        cause = _likeliest(measurements, found.errors, calibration.options.eta, 1.0)
         logger.warning(
             "far from the description: %s: another part, or a mistake? %s",
             ", ".join(parts),
-            "None of the usual ones explains it" if cause is None else f"Most likely {cause}",
+            (cause or ["none of the usual ones explains it"])[0].capitalize(),
         )
 
 
@@ -219,32 +224,21 @@ def strain(calibration: Calibration) -> float:
     return float(np.sqrt(np.sum(scaled**2) / max(told, 1.0)))
 
 
-def refusal(
-    reasons: list[str], measurements: Measurements, errors: GeometricErrors, eta: float
-) -> CalibrationRefusedError:
-    """Return the refusal of a calibration, with the likeliest cause if one of the usual mistakes explains it.
+def _likeliest(measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR) -> list[str]:
+    """Return the likeliest of the usual mistakes in words, of a machine that may be some tolerances off; [] for none.
 
     Args:
-        reasons: what speaks against it.
         measurements: as they were read.
         errors: the parameters, with their tolerances.
-        eta: weight of the orientation [m/rad].
-    """
-    cause = _cause(measurements, errors, eta, PRIOR)
-    return CalibrationRefusedError([*reasons, *([] if cause is None else [f"most likely {cause}"])])
-
-
-def _cause(measurements: Measurements, errors: GeometricErrors, eta: float, prior: float) -> str | None:
-    """Return the likeliest mistake, in words, of a machine that should be some tolerances off.
-
-    None if none of the usual ones explains anything.
+        eta: weight of the orientation in the tip error [m/rad].
+        tolerances: how many.
     """
     try:
-        least = _possible_error(errors, measurements, eta, prior)
-        cause = likely_cause(measurements, errors.robot, eta, least=least)
+        usual = _possible_error(errors, measurements, eta, 1.0)
+        cause = likely_cause(measurements, errors.robot, eta, least=tolerances * usual, alike=usual)
     except PM3DofError:
-        return None
-    return None if cause is None else str(cause)
+        return []
+    return [] if cause is None else [f"most likely {cause}"]
 
 
 def _possible_error(errors: GeometricErrors, measurements: Measurements, eta: float, prior: float) -> float:

@@ -77,10 +77,11 @@ def calibrate(
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.judging import validated_errors, workspace_errors
-    from pm3dof_pin.calibration.objections import calibrate_and_object, refusal
+    from pm3dof_pin.calibration.objections import calibrate_and_object
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.calibration.verdict import verdict
     from pm3dof_pin.description.robots import find_robot
+    from pm3dof_pin.exceptions import CalibrationRefusedError
     from pm3dof_pin.figures.calibration import calibration_pictures
     from pm3dof_pin.figures.calibration_report import report_as_html
     from pm3dof_pin.measuring.measurement_file import read_measurements
@@ -101,7 +102,7 @@ def calibrate(
                 measurements, errors, options, lambda done, _: progress(done, 4)
             )
             if reasons and not force:
-                raise refusal(reasons, measurements, errors, eta)
+                raise CalibrationRefusedError(reasons)
             on_others = None if others is None else validated_errors(calibration, others)
             maps = workspace_errors(calibration)
             progress(3, 4)

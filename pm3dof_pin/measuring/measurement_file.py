@@ -372,18 +372,18 @@ class _Reader:
     def _drives_that_count_backwards(self, commands: Array) -> str:
         """Return which drives, counting the other way, would make the commands possible; "" if none would.
 
-        Of several ways that which brings the tool nearest to where it was seen.
+        Of several ways that which brings the tool nearest to where it was seen, or all where it was not.
         """
         mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
         ways = {"all drives": mirrored}
         ways |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(np.diag(every))}
-        seen = self._table.matrix(POSITION_COLUMNS) if {*POSITION_COLUMNS} <= {*self._table.columns} else np.zeros(3)
-        found = {}
-        for name, other in ways.items():
-            poses = self._robot.forward(other, on_failure="nan")
-            if poses.solved.all():
-                found[name] = float(np.nanmedian(np.linalg.norm(poses.positions - seen, axis=1)))
-        return min(found, key=lambda name: found[name], default="")
+        found = {name: self._robot.forward(other, on_failure="nan") for name, other in ways.items()}
+        found = {name: poses for name, poses in found.items() if poses.solved.all()}
+        if not {*POSITION_COLUMNS} <= {*self._table.columns}:
+            return " or ".join(found)
+        seen = self._table.matrix(POSITION_COLUMNS)
+        off = {name: np.nanmedian(np.linalg.norm(poses.positions - seen, axis=1)) for name, poses in found.items()}
+        return min(off, key=lambda name: off[name], default="")
 
     def _rotations(self) -> Array | None:
         if QUATERNION_COLUMNS[0] not in self._table:

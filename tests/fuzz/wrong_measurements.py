@@ -23,10 +23,10 @@ from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.calibration.calibrate import Options
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.objections import calibrate_and_object, refusal
+from pm3dof_pin.calibration.objections import calibrate_and_object
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
-from pm3dof_pin.exceptions import PM3DofError
+from pm3dof_pin.exceptions import CalibrationRefusedError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -369,7 +369,9 @@ WRONG: dict[str, Wrong] = {
     ),
     "one drive twice": Wrong(_commands(lambda u, g: np.column_stack([u[:, 1], u[:, 1:]])), "u1"),
     "a drive's zero": Wrong(
-        _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)), "zero of u1|u1 .* off|limits", zero=0.01
+        _commands(lambda u, g: u + 0.01 * (np.arange(u.shape[1]) == 0)),
+        "zero of u1|u1 .* off|limits|zeros of the drives",
+        zero=0.01,
     ),
     "a drive's lead": Wrong(
         _commands(lambda u, g: u * np.where(np.arange(u.shape[1]) == 0, 1.02, 1.0)),
@@ -496,7 +498,7 @@ ORIGIN = np.array([0.3, 0.2, -0.1])
 
 def _distances(table: Table) -> Table:
     count = len(table["x_m"])
-    kept = {name: values for name, values in table.items() if name.startswith("u")}
+    kept = _only()(table)
     fixed = dict(zip(("cx_m", "cy_m", "cz_m"), np.tile(ORIGIN[:, None], count), strict=True))
     distances = np.linalg.norm(_xyz(table) - ORIGIN, axis=1)
     return kept | fixed | {"distance_m": distances, "sigma_distance_m": np.full(count, POSITION_SIGMA)}
@@ -513,6 +515,16 @@ LESS: dict[str, Callable[[Table], Table]] = {
     "targets": lambda table: _targets(table),
 }
 """What instruments see that see less than poses."""
+
+OF_DISTANCES: dict[str, tuple[Callable[[Table], Table], str]] = {
+    "in millimetres": (lambda t: {**t, "distance_m": 1e3 * t["distance_m"]}, "distances are in millimetres"),
+    "in inches": (lambda t: {**t, "distance_m": t["distance_m"] / 25.4e-3}, "distances are in inches"),
+    "of another zero": (lambda t: {**t, "distance_m": t["distance_m"] + 0.0127}, "12.7 mm too long|fixed points"),
+    "of another scale": (lambda t: {**t, "distance_m": 1.01 * t["distance_m"]}, "1.01 times|fixed points"),
+    "from another point": (lambda t: {**t, "cx_m": t["cx_m"] + 0.02}, "fixed points"),
+    "from a point with x and y exchanged": (lambda t: {**t, "cx_m": t["cy_m"], "cy_m": t["cx_m"]}, "fixed points"),
+}
+"""Mistakes that only distances have."""
 
 OF_LESS = (
     "two drives", "cyclic drives", "one drive the other way", "all drives the other way", "one row below", "half stale",
@@ -569,7 +581,7 @@ def outcome(good: Good, spoilt: Table | str, folder: Path, method: str = "lm") -
             options = Options(method)
             calibration, _, reasons = calibrate_and_object(measurements, good.errors, options)
             if reasons:
-                raise refusal(reasons, measurements, good.errors, options.eta)
+                raise CalibrationRefusedError(reasons)
         except PM3DofError as error:
             return Outcome("refused", " | ".join([*said, str(error)]))
     return Outcome("doubted" if said else "accepted", " | ".join(said), good.missed(calibration.compensation))
@@ -605,9 +617,17 @@ def trials_of_less(good: Good, folder: Path, only: str) -> Iterator[tuple[str, s
         best, of_good = good.missed().missed, outcome(good, less(good.table), folder)
         if of_good.kind != "refused":
             best = of_good.result.missed
-        for name in (name for name in OF_LESS if only in f"{kind}: {name}"):
-            wrong = WRONG[name]
-            found = outcome(good, less(wrong.spoil(good)), folder)
+        files = {name: (less(WRONG[name].spoil(good)), WRONG[name].says) for name in OF_LESS}
+        if kind == "distances":
+            # a base, or a tool point, elsewhere is a fixed point elsewhere
+            files = {name: (table, says and f"{says}|fixed points|distances") for name, (table, says) in files.items()}
+            files = {name: file for name, file in files.items() if name not in ("millimetres", "inches")}
+            files |= {name: (spoil(less(good.table)), says) for name, (spoil, says) in OF_DISTANCES.items()}
+        for name, (table, says) in files.items():
+            if only not in f"{kind}: {name}":
+                continue
+            found = outcome(good, table, folder)
+            wrong = Wrong(lambda _: "", says)
             problem = "" if found.kind == "refused" and of_good.kind == "refused" else verdict(wrong, found, best)
             yield f"{kind}: {name}", problem, found
 
