@@ -58,10 +58,16 @@ def _tracks(transforms: Sequence[Array]) -> list[Json]:
         {
             "name": f".{name}",
             "type": kind,
-            "keys": [{"time": frame, "value": value.tolist()} for frame, value in enumerate(values)],
+            "keys": [{"time": frame, "value": value.tolist()} for frame, value in enumerate(_single(values))],
         }
         for name, kind, values in named
     ]
+
+
+def _single(values: Sequence[Array]) -> Array:
+    """Round to single precision, which browsers animate in; one value for all frames where it never changes."""
+    rounded = np.array([[f"{entry:.8g}" for entry in value] for value in values], dtype=float)
+    return rounded[:1] if np.all(rounded == rounded[0]) else rounded
 
 
 def _right_handed_choices() -> list[tuple[list[int], Array]]:

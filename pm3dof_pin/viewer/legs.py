@@ -97,7 +97,7 @@ def _spring_text(spring: Spring) -> str:
     if isinstance(spring, CantileverSpring):
         both = numbers_with_unit([spring.bending_stiffness, spring.torsional_stiffness], "N m\u00b2")
         return f"cantilever {spring.name}: EI · GJ {both}"
-    return f"spring {spring.name}: a matrix"
+    return f"spring {spring.name}: a 6 \u00d7 6 matrix"
 
 
 def _actuator(robot: Robot, joint: int) -> int | None:

@@ -39,18 +39,20 @@ class Entry:
         return dict(vars(self))
 
 
+_SMALL = 1e-3  # of the greatest number: those below it have a prefix of their own
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
-    """Write numbers as a person does, and as the page: 64.7 · 429 kN/m, one prefix for all that share it."""
+    """Write numbers as a person does, and as the page: 64.7 · 429 kN/m, with one prefix where it suits all."""
     numbers = [float(value) for value in np.asarray(values, dtype=float)]
-    powers = [_power(number) if unit != "1" else 0 for number in numbers]
+    greatest = max(map(abs, numbers), default=0.0)
+    powers = [_power(n if 0.0 < abs(n) < _SMALL * greatest else greatest) if unit != "1" else 0 for n in numbers]
     texts = [f"{float(f'{number / 10.0**power:.{digits}g}'):g}" for number, power in zip(numbers, powers, strict=True)]
     units = ["" if unit == "1" else f" {_PREFIXES[power]}{unit}" for power in powers]
     if len(set(units)) == 1:
-        return " · ".join(texts) + units[0]
-    return " · ".join(text + own for text, own in zip(texts, units, strict=True))
+        return " · ".join(texts).replace("-", "\u2212") + units[0]
+    return " · ".join(text + own for text, own in zip(texts, units, strict=True)).replace("-", "\u2212")
 
 
 def _power(number: float) -> int:

@@ -48,7 +48,8 @@ class Sliders:
         actuators = []
         for name in robot.actuated_joints:
             joint = int(model.getJointId(name))
-            actuators.append({"joint": joint, "axis": robot.joint_axis(name).tolist()})
+            unit = "N" if robot.single_joint(name).translates else "N m"
+            actuators.append({"joint": joint, "axis": robot.joint_axis(name).tolist(), "unit": unit})
         return {
             "home": robot.home.q.tolist(),
             "length": robot.characteristic_length,
@@ -182,7 +183,7 @@ class Sliders:
 def sets_of(robot: Robot) -> list[Json]:
     """Return the sets of numbers that place a robot, as the page reads them: coordinates, and commands if they differ.
 
-    Each number has its `slider`: ends, step, digits and factor of what it shows, and the unit written behind.
+    Each number has its `slider`: ends, range, step, digits and factor of what it shows, and the unit behind.
     """
     sets = [
         {
@@ -240,6 +241,7 @@ def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     return {
         "factor": factor,
+        "range": [lower, upper] if math.isfinite(upper - lower) else None,
         "unit": _shown_unit(coordinate.unit),
         "least": round(math.floor(factor * least / step) * step, digits),
         "greatest": round(math.ceil(factor * greatest / step) * step, digits),

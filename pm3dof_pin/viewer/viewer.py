@@ -37,9 +37,8 @@ if TYPE_CHECKING:
 
 _CLOSED = 1e-6  # the greatest closure error of a configuration whose forces can be compared [m, rad]
 _NEAR = 1.2  # closeness of the camera: the corners of a box around a machine are mostly empty
-_BULK = (
-    3.0  # ratio of the longest semi-axis to the shortest below which an ellipsoid is drawn smaller, not to hide much
-)
+_BULK = 3.0  # ratio of an ellipsoid's longest to shortest semi-axis below which it is drawn smaller, not to hide much
+_ROOM = (1.15, -1.15)  # semi-axes to the ends of an ellipsoid's axes with the numbers there
 
 
 class Viewer(ShownScene):
@@ -104,7 +103,7 @@ class Viewer(ShownScene):
         self._sets = sets_of(mechanism)
         self._entries: dict[str, Entry] = {}
         self._scales: dict[tuple[str, ...], float] = {}
-        self._shown_beside = np.empty((0, 3))  # points that are to be in the picture besides the machine
+        self._beside: dict[str, Array] = {}  # points, by entry, that are to be in the picture besides the machine
         self._is_recording = False  # frames of a path, which no slider goes on from
         self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
         self._draw_bodies()
@@ -133,10 +132,9 @@ class Viewer(ShownScene):
         if configuration.mechanism is not self.mechanism:
             raise InvalidValueError("configuration", configuration, f"one of {self.mechanism}")
         self._configuration = configuration
-        if not self.is_served:  # nobody has turned the picture yet
-            self.look(*self._direction)
         for entry in [entry for entry in self._entries.values() if entry.of_pose]:
             self._take_away(entry)
+        self._look_again()
         self.scene.set_transforms(self._bodies.placements(configuration))
         if self._panel.get("path"):
             self._panel["path"] = None
@@ -288,7 +286,7 @@ class Viewer(ShownScene):
                 key="forces",
                 title=what,
                 lines=[scale_text(scale, self._unit_length, unit, "arrow")],
-                values=", ".join(f"{round(float(value), 2) + 0.0:.2f}" for value in values) + f" {unit}",
+                values=_written_forces(values, axes),
                 colour=colours.css(arrows.COLOUR),
                 nodes=list(drawn),
                 live=live,
@@ -436,7 +434,7 @@ class Viewer(ShownScene):
             self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
         )
         surface.draw(self.scene, "/workspace", 0.022 * self._radius)
-        self._shown_beside = surface.vertices
+        self._beside["workspace"] = surface.vertices[::7]
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
         layers: list[Json] = [
@@ -470,8 +468,7 @@ class Viewer(ShownScene):
                 },
             )
         )
-        if not self.is_served:
-            self.look(*self._direction)
+        self._look_again()
 
     def play(
         self,
@@ -540,7 +537,7 @@ class Viewer(ShownScene):
         """
         self._direction = (azimuth, elevation, closeness)
         serial = self._panel.get("camera", {}).get("serial", 0) + 1
-        points = np.concatenate([self._bodies.outermost_points(self._configuration), self._shown_beside[::7]])
+        points = np.concatenate([self._bodies.outermost_points(self._configuration), *self._beside.values()])
         self._panel["camera"] = {
             "box": self._bodies.box(self._configuration).tolist(),
             "azimuth": azimuth,
@@ -550,6 +547,10 @@ class Viewer(ShownScene):
             "serial": serial,
         }
         self._update()
+
+    def _look_again(self) -> None:
+        if not self.is_served:  # nobody has turned the picture yet
+            self.look(*self._direction)
 
     def set_title(self, title: str, subtitle: str = "") -> None:
         """Set what stands at the top of the panel; by default the name of the mechanism."""
@@ -563,6 +564,8 @@ class Viewer(ShownScene):
         if f"{path}/surface" not in self.scene.paths():
             ellipsoids.draw_ellipsoid(self.scene, path, kind)
         self.scene.set_transform(path, drawn.transform)
+        self._beside[key] = drawn.position + np.concatenate([sign * drawn.transform[:3, :3].T for sign in _ROOM])
+        self._look_again()
         self._show(
             Entry(
                 key=key,
@@ -646,8 +649,9 @@ class Viewer(ShownScene):
             shown = [reading(number, float(value)) for number, value in zip(entry["numbers"], values, strict=True)]
             lines.append(", ".join(shown))
         if self.mechanism.closures:
-            state = "closed to" if configuration.closure_residual < _CLOSED else "open by"
-            lines.append(f"loops {state} {configuration.closure_residual:.0e} m")
+            residual = configuration.closure_residual
+            state = "closed to" if residual < _CLOSED else "open by"
+            lines.append(f"loops {state} {f'{residual:.0e}' if residual else 0} m")
         return lines, warnings
 
     def _show(self, entry: Entry) -> None:
@@ -660,6 +664,7 @@ class Viewer(ShownScene):
 
     def _take_away(self, entry: Entry) -> None:
         del self._entries[entry.key]
+        self._beside.pop(entry.key, None)
         for path in entry.nodes:
             self.scene.set_visible(path, False)
         for item in entry.paint or []:
@@ -667,6 +672,13 @@ class Viewer(ShownScene):
 
     def _update(self) -> None:
         self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
+
+
+def _written_forces(values: Array, axes: Sequence[arrows.ActuatorAxis]) -> str:
+    units = [axis.unit for axis in axes]
+    if len(set(units)) == 1:
+        return numbers_with_unit(values, units[0])
+    return " · ".join(numbers_with_unit([value], unit) for value, unit in zip(values, units, strict=True))
 
 
 def _load_text(wrench: Array) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pm3dof_pin.chapter import Tripod
@@ -144,6 +145,42 @@ def test_a_dragged_platform_goes_where_the_pointer_is(shown: Any, hexapod: Robot
     assert shown.ask("pm3dof.pose().residual") < 1e-12
 
 
+def test_a_pointed_at_strut_tells_its_travel_and_force(shown: Any, hexapod: Robot) -> None:
+    """The forces by virtual work: the weight of all bodies, displaced for one unit of each command."""
+    model = hexapod.model
+    shown.browser.settle()
+    x, y, leg = shown.ask(
+        """(() => {
+            const legs = new Map(pm3dof.robot().data.bodies.map(({ name, actuator }) => [name, actuator]));
+            for (let y = 0; y < 600; y += 5) for (let x = 320; x < 800; x += 5) {
+                const isSeen = document.elementFromPoint(x, y) === pm3dof.viewer.renderer.domElement;
+                const leg = isSeen && legs.get(pm3dof.bodyAt(x, y));
+                if (Number.isInteger(leg)) return [x, y, leg];
+            }
+        })()"""
+    )
+    number = hexapod.solve(POSE).commands[leg]
+    shown.call(
+        "(x, y) => pm3dof.viewer.renderer.domElement.dispatchEvent("
+        "new PointerEvent('pointermove', { clientX: x, clientY: y, bubbles: true }))",
+        x,
+        y,
+    )
+    said = shown.ask("document.getElementById('tip').innerText").replace("\u00a0", " ").splitlines()
+    assert f"u{leg + 1} {number:.5f} of -0.01200 to 0.01200 m" in said
+
+    def energy(commands: np.ndarray) -> float:
+        data, q = model.createData(), hexapod.forward(commands, guess=hexapod.solve(POSE).q).q
+        return float(pin.computePotentialEnergy(model, data, q))
+
+    commands = np.array(hexapod.solve(POSE).commands)
+    step = 1e-5 * np.eye(6)[leg]
+    force = (energy(commands + step) - energy(commands - step)) / 2e-5
+    (line,) = [line for line in said if line.startswith("holds the weight with ")]
+    assert line.endswith(" N")
+    assert float(line.split()[4].replace("\u2212", "-")) == pytest.approx(force, rel=5e-3)
+
+
 def test_the_mouse_takes_the_platform_along(shown: Any) -> None:
     x, y = shown.ask("pm3dof.project(pm3dof.pose().tool)")
     names = {
@@ -191,6 +228,7 @@ def test_a_link_holds_what_is_shown(shown: Any, saved: Path) -> None:
     shown.ask("(pm3dof.choose('compliance', 'held'), pm3dof.load([0, 0, 0, 0, 0, 2]))")
     shown.ask("(pm3dof.turn(20), pm3dof.setTheme('dark'))")
     shown.tick("rotation")
+    shown.ask("(pm3dof.chooseSet(1), pm3dof.plot('holding forces'))")
     link = shown.ask("pm3dof.written()")
     camera = shown.ask("pm3dof.viewer.camera.position.toArray()")
     shown.browser.open("about:blank")
@@ -199,6 +237,8 @@ def test_a_link_holds_what_is_shown(shown: Any, saved: Path) -> None:
     np.testing.assert_allclose(values, POSE, atol=1e-8)
     assert shown.ask("[document.documentElement.dataset.theme, pm3dof.choice().of]") == ["dark", "compliance"]
     assert shown.ask("pm3dof.wrench()") == [0, 0, 0, 0, 0, 2]
+    assert shown.ask("[...document.querySelectorAll('.load input')].map(field => field.valueAsNumber)") == [0] * 5 + [2]
+    assert shown.ask("[pm3dof.set().title, pm3dof.plotted()]") == ["Commands", "holding forces"]
     assert not shown.is_visible("/ellipsoids/rotation")
     np.testing.assert_allclose(shown.ask("pm3dof.viewer.camera.position.toArray()"), camera, rtol=1e-4)
     shown.browser.requests[:] = [saved.as_uri()]
@@ -212,6 +252,8 @@ def test_hostile_links_change_nothing(shown: Any, saved: Path) -> None:
         "pose=1e9,0,0,0,0,0",
         "ellipsoids=<b>,held",
         "load=NaN,0,0,0,0,0",
+        "pose=1e9,0,0,0,0,0&q=1,2",
+        "sliders=7&frame=-1&cut=9,9,9&plot=<b>",
         "camera=x",
         "%",
     ):
@@ -249,6 +291,11 @@ def test_other_assemblies_are_those_of_the_closed_form(page: Any, tripod: Tripod
     assert np.abs(np.array(found)[:, :2]).max() < np.pi + 1e-9
     near = robot.forward(commands).coordinates
     assert np.abs(np.array(found) - near).max(axis=1).min() < 1e-9
-    page.ask("(document.querySelectorAll('#sets button')[1].click(), pm3dof.showAssemblies())")
+    q = page.ask(
+        "(document.querySelectorAll('#sets button')[1].click(), pm3dof.showAssemblies(),"
+        " document.querySelector('#assemblies button:last-child').click(), [...pm3dof.pose().q])"
+    )
+    page.ask("(link => { pm3dof.home(); pm3dof.follow(link); })(pm3dof.written())")
+    np.testing.assert_allclose(page.ask("[...pm3dof.pose().q]"), q, atol=1e-7)
     assert page.ask("document.querySelectorAll('#assemblies button').length") >= 2
     assert page.browser.errors == []

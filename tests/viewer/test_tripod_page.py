@@ -166,7 +166,7 @@ def test_a_slider_moves_the_machine(shown: Any, mechanism: Robot, tripod: Tripod
     lengths = [np.linalg.norm(shown.matrix(f"/forces/slider{leg}_joint")[:3, 2]) for leg in (1, 2, 3)]
     np.testing.assert_allclose(lengths, scales["forces"] * forces, rtol=1e-9)
     np.testing.assert_allclose(
-        [float(text) for text in shown.values("forces").removesuffix(" N").split(", ")], forces, atol=0.0051
+        [float(text) for text in shown.values("forces").removesuffix("\u00a0N").split(" · ")], forces, atol=0.0051
     )
     up = behaviour.contributions[:, 2, 2] / behaviour.compliance[2, 2]
     by_name = dict(zip(behaviour.spring_names, up, strict=True))

@@ -6,7 +6,7 @@
   const form = document.getElementById("choices");
   const selects = { of: form.querySelector("[name=of]"), others: form.querySelector("[name=others]") };
   const labels = document.getElementById("labels");
-  const CLOSE = 17; // pixels between labels, below which one is left out
+  const CLOSE = 17, LETTER = 7; // pixels between labels, below which one is left out; of a letter
   const scales = new Map(); // of ellipsoids chosen here, kept so that they can be compared
   let chosen = null; // by the reader: of and others
   let wrench = null;
@@ -72,6 +72,7 @@
     live("shares").forEach((entry) => {
       entry.live.wrench = values;
       lineOf(entry, "line").textContent = "under the load below";
+      lineOf(entry, "load").querySelectorAll("input").forEach((input, index) => { input.value = values[index]; });
     });
     followAll();
     tell("choice");
@@ -138,10 +139,12 @@
         if (tips.some((tip) => !tip)) return;
         const [x, y] = tips[0][1] < tips[1][1] ? tips[0] : tips[1];
         const middle = project([m[12], m[13], m[14]]);
-        if (Math.hypot(x - middle[0], y - middle[1]) < CLOSE / 2 || taken.some(([a, b]) => Math.abs(y - b) < CLOSE && Math.abs(x - a) < 70)) return;
-        taken.push([x, y]);
-        const label = element(labels, "span", "", engineering(entry.principal[axis], entry.live ? entry.live.unit : entry.unit));
-        label.style.cssText = `left:${x.toFixed(1)}px;top:${y.toFixed(1)}px;color:${entry.colour}`;
+        if (Math.hypot(x - middle[0], y - middle[1]) < CLOSE / 2) return;
+        const text = engineering(entry.principal[axis], entry.live ? entry.live.unit : entry.unit), width = LETTER * text.length;
+        if (taken.some(([a, b, other]) => Math.abs(y - b) < CLOSE && Math.abs(x - a) < (width + other) / 2 + 8)) return;
+        taken.push([x, y, width]);
+        const label = element(labels, "span", "", text);
+        label.style.cssText = `left:${x.toFixed(1)}px;top:${y.toFixed(1)}px;--own:${entry.colour}`;
       });
     });
   }

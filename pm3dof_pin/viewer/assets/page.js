@@ -131,13 +131,15 @@ const pm3dof = (() => {
 
   const PREFIXES = { "-9": "n", "-6": "\u00b5", "-3": "m", 0: "", 3: "k", 6: "M", 9: "G" };
 
-  // As a person writes it: 27.8 MN/m, 41.2 µm; several numbers with one prefix where they share it.
+  // As a person writes it: 27.8 MN/m, 41.2 µm; several numbers with the prefix of the greatest, but for those far below it.
   function engineering(values, unit, digits = 3) {
-    const parts = [values].flat().map((value) => {
-      const size = Math.abs(value), known = size > 0 && Number.isFinite(value) && unit !== "1";
+    const all = [values].flat(), greatest = Math.max(...all.map(Math.abs));
+    const parts = all.map((value) => {
+      const size = value !== 0 && Math.abs(value) < 1e-3 * greatest ? Math.abs(value) : greatest;
+      const known = size > 0 && Number.isFinite(size) && unit !== "1";
       const power = known ? Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3))) : 0;
       const text = Number.isFinite(value) ? Number((value / 10 ** power).toPrecision(digits)) : value;
-      return [String(text), unit === "1" ? "" : `\u00a0${PREFIXES[power]}${untorn(unit)}`];
+      return [String(text).replace("-", "\u2212"), unit === "1" ? "" : `\u00a0${PREFIXES[power]}${untorn(unit)}`];
     });
     const shared = parts.every(([, written]) => written === parts[0][1]);
     return shared ? parts.map(([text]) => text).join(" \u00b7 ") + parts[0][1] : parts.map((part) => part.join("")).join(" \u00b7 ");
@@ -262,7 +264,7 @@ const pm3dof = (() => {
       const button = element(sets, "button", index === activeSet ? "active" : "", title);
       button.type = "button";
       button.setAttribute("aria-pressed", index === activeSet);
-      button.addEventListener("click", () => { activeSet = index; showSliders(); });
+      button.addEventListener("click", () => chooseSet(index));
     });
     const others = element(sets, "button", "others", "Modes");
     Object.assign(others, { type: "button", title: "assembly modes: other ways to assemble the machine at these numbers" });
@@ -285,6 +287,13 @@ const pm3dof = (() => {
       });
       element(row, "span", "unit", unit);
     });
+  }
+
+  function chooseSet(index) {
+    if (!robot.data.sets[index]) return;
+    activeSet = index;
+    showSliders();
+    tell("entries");
   }
 
   // Buttons for the other ways to assemble the machine at the same numbers of the active set.
@@ -430,7 +439,13 @@ const pm3dof = (() => {
       const length = Math.max(Math.abs(forces[index]) * scale, 1e-6 * width), slim = Math.min(width, 0.5 * length);
       placeNode(entry.nodes[index], Robot.stretched(Robot.turnZTo(along), [slim, slim, length], origin));
     });
-    setValues(entry, `${forces.map((force) => fixed(force, 2)).join(", ")} ${unit}`);
+    setValues(entry, writtenForces(forces));
+  }
+
+  // Actuator forces with their units.
+  function writtenForces(forces) {
+    const units = robot.data.actuators.map(({ unit }) => unit);
+    return new Set(units).size === 1 ? engineering(forces, units[0]) : forces.map((force, k) => engineering(force, units[k])).join(" \u00b7 ");
   }
 
   function followShares(entry, compliance) {
@@ -476,5 +491,5 @@ const pm3dof = (() => {
 
   const state = { pose: () => pose, robot: () => robot, panel: () => panel, set: () => robot.data.sets[activeSet] };
   const drawing = { viewer, blend, node, placeNode, pane, turn, bare, element, engineering, scientific, fixed, isShown, setValues, showNote };
-  return { ...drawing, ...state, on, tell, flip, slide, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
+  return { ...drawing, ...state, on, tell, flip, slide, chooseSet, home, showAssemblies, show, setPose, followAll, lineOf, receive, start };
 })();

@@ -5,7 +5,7 @@
   const { viewer, element, engineering, on } = pm3dof;
   const bar = document.getElementById("path");
   const scrubber = bar.querySelector("input"), button = bar.querySelector("button"), select = bar.querySelector("select");
-  const plot = bar.querySelector("svg");
+  const graph = bar.querySelector("svg");
   const HEIGHT = 110; // of the plot [pixels]
   let width = 600;
   const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"];
@@ -45,7 +45,8 @@
     }
     if (robot.programs.holding) {
       const names = robot.data.commands.map(({ name }) => name), none = names.map(() => NaN);
-      made.push({ title: "holding forces", names, unit: robot.data.actuators[0]?.unit || "N", values: (pose) => robot.holdingForces(pose) || none });
+      const units = new Set(robot.data.actuators.map(({ unit }) => unit));
+      made.push({ title: "holding forces", names, unit: [...units].join(", "), values: (pose) => robot.holdingForces(pose) || none });
     }
     if (robot.programs.motion) {
       made.push({ title: "motion per command, scaled", names: ["slowest", "fastest"], unit: "", values: (pose) => robot.gains(pose) || [NaN, NaN] });
@@ -66,7 +67,7 @@
     time = viewer.animator.time;
     Object.assign(scrubber, { min: 0, max: path.frames.length - 1, step: 1 });
     const robot = pm3dof.robot();
-    select.hidden = plot.toggleAttribute("hidden", !robot);
+    select.hidden = graph.toggleAttribute("hidden", !robot);
     if (!robot) return;
     poses = path.frames.map(({ q }) => robot.pose(q));
     takeOver();
@@ -93,10 +94,10 @@
 
   function draw() {
     const chosen = series.find(({ title }) => title === select.value) || series[0];
-    plot.textContent = "";
+    graph.textContent = "";
     if (!chosen) return;
-    width = plot.clientWidth || width;
-    plot.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
+    width = graph.clientWidth || width;
+    graph.setAttribute("viewBox", `0 0 ${width} ${HEIGHT}`);
     const rows = poses.map(chosen.values), finite = rows.flat().filter(Number.isFinite);
     if (!finite.length) return;
     let low = Math.min(...finite), high = Math.max(...finite);
@@ -110,12 +111,12 @@
         if (Number.isFinite(row[line])) d += `${drawn ? "L" : "M"}${x(k).toFixed(1)} ${y(row[line]).toFixed(1)}`;
         drawn = Number.isFinite(row[line]);
       });
-      svg(plot, "path", { d, stroke: COLOURS[line % COLOURS.length], class: "line" });
-      svg(plot, "text", { x: width - 6 - 62 * (chosen.names.length - 1 - line), y: 12, fill: COLOURS[line % COLOURS.length], "text-anchor": "end" }).textContent = name;
+      svg(graph, "path", { d, stroke: COLOURS[line % COLOURS.length], class: "line" });
+      svg(graph, "text", { x: width - 6 - 62 * (chosen.names.length - 1 - line), y: 12, fill: COLOURS[line % COLOURS.length], "text-anchor": "end" }).textContent = name;
     });
     const written = (value) => (chosen.unit === "" || chosen.unit === "\u00b0" || chosen.unit === "m" && high > 0.01 ? `${pm3dof.scientific(value)}${chosen.unit === "m" ? "\u00a0m" : chosen.unit}` : engineering(value, chosen.unit));
-    svg(plot, "text", { x: 6, y: 12 }).textContent = `${written(low)} to ${written(high)}${positive ? ", logarithmic" : ""}`;
-    svg(plot, "line", { y1: 16, y2: HEIGHT - 4, class: "cursor" });
+    svg(graph, "text", { x: 6, y: 12 }).textContent = `${written(low)} to ${written(high)}${positive ? ", logarithmic" : ""}`;
+    svg(graph, "line", { y1: 16, y2: HEIGHT - 4, class: "cursor" });
     point(frame());
   }
 
@@ -123,7 +124,7 @@
 
   function point(index) {
     scrubber.value = index;
-    const cursor = plot.querySelector(".cursor"), place = 6 + (width - 12) * index / Math.max(1, path.frames.length - 1);
+    const cursor = graph.querySelector(".cursor"), place = 6 + (width - 12) * index / Math.max(1, path.frames.length - 1);
     if (cursor) ["x1", "x2"].forEach((name) => cursor.setAttribute(name, place));
   }
 
@@ -144,6 +145,13 @@
     const at = path.frames[index];
     pm3dof.showNote(at.note, at.warnings);
     pm3dof.panel().legend.forEach((entry) => { if (entry.key in at.values) pm3dof.setValues(entry, at.values[entry.key]); });
+  }
+
+  // Plot a quantity, by its title.
+  function plot(title) {
+    if (!path || !series || !series.some((each) => each.title === title)) return;
+    select.value = title;
+    draw();
   }
 
   const label = () => { button.textContent = viewer.animator.playing ? "\u2016" : "\u25b6"; };
@@ -169,14 +177,14 @@
 
   button.addEventListener("click", toggle);
   scrubber.addEventListener("input", () => go(scrubber.valueAsNumber));
-  select.addEventListener("change", draw);
-  plot.addEventListener("click", (event) => {
-    const box = plot.getBoundingClientRect(), part = ((event.clientX - box.left) / box.width * width - 6) / (width - 12);
+  select.addEventListener("change", () => { draw(); pm3dof.tell("entries"); });
+  graph.addEventListener("click", (event) => {
+    const box = graph.getBoundingClientRect(), part = ((event.clientX - box.left) / box.width * width - 6) / (width - 12);
     go(Math.round(Math.min(1, Math.max(0, part)) * (path.frames.length - 1)));
   });
   on("panel", panelChanged);
   on("choice", () => { if (path && pm3dof.robot()) fill(); });
   window.addEventListener("resize", () => { if (path && pm3dof.robot()) draw(); });
   requestAnimationFrame(watch);
-  Object.assign(pm3dof, { go, toggle });
+  Object.assign(pm3dof, { go, toggle, frame, plot, plotted: () => path && select.value });
 })();

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { viewer, node, element, fixed } = pm3dof;
+  const { viewer, node, element, engineering, fixed } = pm3dof;
   const { THREE } = MeshCat;
   const pane = document.getElementById("meshcat-pane"), tip = document.getElementById("tip");
   const ROUNDS = 4; // steps towards the pointer for each of its moves
@@ -35,15 +35,16 @@
     if (body.actuator !== null && robot.data.commands.length) {
       const number = robot.data.commands[body.actuator];
       const [value] = pose.values({ numbers: [number] });
-      lines.push(`${number.name} ${fixed(value * number.slider.factor, number.slider.digits)}${number.slider.unit}`);
+      const { factor, digits, unit, range } = number.slider, written = (one) => fixed(one * factor, digits);
+      lines.push(`${number.name} ${written(value)}${range ? ` of ${range.map(written).join(" to ")}` : ""}${unit}`);
       const forces = robot.programs.holding ? robot.holdingForces(pose) : null;
-      if (forces) lines.push(`holds ${fixed(forces[body.actuator], 2)} ${robot.data.actuators[body.actuator].unit} of the weight`);
+      if (forces) lines.push(`holds the weight with ${engineering(forces[body.actuator], robot.data.actuators[body.actuator].unit)}`);
     }
     const shares = pm3dof.panel().legend.find(({ live }) => live && live.kind === "shares");
     const painted = shares && shares.paint.find(({ path }) => path.startsWith(`${body.path}/`));
     if (painted && robot.programs.compliance && robot.compliance(pose)) {
       const [share] = robot.shares(pose, [shares.live.springs[painted.leg]], shares.live.wrench);
-      if (Number.isFinite(share)) lines.push(`gives ${fixed(100 * share, 1)} % of the deflection under the load`);
+      if (Number.isFinite(share)) lines.push(`its leg gives ${fixed(100 * share, 1)} % of the deflection under the load`);
     }
     return lines;
   }
@@ -56,8 +57,8 @@
     tip.textContent = "";
     element(tip, "b", "", found.body.name);
     about(found.body).forEach((line) => element(tip, "div", "", line));
-    const right = event.clientX > window.innerWidth - 260;
-    tip.style.cssText = `${right ? "right" : "left"}:${right ? window.innerWidth - event.clientX + 14 : event.clientX + 14}px;top:${event.clientY + 12}px`;
+    const place = (at, size, most, [near, far]) => (at + most > size ? `${far}:${size - at + 12}px;` : `${near}:${at + 12}px;`);
+    tip.style.cssText = place(event.clientX, window.innerWidth, 260, ["left", "right"]) + place(event.clientY, window.innerHeight, 170, ["top", "bottom"]);
   }
 
   function take(event) {

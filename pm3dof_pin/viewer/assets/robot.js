@@ -16,6 +16,7 @@ const Robot = (() => {
   const FAR_STEPS = 60;
   const PULL_STEP = 1e-5; // for the derivative by a coordinate, in characteristic lengths or 0.6 rad
   const PULL_DAMPING = 0.02; // characteristic lengths: what a point gives way near singular poses
+  const RIGID = 1e-14; // of the greatest square of a velocity: what is less is rounding
   const SHARE_STEP = 1e-4; // relative change of a spring, for the derivative that is its share
 
   const dot = (a, b) => a.reduce((sum, entry, index) => sum + entry * b[index], 0);
@@ -280,6 +281,12 @@ const Robot = (() => {
       return null;
     }
 
+    // The pose at values of a set's numbers next to joint positions; null if there is none.
+    near(q, set, values) {
+      const found = this.closed(Float64Array.from(q), set, values);
+      return found && new Pose(this, found.q);
+    }
+
     // Newton's method with a set's numbers given: joint positions, and on which side of singular poses they are.
     closed(start, set, values) {
       const close = this.programs[set.program], n = start.length;
@@ -331,9 +338,9 @@ const Robot = (() => {
       if (!motions) return "not in this pose: near a singular one";
       const rows = motions[of === "error" ? "errors" : "commands"].slice(...(motion === "translation" ? [0, 3] : [3, 6]));
       const { values, axes } = principal(rows.map((a) => rows.map((b) => dot(a, b))));
-      const roots = values.map((value) => Math.sqrt(Math.max(0, value)));
+      const roots = values.map((value) => (value > RIGID * values[2] ? Math.sqrt(value) : 0));
       if (of !== "force") return { values: roots, axes };
-      if (!(roots[0] > 1e-7 * roots[2])) return "not in this pose: the tool does not move in some direction";
+      if (!roots[0]) return "not in this pose: the tool does not move in some direction";
       return { values: roots.map((value) => 1 / value).reverse(), axes: axes.map(([x, y, z]) => [z, y, -x]) };
     }
 

@@ -72,9 +72,19 @@
   // What is shown, for the part of the address behind "#".
   function written() {
     const robot = pm3dof.robot(), parts = new URLSearchParams(), choice = pm3dof.choice(), wrench = pm3dof.wrench();
-    if (robot) parts.set("pose", pm3dof.pose().values(robot.data.sets[0]).map((value) => Number(value.toPrecision(9))).join(","));
+    if (robot) {
+      const pose = pm3dof.pose(), [set] = robot.data.sets, short = (values) => [...values].map((value) => Number(value.toPrecision(9))).join(",");
+      const values = set ? pose.values(set) : [], usual = set && robot.moved(robot.home(), set, values);
+      parts.set("pose", short(values));
+      // another assembly mode than the one home leads to has all joints in the link
+      if (!usual || usual.q.some((entry, k) => Math.abs(entry - pose.q[k]) > 1e-6)) parts.set("q", short(pose.q));
+      if (robot.data.sets.indexOf(pm3dof.set()) > 0) parts.set("sliders", robot.data.sets.indexOf(pm3dof.set()));
+    }
     if (choice) parts.set("ellipsoids", `${choice.of},${choice.others}`);
     if (wrench) parts.set("load", wrench.join(","));
+    if (pm3dof.panel().legend.some(({ cut }) => cut)) parts.set("cut", Object.values(pm3dof.cut()).join(","));
+    if (pm3dof.plotted()) parts.set("plot", pm3dof.plotted());
+    if (pm3dof.panel().path && !viewer.animator.playing) parts.set("frame", pm3dof.frame());
     const hidden = pm3dof.panel().legend.filter((entry) => !pm3dof.isShown(entry)).map(({ key }) => key);
     if (hidden.length) parts.set("hidden", hidden.join(","));
     const camera = [...viewer.camera.position.toArray(), ...viewer.controls.target.toArray()];
@@ -100,8 +110,11 @@
     }
     if (robot) {
       const [set] = robot.data.sets, values = listed(parts.get("pose"));
+      if (parts.has("sliders")) pm3dof.chooseSet(Number(parts.get("sliders")));
+      if (pm3dof.panel().path?.frames[parts.get("frame")]) pm3dof.go(Number(parts.get("frame")));
       if (set && values.length === set.numbers.length && values.every(Number.isFinite)) {
-        const found = robot.moved(robot.home(), set, values);
+        const q = listed(parts.get("q")), near = q.length === robot.data.home.length && q.every(Number.isFinite);
+        const found = near ? robot.near(q, set, values) : robot.moved(robot.home(), set, values);
         if (found) pm3dof.show(found);
       }
       const [of, others] = (parts.get("ellipsoids") || "").split(",");
@@ -109,6 +122,8 @@
       const load = listed(parts.get("load"));
       if (load.length === 6 && load.every(Number.isFinite) && load.some((value) => value !== 0)) pm3dof.load(load);
     }
+    if (parts.has("cut")) pm3dof.cutTo(...listed(parts.get("cut")));
+    if (parts.has("plot")) pm3dof.plot(parts.get("plot"));
     const camera = listed(parts.get("camera"));
     if (camera.length === 6 && camera.every(Number.isFinite)) {
       viewer.camera.position.fromArray(camera);

@@ -2,10 +2,11 @@
 "use strict";
 
 (() => {
-  const { viewer, blend, node, element, lineOf, on } = pm3dof;
+  const { viewer, blend, node, element, lineOf, on, tell } = pm3dof;
   const { THREE } = MeshCat;
   const AXES = ["x", "y", "z"];
   const state = { layer: 0, axis: 2, part: 1 }; // kept when the panel changes
+  let put = () => {};
 
   function build() {
     const entry = pm3dof.panel().legend.find(({ cut }) => cut);
@@ -22,13 +23,23 @@
       Object.assign(state, { layer: Number(layers.value), axis: Number(axis.value), part: place.valueAsNumber });
       colour(entry);
       clip(cut);
+      tell("entries");
     };
     [layers, axis].forEach((select) => select.addEventListener("change", apply));
     place.addEventListener("input", apply);
-    layers.value = Math.min(state.layer, cut.layers.length - 1);
-    axis.value = state.axis;
-    place.value = state.part;
-    apply();
+    put = () => {
+      layers.value = Math.min(state.layer, cut.layers.length - 1);
+      axis.value = state.axis;
+      place.value = state.part;
+      apply();
+    };
+    put();
+  }
+
+  function cutTo(layer, axis, part) {
+    if (![layer, axis, part].every(Number.isFinite) || !AXES[axis]) return;
+    Object.assign(state, { layer, axis, part });
+    put();
   }
 
   function colour(entry) {
@@ -66,5 +77,5 @@
   }
 
   on("panel", build);
-  Object.assign(pm3dof, { cut: () => ({ ...state }) });
+  Object.assign(pm3dof, { cut: () => ({ ...state }), cutTo });
 })();
