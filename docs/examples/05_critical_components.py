@@ -26,8 +26,9 @@ with house_style():
     figure, axes = plt.subplots(figsize=(TWO_COLUMNS, 2.4), layout="constrained")
     left = np.zeros(len(loads))
     for name, color, column in zip(model.spring_names, spring_colors(table.shape[1]), table.T, strict=True):
-        axes.barh(list(loads), 100.0 * column, left=100.0 * left, color=color, label=name)
+        axes.barh(list(loads), 100.0 * column, left=100.0 * left, color=color, label=name.replace("_", " "))
         left += column
     axes.set(xlabel="share in the deflection [%]", xlim=(0, 100))
+    axes.invert_yaxis()
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 save_figure(figure, "critical_components.png")

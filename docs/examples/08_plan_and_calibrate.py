@@ -32,6 +32,6 @@ with house_style():
     figure, axes = plt.subplots(figsize=(ONE_COLUMN, 2.6), layout="constrained")
     axes.plot(np.sort(before), np.linspace(0, 100, 60), label="uncorrected")
     axes.plot(np.sort(after), np.linspace(0, 100, 60), label="calibrated")
-    axes.set(xlabel="tip error [µm]", ylabel="poses below [%]", xlim=(0, None))
+    axes.set(xlabel="tip error [µm]", ylabel="poses below [%]", xscale="log")
     axes.legend()
 save_figure(figure, "calibrated.png")

@@ -32,7 +32,7 @@ from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
 from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 from pm3dof_pin.maps.error_section import error_outline, error_section
-from pm3dof_pin.maps.grid_map import quantity_map
+from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
 from pm3dof_pin.maps.limit_space import limits_over, robot_space
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.workspace import workspace
@@ -78,7 +78,7 @@ def _draw_atlas(robot: Robot, folder: Path) -> None:
 def _draw_errors(folder: Path) -> None:
     """Draw what errors of the parts do over the section of Table 8.3."""
     errors = GeometricErrors.load("pm3dof")
-    grid = section_grid(errors.robot, points=31)
+    grid = section_grid(errors.robot, points=61)
     section, mapped = error_section(errors, grid)
     outline = error_outline(errors, grid, section)
     for name in ("tip_rms", "uncompensable_rms"):
@@ -90,9 +90,16 @@ def _draw_hexapod(folder: Path) -> None:
     """Draw maps of another robot, and its workspace."""
     robot = load("hexapod")
     grid = robot.grid(x=(-0.018, 0.018, 31), y=(-0.018, 0.018, 31))
-    dataset = quantity_map(MappedRobot(robot), grid, ("first_frequency",))
+    mapped = MappedRobot(robot)
+    dataset = quantity_map(mapped, grid, ("first_frequency",))
     broken = limits_over(robot, grid.dims, grid.fixed)
-    figure = section_map(dataset, "first_frequency", within=lambda points: broken(points) == 0)
+    exact = quantities_over(mapped, grid, ("first_frequency",))
+    figure = section_map(
+        dataset,
+        "first_frequency",
+        within=lambda points: broken(points) == 0,
+        exact=lambda points: exact(points)["first_frequency"],
+    )
     save_figure(figure, folder / "hexapod_first_frequency.png")
     save_figure(workspace_figure(workspace(robot_space(robot), 41, 90)), folder / "hexapod_workspace.png")
 

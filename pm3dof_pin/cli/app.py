@@ -21,27 +21,27 @@ NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
 """Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is not a number."""
 
 COMMANDS = {
-    "info": "info",
-    "ik": "kinematics",
-    "fk": "kinematics",
-    "stiffness": "stiffness",
-    "statics": "statics",
-    "modes": "modes",
-    "stiffness-map": "stiffness_map",
-    "table-8-3": "table",
-    "workspace": "workspace",
-    "atlas": "atlas",
-    "evaluate": "evaluate",
-    "error-parameters": "error_parameters",
-    "error-map": "error_map",
-    "calibration-plan": "calibration_plan",
-    "measure": "measure",
-    "calibrate": "calibrate",
-    "compensate": "compensate",
-    "export": "export",
-    "view": "view",
+    "info": ("info", "What a robot is and what is missing, in numbers"),
+    "ik": ("kinematics", "Commands of the drives for a pose"),
+    "fk": ("kinematics", "Pose for commands of the drives"),
+    "stiffness": ("stiffness", "Stiffness of the tool at a pose"),
+    "statics": ("statics", "Forces of the drives that hold the weight and a load"),
+    "modes": ("modes", "Natural frequencies and mode shapes at a pose"),
+    "stiffness-map": ("stiffness_map", "Maps of the stiffness: data, spreadsheet, pictures"),
+    "table-8-3": ("table", "Table 8.3 of the chapter, published and computed"),
+    "workspace": ("workspace", "What can be reached under all limits, and what ends it"),
+    "atlas": ("atlas", "Any quantities over the whole workspace"),
+    "evaluate": ("evaluate", "Mean, spread, extremes of the stiffness; weakest parts"),
+    "error-parameters": ("error_parameters", "Which geometric errors a robot has"),
+    "error-map": ("error_map", "What errors of the parts do to the tool"),
+    "calibration-plan": ("calibration_plan", "Poses to measure for a calibration"),
+    "measure": ("measure", "Simulated measurements of a machine with errors"),
+    "calibrate": ("calibrate", "From measurements to a calibrated machine"),
+    "compensate": ("compensate", "Commands that bring a calibrated machine to a pose"),
+    "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
+    "view": ("view", "The robot in a browser: drag it, see what it does"),
 }
-"""Module of pm3dof_pin.cli that each command is in, a function named after it, in the order of the help."""
+"""Module of pm3dof_pin.cli that each command is in, a function named after it, and what the list of commands says."""
 
 _OF_MAPS = {"stiffness-map", "workspace", "atlas", "evaluate", "error-map"}
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
@@ -60,10 +60,11 @@ def _make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
     )
     app.callback()(_options)
     for name in commands:
-        function = getattr(import_module(f"pm3dof_pin.cli.{COMMANDS[name]}"), name.replace("-", "_"))
+        module, summary = COMMANDS[name]
+        function = getattr(import_module(f"pm3dof_pin.cli.{module}"), name.replace("-", "_"))
         settings = NEGATIVE_NUMBERS if name in _WITH_POSE else None
         kind = _map_command() if name in _OF_MAPS else None
-        app.command(name, cls=kind, context_settings=settings)(with_groups(function))
+        app.command(name, cls=kind, context_settings=settings, short_help=summary)(with_groups(function))
     return app
 
 

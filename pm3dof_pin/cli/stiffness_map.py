@@ -15,6 +15,8 @@ from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
 from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import xarray as xr
 
     from pm3dof_pin.chapter.tripod import Tripod
@@ -84,7 +86,7 @@ def stiffness_map(
         raise typer.BadParameter(f"{loaded.name} has fewer than two coordinates to map over")
     mapped = MappedRobot(loaded)
     with progress_bar("stiffness map") as progress:
-        from pm3dof_pin.maps.grid_map import quantity_map
+        from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
         from pm3dof_pin.maps.storage import write_csv, write_netcdf
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
@@ -94,7 +96,8 @@ def stiffness_map(
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
         files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
         if pictures:
-            files += _draw(dataset, loaded, grid, out, progress, formats, engine)
+            exact = quantities_over(mapped, grid, quantities, engine=engine)
+            files += _draw(dataset, loaded, grid, exact, out, progress, formats, engine)
         remove_former(out, JOB_PICTURES, files)
     spans = _ranges(dataset)
     result = {
@@ -120,7 +123,8 @@ def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
     from pm3dof_pin.maps.labels import unit_of_entry
 
     ranges = {}
-    for name, label, values in _entries(dataset):
+    for name, label, index in _entries(dataset):
+        values = dataset.data_vars[name].values[index]
         finite = values[np.isfinite(values)]
         if finite.size:
             ranges[f"{name}_{label}" if label else name] = {
@@ -141,15 +145,15 @@ def _range_lines(ranges: dict[str, dict[str, Any]]) -> list[str]:
     return table_lines(["quantity", "unit", *_STATISTICS.values()], rows, words=2)
 
 
-def _entries(dataset: Map) -> list[tuple[str, str, Array]]:
-    """Return every number of the map: variable, label and values; of matrices the diagonal."""
-    entries: list[tuple[str, str, Array]] = []
+def _entries(dataset: Map) -> list[tuple[str, str, Any]]:
+    """Return every number of the map: variable, label and its index; of matrices the diagonal."""
+    entries: list[tuple[str, str, Any]] = []
     for name, variable in dataset.data_vars.items():
         own = variable.dims[2:]
         labels: Any = dataset.variables[own[0]].values if own else [""]
         indices: list[Any] = [(..., *[k] * len(own)) for k in range(len(labels))]
         if "flag_masks" not in variable.attrs:
-            entries += [(str(name), str(labels[k]), variable.values[index]) for k, index in enumerate(indices)]
+            entries += [(str(name), str(labels[k]), index) for k, index in enumerate(indices)]
     return entries
 
 
@@ -157,6 +161,7 @@ def _draw(
     dataset: xr.Dataset,
     robot: Robot,
     grid: Grid,
+    exact: Callable[[Array], dict[str, Array]],
     out: Path,
     progress: Any,
     formats: list[PictureFormat] | None,
@@ -171,10 +176,16 @@ def _draw(
     broken = limits_over(robot, grid.dims, grid.fixed, engine=engine)
     entries = _entries(dataset)
     files = []
-    for done, (name, label, values) in enumerate(entries, start=1):
-        if np.isfinite(values).sum() >= _LEAST_TO_DRAW:
+    for done, (name, label, index) in enumerate(entries, start=1):
+        if np.isfinite(dataset[name].values[index]).sum() >= _LEAST_TO_DRAW:
             path = out / f"stiffness_map_{f'{name}_{label}' if label else name}.png"
-            figure = section_map(dataset, name, entry=label or None, within=lambda points: broken(points) == 0)
+            figure = section_map(
+                dataset,
+                name,
+                entry=label or None,
+                within=lambda points: broken(points) == 0,
+                exact=lambda points, name=name, index=index: exact(points)[name][index],  # type: ignore[misc]
+            )
             files += save(figure, path, formats)
         progress(done, len(entries))
     return files

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
+from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
 from pm3dof_pin.cli.poses import check_units, place
@@ -61,6 +62,7 @@ def view(
         str | None,
         typer.Option(
             metavar="QUANTITY",
+            autocompletion=completion.quantities,
             help="Boundary of the workspace in the colours of a quantity, as felt_stiffness:z.",
         ),
     ] = None,
@@ -250,7 +252,8 @@ def _draw_workspace(viewer: Viewer, quantity: str) -> None:
     try:
         viewer.workspace(quantity)
     except InvalidValueError as error:
-        raise InvalidValueError(f"--workspace {quantity}: {error.name}", error.value, error.expected) from error
+        name = "--workspace" if error.name == "quantities" else f"--workspace {quantity}: {error.name}"
+        raise InvalidValueError(name, error.value, error.expected) from error
 
 
 def _limits_on_path(poses: Poses) -> list[str]:

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.figures.color_scale import TAIL, ColorScale, color_scale
+from pm3dof_pin.figures.color_scale import TAILS, ColorScale, color_scale
 from pm3dof_pin.figures.labels import (
     axis_label,
     display_unit,
@@ -77,7 +77,7 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
     shown, stands = _last_three(values)
     limits, _ = _last_three(flags)
     title = f"{name[:1].upper()}{name[1:]}{f': {stands}' if stands else ''}"
-    factor, written = display_unit(np.nanpercentile(np.abs(values.values), 100.0 - TAIL), unit)
+    factor, written = display_unit(np.nanpercentile(np.abs(values.values), 100.0 - TAILS[0]), unit)
     label = in_brackets(name if len(name) <= _LONGEST_LABEL or not written else "", written).strip()
     with house_style():
         width, height = (TWO_COLUMNS, 4.6) if shown.ndim == 3 else (ONE_COLUMN, 2.9)
@@ -94,7 +94,8 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
             for mesh, (_, plane, _, _) in zip(meshes, planes, strict=True)
         ]
         scale = color_scale(values.values / factor, np.concatenate(heights))
-        note = f"{scale.note} {written if scale.extend != 'neither' else ''}".strip()
+        shown_unit = f"× {written}" if written.startswith("$") else written
+        note = f"{scale.note} {shown_unit if scale.extend != 'neither' else ''}".strip()
         figure.suptitle(f"{title}\n{note}" if note else title, wrap=True)
         for (axes, plane, _, equal), mesh, numbers in zip(planes, meshes, heights, strict=True):
             _draw_plane(axes, plane, mesh, numbers, scale, equal=equal)

@@ -14,9 +14,9 @@ from pm3dof_pin.typing import Array
 
 _LOGARITHMIC_FROM = 10.0  # ratio of the largest to the least value
 _NEARLY_CONSTANT = 0.1  # variation, as a part of the mean, below which the picture says so
-TAIL = 1.0  # of the values at either end [%], which may lie beyond the colours ...
+TAILS = (1.0, 5.0)  # of the values at either end [%], which may lie beyond the colours ...
 _FEW_TICKS = 5
-_TAIL_SPAN = 3.0  # ... if all of them would stretch the scale so many times
+_TAIL_SPAN = 3.0  # ... if they would stretch the scale so many times
 _STEPS = {
     1: (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0),
     2: (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0),
@@ -88,11 +88,12 @@ def color_scale(values: Array, also: Array | None = None) -> ColorScale:
             "the same everywhere" if least else "zero everywhere",
         )
     low, high = least, greatest
-    bulk = np.percentile(finite, [TAIL, 100.0 - TAIL])
-    marks = np.array([low, *bulk, high])
-    scaled = np.log(marks) if low > 0.0 else marks
-    if 0.0 < _TAIL_SPAN * (scaled[2] - scaled[1]) < scaled[3] - scaled[0]:
-        low, high = float(bulk[0]), float(bulk[1])
+    for tail in TAILS:
+        bulk = np.percentile(finite, [tail, 100.0 - tail])
+        marks = np.array([low, *bulk, high])
+        scaled = np.log(marks) if low > 0.0 else marks
+        if 0.0 < _TAIL_SPAN * (scaled[2] - scaled[1]) < scaled[3] - scaled[0]:
+            low, high = float(bulk[0]), float(bulk[1])
     logarithmic = low > 0.0 and high > _LOGARITHMIC_FROM * low
     levels = _decade_levels(low, high) if logarithmic else _round_levels(low, high)
     slack = 1e-9 * abs(levels[-1] - levels[0])

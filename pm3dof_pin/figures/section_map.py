@@ -58,18 +58,20 @@ def section_map(
     *,
     entry: str | None = None,
     within: Within | None = None,
+    exact: Callable[[Array], Array] | None = None,
 ) -> Figure:
     """Draw one variable of a section as a surface and as filled contours, as wide as two columns of a journal.
 
     Shown are the values at the poses of the section and along its outline, with flat triangles between them. The
     outline is a dataset along a closed line (`at_grid_end` where no limit makes it); or it is found by the limits
-    `within`, and the values there are extrapolated; without both, the map ends at the last poses. `entry` is the label
-    along the variable's own dimension; of a matrix an entry of the diagonal.
+    `within`; without both, the map ends at the last poses. `exact` gives the variable at any points within the limits,
+    shape=(n, 2) to (n,); without it values between poses are interpolated, and those at the outline extrapolated.
+    `entry` is the label along the variable's own dimension; of a matrix an entry of the diagonal.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
     """
-    sheet = _sheet(section, variable, outline, entry, within)
+    sheet = _sheet(section, variable, outline, entry, within, exact)
     with house_style():
         height = _HEIGHT + _LINE * sheet.title.count("\n")
         figure = new_figure(TWO_COLUMNS, height)
@@ -118,7 +120,12 @@ class _Sheet:
 
 
 def _sheet(
-    section: xr.Dataset, name: str, outline: xr.Dataset | None, entry: str | None, within: Within | None
+    section: xr.Dataset,
+    name: str,
+    outline: xr.Dataset | None,
+    entry: str | None,
+    within: Within | None,
+    exact: Callable[[Array], Array] | None,
 ) -> _Sheet:
     if name not in section.data_vars:
         raise InvalidValueError("variable", name, f"one of {', '.join(map(str, section.data_vars))}")
@@ -141,7 +148,11 @@ def _sheet(
         excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
         axes = [section[coordinate].values for coordinate in across]
         mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
-        heights = mesh.values(values) / factor
+        heights = mesh.values(values)
+        if exact is not None:
+            found = exact(mesh.points)
+            heights = np.where(np.isfinite(found), found, heights)
+        heights /= factor
         points = np.column_stack([*(drawn(c, u) for c, u in zip(mesh.points.T, units, strict=True)), heights])
         triangles = mesh.triangles.astype(np.int32)
         keys = {place.tobytes(): value for place, value in zip(mesh.points, heights, strict=True)}
@@ -257,7 +268,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_xlabel(sheet.axes[0], labelpad=-3)
     axes.set_ylabel(sheet.axes[1], labelpad=-3)
-    axes.set_zlabel(sheet.label, labelpad=2)
+    axes.set_zlabel(sheet.label, labelpad=4)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.zaxis.set_major_locator(MaxNLocator(6))
@@ -265,6 +276,7 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
         axes.zaxis.set_major_formatter(FuncFormatter(lambda value, _: number(10.0**value)))
     axes.tick_params(pad=-1)
+    axes.tick_params(axis="z", pad=3)
     for axis, label in ((axes.xaxis, "x"), (axes.yaxis, "y")):  # the nearest corner belongs to both
         low, high = getattr(axes, f"get_{label}lim")()
         near = high if label == "x" else low

@@ -241,7 +241,7 @@ for _names, _source, _unit, _long_name in (
     "felt_stiffness",
     dims=(AXIS,),
     unit="N/m (x, y, z), N m/rad (rx, ry, rz)",
-    long_name="stiffness felt along one axis, all other motions free",
+    long_name="felt stiffness, all other motions free",
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
     return felt_stiffness(evaluation.elastic(AXIS_COMPLIANCE))

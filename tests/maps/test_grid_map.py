@@ -12,7 +12,7 @@ import xarray as xr
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.grid_map import quantity_map
+from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
@@ -72,3 +72,14 @@ def test_files(dataset: xr.Dataset, tmp_path: Path) -> None:
     assert inside
     assert all(float(row["first_frequency_Hz"]) > 100.0 for row in inside)
     assert all(row["condition_number"] == "" for row in rows if row["broken_limits"])
+
+
+def test_points_between_the_poses_have_the_values_of_a_grid_there(hexapod: Robot) -> None:
+    mapped = MappedRobot(hexapod)
+    grid = mapped.robot.grid(x=(-0.02, 0.02, 3), ry=(-0.1, 0.1, 3), z=0.14)
+    fine = mapped.robot.grid(x=(-0.02, 0.02, 5), ry=(-0.1, 0.1, 5), z=0.14)
+    points = np.stack(np.meshgrid(*fine.axes.values(), indexing="ij"), axis=-1).reshape(-1, 2)
+    found = quantities_over(mapped, grid, ("felt_stiffness",))(points)["felt_stiffness"]
+    wanted = quantity_map(mapped, fine, ("felt_stiffness",)).felt_stiffness.values
+    assert 0 < np.isfinite(wanted[..., 0]).sum() < 25
+    np.testing.assert_allclose(found.reshape(5, 5, 6), wanted, rtol=1e-12)
