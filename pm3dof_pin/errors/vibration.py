@@ -99,19 +99,15 @@ def _response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Ma
     H are the modes of angular frequencies `omegas` [rad/s] and damping zeta, G the spectrum [unit^2/Hz].
     """
     turn = np.sqrt(1.0 - damping**2)
-    own = np.stack([omegas * (1j * damping + turn), omegas * (1j * damping - turn)])  # poles of H, shape=(2, k)
-    count = len(omegas)
-    poles = np.empty((4, count, count), dtype=complex)
-    poles[:2], poles[2:] = own[:, :, None], own.conj()[:, None, :]
-    edges = 2.0 * np.pi * np.asarray(spectrum.edges_Hz)
-    products = np.zeros((count, count))
-    for k, pole in enumerate(poles):
-        residue = 1.0 / np.prod([pole - other for j, other in enumerate(poles) if j != k], axis=0)
-        logarithms = np.log(edges[:, None, None] - pole)
-        # the logarithms of a pole differ by what the band holds of it: its imaginary part keeps them off the cut
-        bands = sum(level * (b - a) for level, a, b in zip(spectrum.levels, logarithms, logarithms[1:], strict=False))
-        products += (residue * bands).real
-    return products / (2.0 * np.pi)
+    poles = np.stack([omegas * (1j * damping + turn), omegas * (1j * damping - turn)])  # of H, shape=(2, k)
+    logarithms = np.log(2.0 * np.pi * np.asarray(spectrum.edges_Hz)[:, None, None] - poles)
+    # the logarithms of a pole differ by what the band holds of it: its imaginary part keeps them off the cut
+    bands = np.tensordot(spectrum.levels, np.diff(logarithms, axis=0), axes=1)
+    products = np.zeros((len(omegas), len(omegas)))
+    for pole, other, band in zip(poles, poles[::-1], bands, strict=True):
+        residue = 1.0 / ((pole - other)[:, None] * np.prod(pole[:, None] - poles.conj()[:, None, :], axis=0))
+        products += (residue * band[:, None]).real
+    return (products + products.T) / (2.0 * np.pi)  # the poles of H_s* give the same with r and s exchanged
 
 
 class _Forcing:
