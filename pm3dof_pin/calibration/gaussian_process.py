@@ -106,6 +106,11 @@ def typical_covariance(first: Array, second: Array, drive: int) -> Array:
     return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
 
 
+def typical_variance(inputs: Array) -> Array:
+    """Return the diagonal of :func:`typical_covariance` of inputs and themselves, shape=(n,)."""
+    return _own_variance(inputs, np.log(_STARTS[0]))
+
+
 class _Exact:
     """The process of one drive, given all its measurements."""
 

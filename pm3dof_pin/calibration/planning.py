@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.calibrate import Method
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.gaussian_process import typical_covariance
+from pm3dof_pin.calibration.gaussian_process import typical_covariance, typical_variance
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
     NamedUnknowns,
@@ -216,17 +216,7 @@ class PlanningProblem:
         Raises:
             InvalidValueError: an unknown strategy, or so many candidates far enough from each other do not exist.
         """
-        chooser: dict[Strategy, Callable[[], Indices]] = {
-            "d-optimal": lambda: self._optimal(count, generator, restarts, _Determinant()),
-            "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
-            "space-filling": lambda: self._space_filling(count, generator),
-            "process-variance": lambda: self._least_process_variance(count),
-            "least-sensitive": lambda: self._spread(np.flatnonzero(self.least_sensitive), count, generator),
-            "random": lambda: self._spread(np.arange(len(self.candidates)), count, generator),
-        }
-        if strategy not in chooser:
-            raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
-        chosen = np.sort(chooser[strategy]())
+        chosen = self._chosen(count, strategy, generator, restarts)
         return Plan(
             strategy,
             chosen,
@@ -269,12 +259,25 @@ class PlanningProblem:
         return np.array(
             [
                 [
-                    self.plan(count, strategy, np.random.default_rng(seed), restarts=restarts).predicted_tip_rms
+                    self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts))
                     for seed in every
                 ]
                 for count in counts
             ]
         )
+
+    def _chosen(self, count: int, strategy: Strategy, generator: np.random.Generator, restarts: int) -> Indices:
+        chooser: dict[Strategy, Callable[[], Indices]] = {
+            "d-optimal": lambda: self._optimal(count, generator, restarts, _Determinant()),
+            "tip-optimal": lambda: self._optimal(count, generator, restarts, _Determinant(), _TipVariance(self._tip)),
+            "space-filling": lambda: self._space_filling(count, generator),
+            "process-variance": lambda: self._least_process_variance(count),
+            "least-sensitive": lambda: self._spread(np.flatnonzero(self.least_sensitive), count, generator),
+            "random": lambda: self._spread(np.arange(len(self.candidates)), count, generator),
+        }
+        if strategy not in chooser:
+            raise InvalidValueError("strategy", strategy, f"one of {', '.join(STRATEGIES)}")
+        return np.sort(chooser[strategy]())
 
     def _near(self, index: int) -> NDArray[np.bool_]:
         """Tell which candidates are too near to one, itself among them, shape=(number of candidates,)."""
@@ -316,7 +319,7 @@ class PlanningProblem:
         """Take the candidate that lessens the variance of a Gaussian process over the test poses most, and again."""
         drives = range(self.inputs.shape[1])
         across = [typical_covariance(self.inputs, self.test_inputs, drive) for drive in drives]
-        own = [np.array([typical_covariance(x[None], x[None], drive)[0, 0] for x in self.inputs]) for drive in drives]
+        own = [typical_variance(self.inputs) for _ in drives]
         seen: list[list[Array]] = [[] for _ in drives]  # rows of the Cholesky factor, over the candidates
         chosen: list[int] = []
         taken = np.zeros(len(self.candidates), dtype=bool)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -226,9 +227,14 @@ def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, 
     if strategy == plan.strategy:
         return plan.predicted_tip_rms
     try:
-        return float(problem.accuracy_curve([poses], strategy, [seed] if "optimal" in strategy else SEEDS).mean())
+        return float(problem.accuracy_curve([poses], strategy, _seeds(strategy, seed)).mean())
     except InvalidValueError:
         return float("nan")
+
+
+def _seeds(strategy: Strategy, seed: int = 0) -> Sequence[int]:
+    """Return one seed for strategies that hardly depend on it, or some to take the mean over."""
+    return SEEDS if strategy in ("space-filling", "least-sensitive", "random") else [seed]
 
 
 def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[PictureFormat] | None) -> list[Path]:
@@ -236,8 +242,7 @@ def _draw(problem: PlanningProblem, minimum: int, path: Path, formats: list[Pict
     from pm3dof_pin.figures.plan_accuracy import plan_accuracy
     from pm3dof_pin.figures.style import save_figure
 
-    seeds = {name: [0] if "optimal" in name else list(SEEDS) for name in STRATEGIES}
-    curves = {name: problem.accuracy_curve(COUNTS, name, seeds[name]) for name in STRATEGIES}
+    curves = {name: problem.accuracy_curve(COUNTS, name, _seeds(name)) for name in STRATEGIES}
     figure = plan_accuracy(COUNTS, curves, minimum)
     return save(figure, path, formats) if formats else [save_figure(figure, path)]
 
