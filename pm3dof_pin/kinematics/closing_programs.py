@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -57,7 +57,9 @@ class ProgramSource:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._numbers = geometry.numbers(robot)
+        self._constants = geometry.constants(self._numbers)
         self._structure = geometry.structure(robot)
+        self._latest: tuple[Robot, Mapping[str, float], bool] = robot, self._numbers, False
         self._known: dict[tuple[str, bool], Compiled] = {}
         self._verified: set[bool] = set()
 
@@ -92,8 +94,7 @@ class ProgramSource:
         return self._bound(robot, "checks", lambda dense: checks_program(self._robot, self.samples, dense=dense))
 
     def _bound(self, robot: Robot, name: str, trace: Callable[[bool], TracedProgram]) -> BoundProgram:
-        numbers = self._numbers if robot is self._robot else geometry.numbers(robot)
-        dense = not geometry.share_constants(numbers, self._numbers)
+        numbers, dense = self._geometry_of(robot)
 
         def traced() -> Program:
             self._verify(dense)
@@ -103,6 +104,17 @@ class ProgramSource:
             self._known[name, dense] = compiled(stored(f"{name} {dense} {self._content}", traced))
         found = self._known[name, dense]
         return BoundProgram(found, geometry.chosen(numbers, found.program.parameters))
+
+    def _geometry_of(self, robot: Robot) -> tuple[Mapping[str, float], bool]:
+        """Return the numbers of the robot or a variant, and whether one of them stands in the place of a constant."""
+        if robot is self._robot:
+            return self._numbers, False
+        variant, numbers, dense = self._latest
+        if variant is not robot:
+            numbers = geometry.numbers(robot)
+            dense = geometry.constants(numbers) != self._constants
+            self._latest = robot, numbers, dense
+        return numbers, dense
 
     @cached_property
     def _content(self) -> str:

@@ -140,7 +140,8 @@ class Mechanism:
         self.files = files
         self._source = str(source or (files.source if files is not None else model.name))
         self._frame_ids = _frame_ids(self.model)
-        self._single_joints = _single_joints(self.model)
+        translates = _is_translation(self.model)
+        self._single_joints = _single_joints(self.model, translates)
 
         driven = tuple(actuated_joints) or (() if self.closures else tuple(self._single_joints))
         self.actuated_joints = self._checked_joints(driven, "name_mot")
@@ -167,7 +168,7 @@ class Mechanism:
         if not (np.isfinite(length) and length > 0.0):
             raise InvalidValueError("characteristic_length", length, "a positive length [m]")
         self.characteristic_length = float(length)
-        self.velocity_scale = frozen(np.where(_is_translation(self.model), self.characteristic_length, 1.0))
+        self.velocity_scale = frozen(np.where(translates, self.characteristic_length, 1.0))
         self.closure_scale = frozen(self._closure_scale())
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
         self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
@@ -423,8 +424,7 @@ def _frame_ids(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _single_joints(model: pin.Model) -> dict[str, _SingleJoint]:
-    translates = _is_translation(model)
+def _single_joints(model: pin.Model, translates: NDArray[np.bool_]) -> dict[str, _SingleJoint]:
     return {
         model.names[index]: _SingleJoint(
             model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2, bool(translates[joint.idx_v])
@@ -451,4 +451,4 @@ def _is_translation(model: pin.Model) -> NDArray[np.bool_]:
     """Tell which entries of v are velocities along an axis, without any rotation, shape=(nv,)."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    return np.array([not rotation.any() for rotation in data.J.reshape(6, model.nv)[3:].T], dtype=bool)
+    return np.asarray(~data.J.reshape(6, model.nv)[3:].any(axis=0))

@@ -90,11 +90,6 @@ def chosen(found: Mapping[str, float], names: Iterable[str]) -> NDArray[Any]:
     return np.array([found[name] for name in names])
 
 
-def share_constants(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
-    """Tell whether the :func:`numbers` of two mechanisms of one structure have the same pattern."""
-    return _constants(first) == _constants(second)
-
-
 class Geometry:
     """The geometry of one mechanism, as constants and parameters of a graph; all are parameters if `dense`."""
 
@@ -135,11 +130,12 @@ class Geometry:
 
 def pattern(mechanism: Mechanism, frames: Iterable[str] = ()) -> str:
     """Return a hash of which entries are constants, and of which value."""
-    rows = _constants(numbers(mechanism, frames))
+    rows = constants(numbers(mechanism, frames))
     return hashlib.sha256(repr(rows).encode()).hexdigest()
 
 
-def _constants(found: Mapping[str, float]) -> list[tuple[str, float]]:
+def constants(found: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Return the pattern of the :func:`numbers` of a mechanism: entries that are constants, with their values."""
     return [
         (name, value)
         for name, value in found.items()
@@ -158,8 +154,8 @@ def frame_names(mechanism: Mechanism) -> list[str]:
 
 
 def _add_placement(found: dict[str, float], owner: str, placement: pin.SE3) -> None:
-    entries = [*placement.rotation.ravel().tolist(), *placement.translation.tolist()]
-    found.update(zip(_placement_names(owner), map(_rounded, entries), strict=True))
+    entries = _rounded(np.append(placement.rotation, placement.translation))
+    found.update(zip(_placement_names(owner), entries.tolist(), strict=True))
 
 
 @lru_cache(maxsize=1000)
@@ -173,8 +169,8 @@ def _add_joint(found: dict[str, float], owner: str, model_joint: Any) -> None:
     if model_joint.shortname() == "JointModelRevoluteUnboundedUnaligned":
         axes["axis"] = _unbounded_axis(joint)
     for entry, axis in axes.items():
-        for k, number in enumerate(axis):
-            found[f"{owner}/{entry}{k}"] = _rounded(number)
+        for k, number in enumerate(_rounded(np.asarray(axis)).tolist()):
+            found[f"{owner}/{entry}{k}"] = number
     if hasattr(joint, "jointPlacements"):
         for k, (part, placement) in enumerate(zip(joint.joints, joint.jointPlacements, strict=True)):
             _add_placement(found, f"{owner}[{k}]", placement)
@@ -196,7 +192,6 @@ def _kind(model_joint: Any) -> str:
     return str(model_joint.shortname())
 
 
-def _rounded(number: float) -> float:
-    value = float(number)
-    nearest = float(round(value)) if abs(value) < 1.5 else value
-    return nearest if abs(value - nearest) <= _ROUNDING else value
+def _rounded(entries: NDArray[Any]) -> NDArray[Any]:
+    nearest = np.rint(entries) + 0.0  # no negative zeros
+    return np.where((np.abs(entries - nearest) <= _ROUNDING) & (np.abs(nearest) <= 1.0), nearest, entries)
