@@ -15,12 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.mistakes import Mistake, usual_mistakes, wrong_columns
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
+from pm3dof_pin.calibration.mistakes import Mistake, explained_by, of_a_change, usual_mistakes, wrong_columns
+from pm3dof_pin.calibration.pseudo_error import seen_errors
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
+from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import register
 
 _EXPLAINS = 0.25  # of what did not fit is left, at most
@@ -64,6 +66,11 @@ def likely_cause(
     before = _misfit(measurements, nominal, eta, own_frame)
     if before <= least or len(measurements.visits) < _FEWEST:
         return None
+    # one scale more and a free frame explain anything that is nowhere by a point in the middle of the machine's poses
+    middle = nominal[np.full(len(nominal), len(nominal) // 2)]
+    most = min(
+        before, float(np.median(tip_error(pose_difference(middle.transforms, nominal.transforms), eta))) or before
+    )
 
     def explanation(mistakes: Iterable[Mistake]) -> _Cause | None:
         found = []
@@ -75,7 +82,7 @@ def likely_cause(
                 after = _misfit(without, poses, eta, own_frame or mistake.free)
             except PM3DofError:
                 continue
-            if after < _EXPLAINS * before or after < min(least, _HALF * before):
+            if after < _EXPLAINS * most or after < min(least, _HALF * before):
                 found.append(_Cause(mistake.text, before, after))
         best = min((cause.after for cause in found), default=0.0)
         return next((cause for cause in found if cause.after <= _EQUAL * best), None)
@@ -97,6 +104,28 @@ def likely_cause(
     kinds = itertools.islice(wrong_columns(measurements, nominal, eta), None if before > _MUCH * least else 1)
     column = simplest(kinds, least)
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
+
+
+def change_in_the_middle(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> str:
+    """Say from where on measurements are those of another set-up, by a machine's poses; "" if nothing tells so.
+
+    A machine that was identified from all of them stands between the two.
+    """
+    datum = datum_motions(poses)
+
+    def misfit(found: Measurements) -> float:
+        common = datum @ explained_by(found, poses, eta, datum)
+        left = seen_errors(found.without_motions(poses, common), poses[first], eta).errors
+        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+    first = np.unique(measurements.visit_numbers, return_index=True)[1]
+    before = misfit(measurements)
+    found = min(
+        (_Cause(mistake.text, before, misfit(mistake.without)) for mistake in of_a_change(measurements, poses, eta)),
+        key=lambda cause: cause.after,
+        default=None,
+    )
+    return str(found) if found is not None and found.after < _HALF * before else ""
 
 
 def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements, Poses]:

@@ -31,7 +31,7 @@ _SAME = 1e-9
 _ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
 _STEPS = 3  # times those of one descent
 _FAR = 2.0  # times the median: rows that count less
-_FEWEST_TOUCHES = 4  # by which a fixed point is found
+_FEWEST = 4  # touches by which a fixed point is found, poses before and after a change
 _QUATERNION = "wxyz"
 
 
@@ -67,6 +67,7 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
         yield _of_scale(measurements, nominal, free=True)
     yield from _of_the_tool(measurements, nominal, eta)
     yield from _of_positions(measurements, nominal)
+    yield of_a_change(measurements, nominal, eta)
 
 
 def _of_units(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
@@ -203,7 +204,7 @@ def _of_the_tool(measurements: Measurements, nominal: Poses, eta: float) -> Iter
     shift = np.zeros(3)
     for _ in range(_STEPS):  # distances are not linear in it
         moved = measurements.with_points(measurements.points + shift)
-        shift = shift + _explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
+        shift = shift + explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
     shifted = measurements.with_points(measurements.points + shift)
     text = f"the point seen is about ({_in_millimetres(shift)}) mm from where it is said to be, in the tool's axes"
     yield [Mistake(text, shifted, nominal)]
@@ -221,7 +222,7 @@ def _of_the_tool(measurements: Measurements, nominal: Poses, eta: float) -> Iter
 
 
 def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    if not measurements.points.any():
+    if not measurements.points.any() or not measurements.seen[:, :3].all():
         return
     numbers = measurements.target_numbers
     points = measurements.points[np.unique(numbers, return_index=True)[1]]
@@ -230,6 +231,11 @@ def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]
             text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
             yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
     yield Mistake("the targets' points have the other sign", measurements.with_points(-measurements.points), nominal)
+    off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - _expected(measurements, nominal))
+    shifts = np.array([np.median(off[numbers == k], axis=0) for k in range(len(points))])
+    words = ", ".join(f"target {k + 1} ({_in_millimetres(points[k] + shifts[k])})" for k in range(len(points)))
+    text = f"the targets are not where the file has them, but about here [mm]: {words}"
+    yield Mistake(text, measurements.with_points(measurements.points + shifts[numbers]), nominal)
 
 
 def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
@@ -283,7 +289,7 @@ def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
     centres = origins.copy()
     for place in places:
         of_it = fixed[(origins[fixed] == place).all(axis=1)]
-        if len(of_it) >= _FEWEST_TOUCHES:
+        if len(of_it) >= _FEWEST:
             with contextlib.suppress(np.linalg.LinAlgError):
                 centres[of_it] = fitted_sphere(points[of_it], distances[of_it])
     if len(places):
@@ -294,7 +300,7 @@ def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
         yield [Mistake(text, measurements.with_origins(centres), nominal)]
 
 
-def _explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
+def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
     """Return how much of some motions of the tool, shape=(n, 6, k), explains what was seen: robust least squares.
 
     The base may stand anywhere where measurements are those of an instrument with a frame of its own.
@@ -320,7 +326,7 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
         poses, found = nominal, np.zeros(changes.shape[2])
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
             for _ in range(_STEPS):
-                found = found + _explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
+                found = found + explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
                 poses = nominal.robot.forward(commands + changes @ found, guess=poses.q)
             return found, replace(measurements, commands=commands + changes @ found)
         return None
@@ -342,6 +348,43 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
     if (fitted := without(np.tile(np.eye(count), (len(commands), 1, 1)))) is not None:
         text = f"the zeros of the drives are off by about ({_in_millimetres(-fitted[0])}) mm or mrad"
         yield [Mistake(text, fitted[1], None)]
+
+
+def of_a_change(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
+    """Give changes of the set-up in the middle of a file: of the instrument's place, or of the point seen."""
+    seen = measurements.seen[:, : measurements.tool_columns] * tip_weights(eta)[: measurements.tool_columns]
+    datum = datum_motions(nominal)
+    for what, motions in (
+        ("the instrument, or the base, stands elsewhere", datum[:, :, :6]),
+        ("the point seen is elsewhere on the tool", datum[:, :, 6:9]),
+    ):
+        rows = measurements.derivatives(nominal, motions)[:, : seen.shape[1]] * seen[:, :, None]
+        inverses = _of_first_rows(np.swapaxes(rows, 1, 2) @ rows)
+        moved, change, first = measurements, np.zeros(motions.shape[2]), 0
+        for _ in range(_STEPS):
+            residuals = moved.residuals(nominal)[:, : seen.shape[1]] * seen
+            pull = np.einsum("nij,ni->nj", rows, residuals)
+            before = np.cumsum(pull, axis=0)
+            pulls = np.stack([before, before[-1] - before])
+            ways = np.einsum("pnij,pnj->pni", inverses, pulls)
+            if not first:
+                ends = np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_FEWEST - 1 : -_FEWEST]
+                if not ends.size:
+                    return
+                explained = np.einsum("pni,pni->n", ways, pulls)
+                first = int(ends[np.argmax(explained[ends])]) + 1
+            step = ways[1, first - 1] - ways[0, first - 1]
+            change = change + step
+            later = np.arange(len(moved))[:, None] >= first
+            moved = moved.without_motions(nominal, np.where(later, motions @ step, 0.0))
+        text = f"from line {measurements.lines[first]} on {what}, by about ({_in_millimetres(change[:3])}) mm"
+        yield Mistake(text, moved, nominal)
+
+
+def _of_first_rows(squares: Array) -> Array:
+    """Return the pseudo-inverses of sums over the first rows up to each, and over all others, shape=(2, n, k, k)."""
+    sums = np.cumsum(squares, axis=0)
+    return np.asarray(np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True))
 
 
 def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
-from pm3dof_pin.calibration.causes import likely_cause
+from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
 from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.identification import PRIOR, UNKNOWN, Identification
 from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, chance_of_harm, held_out_errors
@@ -32,6 +32,9 @@ STRAIN = 2.0
 are not those of a machine that the tolerances are about."""
 
 _LOUD = 3.0  # noise factor
+_NOISY = 1.5  # the same, from which on a change in the middle is looked for
+_COARSE = 3.0  # sigmas of a position: what is rounded to more adds to the noise
+_SAME_DIGIT = 1e-6
 _QUIET = 0.3  # of the noise
 _ENOUGH = 10.0  # degrees of freedom, by whose residuals that can be told
 _MANY_OUTLIERS = 0.4  # of the rows
@@ -80,15 +83,35 @@ def calibrate_and_object(
 
 
 def _warn_of_noise(calibration: Calibration) -> None:
-    """Say where residuals are not those of the noise that the measurements are said to have."""
-    if calibration.identification.noise_factor > _LOUD:
+    """Say where residuals are not those of the noise that the measurements are said to have, and why that may be."""
+    found, eta = calibration.identification, calibration.options.eta
+    trusted = np.setdiff1d(np.arange(len(found.settled)), found.outliers)
+    if found.noise_factor > _NOISY and (
+        change := change_in_the_middle(found.settled[trusted], found.poses[trusted], eta)
+    ):
+        logger.warning("residuals are %.3g times the noise: most likely %s", found.noise_factor, change)
+    elif found.noise_factor > _LOUD:
         logger.warning(
-            "%s: effects that the parameters do not describe, rows of another state of the machine, or sigmas that are "
-            "too small",
+            "%s: %seffects that the parameters do not describe, rows of another state of the machine, or sigmas that "
+            "are too small",
             _noise_in_words(calibration),
+            _rounded(found.measurements),
         )
     elif problem := _noise_in_words(calibration):
         logger.warning("%s", problem)
+
+
+def _rounded(measurements: Measurements) -> str:
+    """Say which numbers are rounded by more than the noise; "" if none are."""
+    seen = measurements.sigmas[:, :3][measurements.seen[:, :3]]
+    words = ""
+    for name, numbers in (("commands", measurements.commands), ("positions", measurements.positions)):
+        for step in 10.0 ** -np.arange(2, 6):
+            digits = numbers / step
+            if seen.size and step > _COARSE * np.median(seen) and np.abs(digits - np.round(digits)).max() < _SAME_DIGIT:
+                words += f"{name} without digits below {1e3 * step:g} mm or mrad, "
+                break
+    return words
 
 
 def _noise_in_words(calibration: Calibration) -> str:

@@ -145,7 +145,9 @@ class _Reader:
     def measurements(self, instrument: Instrument, own_frame: bool) -> Measurements:
         table = self._table
         points = table.matrix(POINT_COLUMNS, missing=0.0)
-        warn_of_copies(table, np.hstack([table.matrix(self._own), points, self._seen]))
+        whole = POSITION_COLUMNS if {*POSITION_COLUMNS} <= {*table.columns} else ()
+        measured = [name for name in (*whole, *QUATERNION_COLUMNS) if whole and name in table]
+        warn_of_copies(table, np.hstack([table.matrix(self._own), points, self._seen]), table.matrix(measured))
         commands = commands_of(table, self._robot)
         rotations = self._rotations()
         check_points(table, points, self._robot.characteristic_length)

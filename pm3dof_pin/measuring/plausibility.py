@@ -22,8 +22,12 @@ _THOUSANDFOLD = 300.0
 _OWN_FRAME = "--own-frame finds the base of an instrument with a frame of its own"
 
 
-def warn_of_copies(table: CsvTable, places: Array) -> None:
-    """Warn of rows that repeat others, by numbers in which rows of different poses, points or instruments differ."""
+def warn_of_copies(table: CsvTable, places: Array, measured: Array) -> None:
+    """Warn of rows that repeat others, wholly or in all that was measured at other commands.
+
+    By numbers in which rows of different poses, points or instruments differ, and by whole positions, with
+    orientations where there are such, shape=(n, k) each, or (n, 0).
+    """
     rows = table.matrix(list(table.columns))
     first: dict[bytes, int] = {}
     copies = [
@@ -31,6 +35,12 @@ def warn_of_copies(table: CsvTable, places: Array) -> None:
     ]
     if copies:
         table.warn("copies of earlier lines; they count as often as they stand there", copies)
+    if measured.size:
+        _, origin, again = np.unique(np.round(measured / _SAME), axis=0, return_index=True, return_inverse=True)
+        elsewhere = np.any(places != places[origin[again.reshape(-1)]], axis=1)
+        if elsewhere.any():
+            problem = "what was measured repeats other lines to the last digit, at other commands: stale, or copied?"
+            table.warn(problem, table.lines_where(elsewhere))
     distinct = len(np.unique(np.round(places / _SAME), axis=0))
     if distinct < len(rows) - len(copies):
         table.warn(f"{len(rows)} rows at {distinct} different commands: the others repeat one")

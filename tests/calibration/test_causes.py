@@ -15,7 +15,7 @@ import pytest
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.causes import likely_cause
-from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.calibration.objections import calibrate_and_object, objections
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -36,6 +36,25 @@ def _inverse(measurements: Measurements) -> Measurements:
     return replace(measurements, rotations=np.swapaxes(measurements.rotations, 1, 2))
 
 
+def _from_row_15(measurements: Measurements, shift: float) -> Measurements:
+    later = np.arange(len(measurements))[:, None] >= 15
+    return replace(measurements, positions=measurements.positions + later * [shift, 0.0, 0.0])
+
+
+def _by_distances(measurements: Measurements, place: tuple[float, float, float]) -> Measurements:
+    """Of a point seen from one place and said to be seen from another."""
+    count = len(measurements)
+    return replace(
+        measurements,
+        rotations=None,
+        sigmas=np.tile([1e-5, np.inf, np.inf], (count, 1)),
+        points=np.tile([0.1, 0.0, 0.0], (count, 1)),
+        distances=np.linalg.norm(measurements.positions + measurements.rotations[:, :, 0] * 0.1 - place, axis=1),
+        origins=np.tile([0.3, 0.2, 0.0], (count, 1)),
+        partners=np.full(count, -1),
+    )
+
+
 MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
     "two drives": (lambda m: replace(m, commands=m.commands[:, [1, 0, 2]]), "u1 holds u2, u2 holds u1"),
     "all drives": (lambda m: replace(m, commands=m.commands[:, [1, 2, 0]]), "u1 holds u2, u2 holds u3, u3 holds u1"),
@@ -53,6 +72,19 @@ MISTAKES: dict[str, tuple[Callable[[Measurements], Measurements], str]] = {
         "--own-frame",
     ),
     "inverse": (_inverse, "the orientations are inverse"),
+    "frame, from some line on": (lambda m: _from_row_15(m, 0.03), r"from line 17 on the .* by about \(30"),
+    "zero of a drive, seen by heights": (
+        lambda m: replace(
+            m,
+            commands=m.commands + np.array([0.01, 0.0, 0.0]),
+            rotations=None,
+            sigmas=np.tile([np.inf, np.inf, 1e-5], (len(m), 1)),
+            positions=m.positions + m.rotations[:, :, 0] * 0.1,
+            points=np.tile([0.1, 0.0, 0.0], (len(m), 1)),
+        ),
+        "the zero of u1 is off by about (9.9|10)",
+    ),
+    "fixed point": (lambda m: _by_distances(m, (0.32, 0.2, 0.0)), r"the fixed points are not .* at \((319|320|321)"),
     "inches": (lambda m: replace(m, positions=m.positions / 25.4e-3), "in inches"),
 }
 
@@ -79,6 +111,14 @@ def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, t
     reasons = objections(calibrate(spoil(measured), tripod_errors, Options("lm")), None)
     assert len(reasons) == 1
     assert re.search("tolerances .* from the description|more than the machine could be off", reasons[0])
+
+
+def test_a_change_too_small_to_be_refused_is_named(
+    measured: Measurements, tripod_errors: GeometricErrors, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, _, reasons = calibrate_and_object(_from_row_15(measured, 4e-4), tripod_errors, Options("lm"))
+    assert reasons == []
+    assert re.search("times the noise: most likely from line 17 on the (instrument|point)", caplog.text)
 
 
 @pytest.mark.usefixtures("report_without_pictures")

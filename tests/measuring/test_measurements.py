@@ -153,6 +153,14 @@ def test_copies_and_repeated_commands_are_named(
     assert found.warnings[1].startswith("14 rows at 12 different commands")
 
 
+def test_what_was_measured_twice_to_the_last_digit_is_named(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    lines[4][3:] = lines[3][3:]
+    found = read(lines, tripod_errors, tmp_path)
+    assert found.warnings[0].startswith("line 5: what was measured repeats other lines to the last digit, at other")
+
+
 def test_a_position_far_off_is_named(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     lines[9][3] = "0.2"
     assert read(lines, tripod_errors, tmp_path).warnings[0].startswith("line 10: positions are more than 0.02")
