@@ -81,6 +81,7 @@ def test_a_frame_of_the_instruments_own(place: Path, run: Run, answer: Answer) -
     assert tips[1] < 1.05 * tips[0]
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_a_validation_from_another_station(place: Path, run: Run, answer: Answer) -> None:
     """The tracker of `test_a_frame_of_the_instruments_own` has been moved a quarter of a turn and a metre."""
 

@@ -121,7 +121,7 @@ def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: 
         rng = np.random.default_rng(1)
         far = errors.apply(size * errors.sample(rng))
         home = far.forward(nominal.at([nominal.home.q]).commands, guess=nominal.home.q)
-        commands = home.commands + rng.uniform(-reach, reach, (60, home.commands.shape[1]))
+        commands = home.commands + rng.uniform(-reach, reach, (40, home.commands.shape[1]))
         poses = far.forward(commands, guess=home.q[0], on_failure="nan")
         poses = poses[poses.solved]
         values = identifiability(

@@ -86,6 +86,7 @@ def test_a_machine_is_not_made_worse(name: str, frame: str | None, kinds: tuple[
             assert missed(calibration.compensation.compensate(wanted).commands) <= missed(wanted.commands), kind
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_the_command_takes_them(run: Callable[..., object], tmp_path: Path) -> None:
     """Of what `measure` writes some cells are dropped, then whole columns."""
     run("measure", "--world", "geometry", "--poses", "16", "--out", "all.csv", cwd=tmp_path)
