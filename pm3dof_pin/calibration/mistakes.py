@@ -29,6 +29,7 @@ _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inch
 _LIKE = 0.1  # of the differences is left where a simpler form describes them
 _SAME = 1e-9
 _ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
+_LEAST_LEAD = 1e-4  # of all drives alike
 _STEPS = 3  # times those of one descent
 _FAR = 2.0  # times the median: rows that count less
 _FEWEST = 4  # touches by which a fixed point is found, poses before and after a change
@@ -54,6 +55,7 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
     yield _of_units(measurements, nominal)
     if measurements.registration is None:
         yield _of_units(measurements, nominal, free=True)
+    yield _of_command_units(measurements)
     yield _of_drives(measurements, nominal)
     yield _of_row_order(measurements, nominal)
     yield _of_axes(measurements, nominal)
@@ -74,6 +76,13 @@ def _of_units(measurements: Measurements, nominal: Poses, *, free: bool = False)
     for unit, factor in _LENGTHS.items():
         text = f"the positions are in {unit}" + (", and in the instrument's own frame: --own-frame" if free else "")
         yield Mistake(text, replace(measurements, positions=factor * measurements.positions), nominal, free)
+
+
+def _of_command_units(measurements: Measurements) -> Iterator[Mistake]:
+    """Units that make commands too large are told by the limits of the joints; here those that make them too small."""
+    for heading, unit, factor in (("degrees", "radians", 180.0 / np.pi), ("millimetres", "metres", 1e3)):
+        without = replace(measurements, commands=factor * measurements.commands)
+        yield Mistake(f"the commands are in {unit} under a heading that says {heading}", without, None)
 
 
 def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
@@ -345,6 +354,9 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
                 yield Mistake(text, fitted[1], None)
 
     yield of_one()
+    if (fitted := without(commands[:, :, None])) is not None and abs(fitted[0][0]) > _LEAST_LEAD:
+        text = f"all commands are {1.0 / (1.0 + fitted[0][0]):.6g} times what they should be: another lead or unit"
+        yield [Mistake(text, fitted[1], None)]
     if (fitted := without(np.tile(np.eye(count), (len(commands), 1, 1)))) is not None:
         text = f"the zeros of the drives are off by about ({_in_millimetres(-fitted[0])}) mm or mrad"
         yield [Mistake(text, fitted[1], None)]

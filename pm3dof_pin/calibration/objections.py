@@ -77,20 +77,24 @@ def calibrate_and_object(
         tolerances = 1.0 if strain(calibration) > STRAIN else PRIOR
         reasons += _likeliest(measurements, errors, options.eta, tolerances)
     else:
-        _warn_of_noise(calibration)
-        _warn_of_other_parts(calibration, measurements)
+        _warn_of_other_parts(calibration, measurements, changed=_warn_of_noise(calibration))
     return calibration, held_out, reasons
 
 
-def _warn_of_noise(calibration: Calibration) -> None:
-    """Say where residuals are not those of the noise that the measurements are said to have, and why that may be."""
+def _warn_of_noise(calibration: Calibration) -> bool:
+    """Say where residuals are not those of the noise that the measurements are said to have, and why that may be.
+
+    Returns:
+        Whether a change in the middle of the measurements explains it.
+    """
     found, eta = calibration.identification, calibration.options.eta
     trusted = np.setdiff1d(np.arange(len(found.settled)), found.outliers)
     if found.noise_factor > _NOISY and (
         change := change_in_the_middle(found.settled[trusted], found.poses[trusted], eta)
     ):
         logger.warning("residuals are %.3g times the noise: most likely %s", found.noise_factor, change)
-    elif found.noise_factor > _LOUD:
+        return True
+    if found.noise_factor > _LOUD:
         logger.warning(
             "%s: %seffects that the parameters do not describe, rows of another state of the machine, or sigmas that "
             "are too small",
@@ -99,6 +103,7 @@ def _warn_of_noise(calibration: Calibration) -> None:
         )
     elif problem := _noise_in_words(calibration):
         logger.warning("%s", problem)
+    return False
 
 
 def _rounded(measurements: Measurements) -> str:
@@ -129,7 +134,7 @@ def _noise_in_words(calibration: Calibration) -> str:
     return ""
 
 
-def _warn_of_other_parts(calibration: Calibration, measurements: Measurements) -> None:
+def _warn_of_other_parts(calibration: Calibration, measurements: Measurements, *, changed: bool) -> None:
     """Say which parameters are so far off that it is no matter of tolerances, and which mistake would explain them."""
     found = calibration.compensation
     if found.values is None:
@@ -140,7 +145,8 @@ def _warn_of_other_parts(calibration: Calibration, measurements: Measurements) -
         if abs(value) > _OTHER * parameter.tolerance
     ]
     if parts:
-        cause = _likeliest(measurements, found.errors, calibration.options.eta, 1.0)
+        cause = ["most likely that change"] if changed else []
+        cause = cause or _likeliest(measurements, found.errors, calibration.options.eta, 1.0)
         logger.warning(
             "far from the description: %s: another part, or a mistake? %s",
             ", ".join(parts),

@@ -14,6 +14,7 @@ from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
 from pm3dof_pin.calibration.uncertainty_budget import uncertainty_budget
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.typing import Array
 
 _POSES = 60  # of the workspace
 _WHOLE = 0.995  # of a correction
@@ -42,15 +43,19 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
     answer = compensation.compensate(poses, conditions, on_failure="nan")
     reached = np.isfinite(answer.error_bound)
-    budget = uncertainty_budget(calibration, poses[reached])
     bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
-    total = float(np.sqrt(np.mean(answer.predicted_error[reached] ** 2)))
-    expect = (
-        f"a tip error of {1e6 * total:.0f} µm (rms over the workspace), below {1e6 * bound:.0f} µm at 95 % of the poses"
-    )
+    where, total = "rms over the workspace", _rms(answer.predicted_error[reached])
+    if total > bound:  # a few poses, as next to singular ones of an arm, would be all that is told
+        where = (
+            f"rms over the workspace but for the worst poses, up to {1e6 * np.nanmax(answer.predicted_error):.0f} µm"
+        )
+        reached &= answer.error_bound <= bound
+        total = _rms(answer.predicted_error[reached])
+    budget = uncertainty_budget(calibration, poses[reached])
+    expect = f"a tip error of {1e6 * total:.0f} µm ({where}), below {1e6 * bound:.0f} µm at 95 % of the poses"
     judged, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
     if judged is not None:
-        before, after = (float(np.sqrt(np.mean(values**2))) for values in (judged.before, judged.after))
+        before, after = _rms(judged.before), _rms(judged.after)
         expect += (
             f"; on {source} it went from {1e6 * before:.0f} to {1e6 * after:.0f} µm, noise included, and "
             f"{100.0 * judged.within:.0f} % of the poses were within their 95 % bounds"
@@ -64,6 +69,10 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
         drift_and_hysteresis(calibration),
         repeatability(calibration),
     )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _unseen(calibration: Calibration) -> list[str]:

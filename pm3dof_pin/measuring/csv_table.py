@@ -99,7 +99,7 @@ class CsvTable:
         """Return columns side by side, shape=(n, len(names)); all of one value if the first one is missing."""
         if missing is not None and names[0] not in self:
             return np.full((len(self), len(names)), missing)
-        return np.column_stack([self.columns[name] for name in names])
+        return np.column_stack([np.empty((len(self), 0)), *(self.columns[name] for name in names)])
 
     def require(self, wanted: Sequence[str]) -> None:
         """Check that columns are there.

@@ -46,6 +46,8 @@ SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_r
 _TIME_COLUMN = "time_s"
 _SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
+_LEAST_SIGMA = 1e-12  # [m, rad]
+_FAR_LESS = 1e-3  # of the other sigmas of a column: such a row would be all that counts
 _LEAST_OF_A_SPHERE = 4  # rows
 
 
@@ -411,6 +413,10 @@ class _Reader:
         for k, name in enumerate(names):
             unit = name.rsplit("_", 1)[1]
             finite = sigmas[np.isfinite(sigmas[:, k]), k]
+            tiny = sigmas[:, k] < max(_LEAST_SIGMA, _FAR_LESS * float(np.median(finite)) if finite.size else 0.0)
+            if tiny.any():
+                problem = f"{name} is {sigmas[tiny, k][0]:.3g} {unit}, next to nothing: no instrument is so good"
+                raise MeasurementError(self._path, problem, self._table.lines_where(tiny))
             if finite.size and np.median(finite) > _LARGE_SIGMA[unit]:
                 other = "millimetres" if unit == "m" else "degrees"
                 self._table.warn(f"{name} is {np.median(finite):.3g} {unit} (median), a great deal: {other}?")
