@@ -44,7 +44,7 @@ def test_colour_bar_has_the_unit_of_its_number_and_stays_within_the_picture(pict
     assert words or unit
     if name[-1] in "yz23" and not name.endswith("t_z"):  # as long as the words of its neighbour
         return
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     box = bar.yaxis.label.get_window_extent()
     assert 0 <= box.x0 < box.x1 <= figure.bbox.width
     assert 0 <= box.y0 < box.y1 <= figure.bbox.height
@@ -57,7 +57,7 @@ def test_other_numbers_of_dimensions(dimensions: int, tmp_path: Path) -> None:
     grid = robot.grid(**dict(list(axes.items())[:dimensions]))
     with open_atlas(compute_atlas(Atlas(robot, grid, ("felt_stiffness",), tmp_path / "atlas.nc"))) as dataset:
         figure = atlas_pictures(dataset)["felt_stiffness_rz"]
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     title = figure.texts[0].get_window_extent()
     assert 0 <= title.x0 < title.x1 <= figure.bbox.width
     labels = {axes.get_xlabel() for axes in figure.axes}

@@ -18,7 +18,7 @@ from pm3dof_pin.figures.schematic import schematic_figure
 
 
 def _boxes(figure: Figure) -> dict[str, Bbox]:
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()
     texts = [text for axes in figure.axes for text in axes.texts if text.get_text()]
     return {f"{number} {text.get_text()}": text.get_window_extent(renderer) for number, text in enumerate(texts)}

@@ -113,7 +113,7 @@ def test_a_machine_with_holes_in_its_sections(hollow_tripod: Tripod) -> None:
     volume = np.trapezoid(_areas(whole.space, levels), levels)
     assert np.sum(from_above * z.mean(axis=1)) == pytest.approx(volume, rel=0.02)
     figure = workspace_figure(whole)
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     areas = _areas(whole.space, [section.level for section in sheet.sections])
     for area, lines in zip(areas, figure.axes[1].collections, strict=False):
         assert _enclosed(lines) == pytest.approx(area, rel=1e-2)
