@@ -157,6 +157,21 @@ class _Builder:
         self._bodies = [_Piece(body) for body in range(self._old.njoints)]
         self._cuts: dict[int, _Piece] = {}
         self._anchor_frames: list[pin.Frame] = []
+        parents, joint = list(self._old.parents), pin.FrameType.JOINT
+        self._frames: list[pin.Frame] = list(self._old.frames)
+        self._is_joint = [frame.type == joint for frame in self._frames]
+        #: the body that carries each frame; for the frame of a joint that moves, the body before the joint
+        self._carriers: list[int] = [
+            parents[frame.parentJoint] if moves else frame.parentJoint
+            for frame, moves in zip(self._frames, self._is_joint, strict=True)
+        ]
+        #: the frame that carries each one, if it is known and on the same body
+        self._above: list[int | None] = [
+            above
+            if (above := frame.parentFrame) != index and self._frames[above].parentJoint == self._carriers[index]
+            else None
+            for index, frame in enumerate(self._frames)
+        ]
 
     def result(self) -> _VirtualJoints:
         self._check_names()
@@ -191,9 +206,7 @@ class _Builder:
             return
         if frame == 0:
             raise self._error(chain, "stands at the root of the world, expected a joint or frame on it")
-        cut = self._cuts.setdefault(
-            frame, _Piece(self._old.frames[frame].parentJoint, self._old.frames[frame].placement)
-        )
+        cut = self._cuts.setdefault(frame, _Piece(self._frames[frame].parentJoint, self._frames[frame].placement))
         cut.chains.append(chain)
 
     def _frame_of(self, chain: _Chain) -> int | None:
@@ -205,26 +218,15 @@ class _Builder:
                 return None
             element = f"{self._mechanism.source}: spring '{chain.spring}'"
             raise FrameNotFoundError(chain.place, element, error.known) from error
-        frame, above = self._old.frames[index], self._frame_above(index)
+        frame, above = self._frames[index], self._above[index]
         if frame.type == pin.FrameType.JOINT:
             return None
         if frame.type == pin.FrameType.BODY and above is not None and above > 0:
             # a link on a fixed joint: Pinocchio keeps its inertia in the frame of that joint
-            fixed = self._old.frames[above]
+            fixed = self._frames[above]
             if fixed.type == pin.FrameType.FIXED_JOINT and fixed.placement == frame.placement:
                 return above
         return index
-
-    def _carrier(self, index: int) -> int:
-        """Return the body that carries a frame; for the frame of a joint that moves, the body before the joint."""
-        frame = self._old.frames[index]
-        is_joint = frame.type == pin.FrameType.JOINT
-        return int(self._old.parents[frame.parentJoint] if is_joint else frame.parentJoint)
-
-    def _frame_above(self, index: int) -> int | None:
-        """Return the frame that carries another one, if it is known and on the same body."""
-        above = self._old.frames[index].parentFrame
-        return None if above == index or self._old.frames[above].parentJoint != self._carrier(index) else int(above)
 
     def _piece(self, index: int) -> _Piece:
         """Return the piece that carries a frame, or that the frame itself is the beginning of."""
@@ -232,26 +234,26 @@ class _Builder:
         while above is not None:
             if above in self._cuts:
                 return self._cuts[above]
-            above = self._frame_above(above)
-            if above is not None and self._old.frames[above].type == pin.FrameType.JOINT:
+            above = self._above[above]
+            if above is not None and self._is_joint[above]:
                 break
-        return self._bodies[self._carrier(index)]
+        return self._bodies[self._carriers[index]]
 
     def _piece_above(self, index: int) -> _Piece:
         """Return the piece that a cut is made in."""
-        above = self._frame_above(index)
-        if above is None or self._old.frames[above].type == pin.FrameType.JOINT:
-            return self._bodies[self._carrier(index)]
+        above = self._above[index]
+        if above is None or self._is_joint[above]:
+            return self._bodies[self._carriers[index]]
         return self._piece(above)
 
     def _share_out_inertias(self) -> None:
         """Give every piece the inertias of its frames, and the rest of a body to the piece of the link on its joint."""
         rest = list(self._old.inertias)
         links: dict[int, _Piece] = {}
-        for index, frame in enumerate(self._old.frames):
-            if frame.type == pin.FrameType.JOINT:
+        for index, frame in enumerate(self._frames):
+            if self._is_joint[index]:
                 continue
-            piece, above = self._piece(index), self._frame_above(index)
+            piece, above = self._piece(index), self._above[index]
             if frame.inertia.mass > 0.0:
                 inertia = frame.placement.act(frame.inertia)
                 piece.inertia = piece.inertia + inertia
@@ -266,11 +268,7 @@ class _Builder:
     def _share_out_what_hangs_on_pieces(self) -> None:
         for index, cut in self._cuts.items():
             self._piece_above(index).cuts.append(cut)
-        frames = {
-            frame.parentJoint: index
-            for index, frame in enumerate(self._old.frames)
-            if frame.type == pin.FrameType.JOINT
-        }
+        frames = {frame.parentJoint: index for index, frame in enumerate(self._frames) if self._is_joint[index]}
         for joint in range(1, self._old.njoints):
             known = joint in frames
             piece = self._piece(frames[joint]) if known else self._bodies[self._old.parents[joint]]
@@ -295,7 +293,7 @@ class _Builder:
             cut.placement = cut.placement * end.inverse()
             self._grow(cut)
         for chain in piece.anchors:
-            frame = self._old.frames[self._mechanism.frame_id(chain.place)]
+            frame = self._frames[self._mechanism.frame_id(chain.place)]
             joint, end = self._add([chain], piece.joint, piece.placement.actInv(frame.placement))
             self._anchor_frames.append(pin.Frame(chain.anchor, joint, end, pin.FrameType.OP_FRAME))
 
@@ -311,9 +309,9 @@ class _Builder:
 
     def _copy_frames(self) -> None:
         """Add all frames under their old indices, which those of parent frames rely on, and then the anchors."""
-        for index, frame in list(enumerate(self._old.frames))[1:]:
+        for index, frame in list(enumerate(self._frames))[1:]:
             copy = pin.Frame(frame)
-            if frame.type == pin.FrameType.JOINT:
+            if self._is_joint[index]:
                 copy.parentJoint = self._bodies[frame.parentJoint].joint
             else:
                 piece = self._piece(index)

@@ -449,6 +449,10 @@ def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
 
 def _is_translation(model: pin.Model) -> NDArray[np.bool_]:
     """Tell which entries of v are velocities along an axis, without any rotation, shape=(nv,)."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    return np.asarray(~data.J.reshape(6, model.nv)[3:].any(axis=0))
+    neutral, translates = pin.neutral(model), np.empty(model.nv, dtype=bool)
+    for joint in list(model.joints)[1:]:
+        data = joint.createData()
+        joint.calc(data, neutral)
+        turns = np.reshape(data.S, (6, joint.nv))[3:]
+        translates[joint.idx_v : joint.idx_v + joint.nv] = ~turns.any(axis=0)
+    return translates
