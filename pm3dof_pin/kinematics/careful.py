@@ -1,133 +1,96 @@
-"""Closing the loops of many poses with care: on Pinocchio's Jacobians throughout, by continuation from home.
+"""Closing the loops of poses with care: on Pinocchio's Jacobians throughout, by continuation from home.
 
-All poses walk together, in steps short enough to stay in one assembly mode. A pose at which Newton's method does not
-converge goes to the damped solver of :mod:`pm3dof_pin.kinematics.assembly`.
+A pose is walked to in legs short enough to stay in one assembly mode, each closed by the damped solver of
+:mod:`pm3dof_pin.kinematics.assembly`. A leg after which a joint has jumped, or the determinant of the equations changed
+its sign, is tried again in shorter ones: a walk ends at singular poses. A serial arm can be led past these, and a guess
+may have its loops open: the solver goes to the pose in one go then.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, LONGEST_STEP, assemble
-from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.typing import Matrix, Vector
 
-_NEWTON_STEPS = 8
-_NEARLY_CLOSED = 1e-9  # from here one quadratic step ends in rounding
-_LONGEST_LEG = 0.25  # of the way to a far pose, so that no other assembly mode is met [rad, characteristic lengths]
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.robot import Robot
 
-
-def close_all(
-    mechanism: Mechanism, home: Vector, coordinates: tuple[Coordinate, ...], targets: Matrix, starts: Matrix | None
-) -> tuple[Matrix, Vector]:
-    """Find closed configurations with coordinates at targets, from starts or by walks from home.
-
-    Returns q, shape=(n, nq), NaN where none was found, and what was left of the errors there, shape=(n,) [m, rad].
-    """
-    q = np.array(np.broadcast_to(home, (len(targets), mechanism.model.nq)) if starts is None else starts)
-    residuals = np.zeros(len(targets))
-    finite = np.isfinite(targets).all(axis=-1) & np.isfinite(q).all(axis=-1)
-    q[~finite], residuals[~finite] = np.nan, np.nan
-    rows = np.flatnonzero(finite)
-    if any(coordinate.tool is not None for coordinate in coordinates):
-        for row in rows:
-            q[row], residuals[row] = _closed(mechanism, coordinates, targets[row], q[row], home)
-    elif rows.size:
-        q[rows], residuals[rows] = _JointsGiven(mechanism, coordinates).closed(
-            q[rows], targets[rows], starts is None, home
-        )
-    return q, residuals
+_LEG = 0.25  # of the way to a far pose [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 256.0  # of that
+_JUMP = 1.0  # greatest move of a joint in a leg [rad, characteristic lengths]
+_STEPS = 20  # of a leg that may be tried again
+_LAST_STEPS = 100
 
 
-def _closed(
-    mechanism: Mechanism, coordinates: tuple[Coordinate, ...], target: Vector, start: Vector, home: Vector
-) -> tuple[Vector, float]:
-    joints = {
-        c.joint: (value - c.offset) / c.scale
-        for c, value in zip(coordinates, target, strict=True)
-        if c.joint is not None
-    }
-    tool = {c.tool: float(value) for c, value in zip(coordinates, target, strict=True) if c.tool is not None}
-    best = np.inf
-    for guess in (start, home):
-        result = assemble(mechanism, guess, joints=joints, tool=tool)
-        if result.converged:
-            return np.array(result.configuration.q), result.residual
-        best = min(best, result.residual)
-    return np.full(mechanism.model.nq, np.nan), best
+def close_all(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix, starts: Matrix) -> Matrix:
+    """Find closed configurations with coordinates at targets, from starts; shape=(n, nq), NaN where there is none."""
+    found = np.full(starts.shape, np.nan)
+    for row in np.flatnonzero(np.isfinite(targets).all(axis=1) & np.isfinite(starts).all(axis=1)):
+        found[row] = _Walk(robot, coordinates, starts[row]).end(targets[row])
+    return found
 
 
-class _JointsGiven:
-    """A mechanism with the coordinates of some joints given, many configurations at a time."""
+def assemble_at(
+    robot: Robot, coordinates: tuple[Coordinate, ...], values: Vector, guess: Vector, max_steps: int = _LAST_STEPS
+) -> Assembly:
+    """Close the loops with coordinates at values [m, rad], see :func:`~pm3dof_pin.kinematics.assembly.assemble`."""
+    numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, values, strict=True)]
+    joints = {c.joint: x for c, x in zip(coordinates, numbers, strict=True) if c.joint is not None}
+    tool = {c.tool: float(x) for c, x in zip(coordinates, numbers, strict=True) if c.tool is not None}
+    return assemble(robot, guess, joints=joints, tool=tool, max_steps=max_steps)
 
-    def __init__(self, mechanism: Mechanism, coordinates: tuple[Coordinate, ...]) -> None:
-        self._mechanism = mechanism
-        self._model = mechanism.model
-        self._coordinates = coordinates
-        joints = [coordinate.joint for coordinate in coordinates if coordinate.joint is not None]
-        self._singles = [mechanism.single_joint(name) for name in joints]
-        self._indices = mechanism.velocity_indices(joints)
-        self._free = np.delete(np.arange(mechanism.model.nv), self._indices)
-        self._scale = mechanism.velocity_scale[self._free]
-        self._offsets = np.array([coordinate.offset for coordinate in coordinates])
-        self._factors = np.array([coordinate.scale for coordinate in coordinates])
 
-    def closed(self, q: Matrix, targets: Matrix, walk: bool, home: Vector) -> tuple[Matrix, Vector]:
-        values = (targets - self._offsets) / self._factors
-        starts = np.array([[single.coordinate(row) for single in self._singles] for row in q])
-        distances = np.abs(values - starts) / self._mechanism.velocity_scale[self._indices]
-        legs = 1
-        if walk and self._mechanism.closures:
-            legs = max(1, int(np.ceil(distances.max(initial=0.0) / _LONGEST_LEG)))
-        for leg in range(1, legs + 1):
-            q = self._newton(self._write(q, values if leg == legs else starts + (values - starts) * (leg / legs)))
-        if not self._mechanism.closures:
-            return q, np.zeros(len(q))
-        residuals = np.abs(self._closures(q)[0]).max(axis=1, initial=0.0)
-        for row in np.flatnonzero(~(residuals <= CLOSURE_TOLERANCE)):
-            guess = q[row] if residuals[row] < 1.0 else home
-            q[row], residuals[row] = _closed(self._mechanism, self._coordinates, targets[row], guess, home)
-        return q, residuals
+class _Walk:
+    """From one configuration to values of coordinates."""
 
-    def _write(self, q: Matrix, values: Matrix) -> Matrix:
-        q = np.array(q)
-        for row, numbers in zip(q, values, strict=True):
-            for single, number in zip(self._singles, numbers, strict=True):
-                single.set_coordinate(row, float(number))
+    def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], start: Vector) -> None:
+        self._robot, self._coordinates, self._start = robot, coordinates, start
+        length = robot.characteristic_length
+        self._units = np.array([abs(c.scale) * (length if c.unit == "m" else 1.0) for c in coordinates])
+
+    def end(self, target: Vector) -> Vector:
+        """Return the pose at the target, NaN where there is none."""
+        robot, q = self._robot, self._start
+        start = robot.configuration(q)
+        if not robot.closures or start.closure_residual > CLOSURE_TOLERANCE:
+            results = (assemble_at(robot, self._coordinates, target, guess) for guess in (q, robot.home.q))
+            return next((result.configuration.q for result in results if result.converged), np.full_like(q, np.nan))
+        placed = any(coordinate.tool is not None for coordinate in self._coordinates)
+        origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
+        way = np.array([_shortest(robot, *given) for given in zip(self._coordinates, target - origin, strict=True)])
+        first = 1.0 / max(np.ceil(np.abs(way / self._units).max(initial=0.0) / _LEG), 1.0)
+        done, step, mode = 0.0, first, assemble_at(robot, self._coordinates, origin, q, 1).orientation
+        while done < 1.0:
+            reached = min(done + step, 1.0)
+            is_last_try = step <= _SHORTEST_LEG * first
+            values = target if reached == 1.0 else origin + reached * way
+            steps = _LAST_STEPS if is_last_try else _STEPS
+            result = assemble_at(robot, self._coordinates, values, q, steps)
+            if result.converged and self._continues(q, result, mode):
+                q, done, step = result.configuration.q, reached, min(2.0 * step, first)
+                mode = mode or result.orientation
+            elif is_last_try:
+                return np.full_like(q, np.nan)
+            else:
+                step *= 0.5
         return q
 
-    def _newton(self, q: Matrix) -> Matrix:
-        """Take Newton steps until the loops of all configurations are closed, or the steps are used up."""
-        if not self._mechanism.closures:
-            return q
-        open_rows = np.arange(len(q))
-        for _ in range(_NEWTON_STEPS):
-            errors, jacobians = self._closures(q[open_rows])
-            moves = self._moves(errors, jacobians)
-            for row, move in zip(open_rows, moves, strict=True):
-                velocity = np.zeros(self._model.nv)
-                velocity[self._free] = move
-                q[row] = pin.integrate(self._model, q[row], velocity)
-            open_rows = open_rows[np.abs(errors).max(axis=1, initial=0.0) > _NEARLY_CLOSED]
-            if not open_rows.size:
-                break
-        return q
+    def _continues(self, q: Vector, result: Assembly, mode: int) -> bool:
+        """Tell whether a leg from q has stayed in its assembly mode, as far as that is known."""
+        robot = self._robot
+        moves = pin.difference(robot.model, q, result.configuration.q) / robot.velocity_scale
+        return bool(np.abs(moves).max(initial=0.0) <= _JUMP) and mode * result.orientation >= 0
 
-    def _closures(self, q: Matrix) -> tuple[Matrix, Array]:
-        kinematics = self._mechanism.loop_kinematics
-        errors = np.empty((len(q), kinematics.row_count))
-        jacobians = np.empty((len(q), kinematics.row_count, self._model.nv))
-        for row, positions in enumerate(q):
-            errors[row], jacobians[row] = kinematics.closures(positions)
-        return errors, jacobians
 
-    def _moves(self, errors: Matrix, jacobians: Array) -> Matrix:
-        """Return the shortest velocities (in scaled numbers) that close the linearised loops, shape=(n, free)."""
-        scale = self._mechanism.closure_scale
-        scaled = jacobians[:, :, self._free] * self._scale / scale[:, None]
-        moves = -np.einsum("nij,nj->ni", np.linalg.pinv(scaled, rcond=1e-10), errors / scale)
-        longest = np.abs(moves).max(axis=1, initial=0.0, keepdims=True)
-        short: Matrix = moves * self._scale * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, LONGEST_STEP))
-        return short
+def _shortest(robot: Robot, coordinate: Coordinate, difference: float) -> float:
+    """Return the shortest way round, for a coordinate that comes back to where it was after a turn."""
+    joint = coordinate.joint
+    if coordinate.tool in ("x", "y", "z") or (joint is not None and not robot.single_joint(joint).is_continuous):
+        return difference
+    turn = 2.0 * np.pi * abs(coordinate.scale)
+    return float(difference - turn * np.round(difference / turn))

@@ -7,8 +7,11 @@ starts from its neighbours on a line, which predict it. Newton's steps are progr
 
 A pose is accepted if the loops are closed to rounding, the joints ended near where they were predicted, and no closing
 system is singular or has changed its orientation, which would be another assembly mode. What is not accepted is tried
-again in shorter legs; what a march leaves is walked to, from home and from solved neighbours; then damped steps are
-taken. Where these come to rest with the loops open, the pose is not solved; where they do not, the careful solver
+again in shorter legs; what a march leaves is walked to, from home and from solved neighbours. A walk may end at a
+singular pose, and not go past it: what lies beyond is another assembly mode, and not solved.
+
+A serial arm can be led past its singular poses, and a guess may have its loops open: damped steps are taken then. Where
+these come to rest with an error, the pose is not solved; where they do not come to rest, the careful solver
 :func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians decides.
 
 The result for a pose depends on the mechanism, the grid (or the part of it that is marched) and the coordinates, and
@@ -27,7 +30,8 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
-from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
+from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -39,10 +43,11 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 _LEG = 0.1  # of a walk [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 64.0  # of that
+_SHORTEST_LEG = 1.0 / 1024.0  # of that
 _SHORTEST_QUICK_LEG = 0.25  # of that
 _NEARLY_CLOSED = 1e-8  # from here one quadratic step ends in rounding
 _STEPS = 6
+_LAST_STEPS = 50  # of the last leg: next to a singular pose the first ones only halve the distance
 _DAMPED_STEPS = 50  # in a round
 _DAMPED_ROUNDS = 20
 _AT_REST = 0.99  # of the squared error that is left after a round
@@ -50,8 +55,10 @@ _DAMPING = 0.1  # of the first of them
 _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
 _GREATEST_SHARE = 20.0  # of a pose in the prediction of another; that of equally spaced ones is 6
+_WAYPOINTS = 1000
+_WIDTH = 2.0  # of their lattice, where nothing is declared, on both sides of home [characteristic lengths]
 _AT_ONCE = 4096  # poses whose numbers stay near the processor
-_SINGULAR = 1e-5  # regularity below which a pose is left to damped steps
+_SINGULAR = 1e-5  # regularity up to which a pose is singular
 _REGULAR = 1e-3  # regularity of a configuration away from singular ones
 
 
@@ -154,39 +161,76 @@ class Continuation:
             if thorough:
                 self._solve_each(q[part], targets[part], *([self._home] if home_too else []))
             else:
-                arrived, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
-                q[part] = np.where(arrived[:, None], found, np.nan)
+                left, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
+                q[part] = np.where(left[:, None] == 0.0, found, np.nan)
         return self._check(q, targets)
 
+    def waypoints(self, targets: Matrix) -> Matrix:
+        """Return poses near targets from which walks may lead where none does from home, shape=(n, nq); NaN for none.
+
+        They belong to a lattice that was marched over.
+        """
+        lattice, waypoints = self._waypoints
+        index = tuple(
+            np.abs(axis[:, None] - values).argmin(axis=0)
+            for axis, values in zip(lattice.axes.values(), targets.T, strict=True)
+        )
+        return np.asarray(waypoints[index])
+
+    @cached_property
+    def _waypoints(self) -> tuple[Grid, Array]:
+        """A lattice around home, and its poses; neighbours' where there is none, or NaN."""
+        size = max(round(_WAYPOINTS ** (1.0 / len(self._coordinates))), 3)
+        axes = {}
+        for coordinate, home, unit in zip(self._coordinates, self.read(self._home[None])[0], self._units, strict=True):
+            width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
+            lower, upper = self._robot.range_of(coordinate)
+            first = lower if np.isfinite(lower) else home - width
+            last = upper if np.isfinite(upper) else home + width
+            axes[coordinate.name] = np.linspace(first, last, size)
+        lattice = Grid(self._coordinates, axes, {})
+        q = self.march(lattice).q.reshape(*lattice.shape, -1)
+        return lattice, np.where(np.isnan(q), _solved_neighbours(q), q)
+
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
-        """Walk from q to the targets, in place; where that fails damped steps start there and at the guesses."""
-        arrived, q[:] = self._walked(q, targets)
-        outputs = self._step(self._inputs(q, self._given_numbers(targets)))
-        closed = arrived & (outputs[:, -1] <= CLOSURE_TOLERANCE)
-        q[closed] = outputs[closed, : self._nq]  # one step more, which counts near singular poses
-        failed = np.flatnonzero(~closed)
-        if failed.size:
-            q[failed] = self._damped(q[failed], targets[failed], guesses)
+        """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at guesses."""
+        left, ends = self._walked(q, targets)
+        q[:] = self._last_leg(ends, targets, left)
+        free = np.isnan(q[:, 0])
+        if self._robot.closures:
+            free &= np.isinf(left) & np.isfinite(ends[:, 0])
+        if free.any():
+            q[free] = self._damped(ends[free], targets[free], guesses)
+
+    def _last_leg(self, q: Matrix, targets: Matrix, left: Vector) -> Matrix:
+        """Return the poses at targets that are not farther than the shortest leg; NaN where there are none."""
+        numbers = self._given_numbers(targets)
+        found, residuals, regularity, modes, jumps = self._iterated(q, numbers, CLOSURE_TOLERANCE, _LAST_STEPS)
+        accepted = (left <= 2.0 * _SHORTEST_LEG) & (residuals <= CLOSURE_TOLERANCE) & (jumps <= _JUMP)
+        rows = np.flatnonzero(accepted & (left > 0.0) & (regularity > _SINGULAR))
+        accepted[rows] = modes[rows] == self._regularity_and_mode(q[rows])[1]
+        return np.where(accepted[:, None], found, np.nan)
 
     def _damped(self, q: Matrix, targets: Matrix, guesses: Sequence[Vector]) -> Matrix:
         """Return the poses that damped steps find from q or else from the guesses; NaN where they come to rest.
 
-        Where they do neither, or rest where the loops are nearly closed, the careful solver has the last word.
+        Where they do not, the careful solver has the last word.
         """
         found = np.full_like(q, np.nan)
         numbers = self._given_numbers(targets)
         for starts in (q, *(np.tile(guess, (len(q), 1)) for guess in guesses)):
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
-            ends, costs, moving = self._damped_ends(starts[rows], numbers[rows])
+            ends, moving = self._damped_ends(starts[rows], numbers[rows])
             closed = self._residuals(ends, targets[rows]) <= CLOSURE_TOLERANCE
-            undecided = ~closed & (moving | (costs < _NEARLY_CLOSED))
+            undecided = ~closed & moving
             for k in np.flatnonzero(undecided):
-                ends[k] = self._careful(targets[rows[k]], (starts[rows[k]],))
+                result = assemble_at(self._robot, self._coordinates, targets[rows[k]], starts[rows[k]])
+                ends[k] = result.configuration.q if result.converged else np.nan
             found[rows] = np.where((closed | undecided)[:, None], ends, np.nan)
         return found
 
-    def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Vector, Mask]:
-        """Take damped steps until the error falls no more; return q, the squared error, and where it still falls."""
+    def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Mask]:
+        """Take damped steps until the error falls no more, then Newton's; return q, and where it still falls."""
         nq = self._nq
         inputs = np.hstack([q, q, np.tile([_DAMPING, np.inf], (len(q), 1)), numbers])
         rows = np.arange(len(q))
@@ -199,7 +243,10 @@ class Continuation:
                 break
         moving = np.zeros(len(q), dtype=bool)
         moving[rows] = True
-        return np.array(inputs[:, :nq]), inputs[:, 2 * nq + 1], moving
+        ends = np.array(inputs[:, :nq])
+        near = np.flatnonzero(inputs[:, 2 * nq + 1] < _NEARLY_CLOSED)
+        ends[near] = self._iterated(ends[near], numbers[near], CLOSURE_TOLERANCE, _LAST_STEPS)[0]
+        return ends, moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
         """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
@@ -207,8 +254,8 @@ class Continuation:
         residuals: Vector = outputs[:, -1]
         return residuals
 
-    def _walked(self, q: Matrix, targets: Matrix, shortest_leg: float = _SHORTEST_LEG) -> tuple[Mask, Matrix]:
-        """Walk without the careful solver; return which poses arrived, and where each ended."""
+    def _walked(self, q: Matrix, targets: Matrix, shortest_leg: float = _SHORTEST_LEG) -> tuple[Vector, Matrix]:
+        """Walk as far as there is a way; return how many legs are left, infinite from open loops, and the ends."""
         origins = self.read(q)
         _, modes = self._regularity_and_mode(q, origins)
         turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
@@ -236,7 +283,7 @@ class Continuation:
             rejected = active[~accepted]
             step[rejected] *= 0.5
             active = active[(done[active] < 1.0) & (step[active] >= shortest[active])]
-        return done >= 1.0, q
+        return np.where(np.isfinite(distances), (1.0 - done) * legs, np.inf), q
 
     # marching
 
@@ -251,7 +298,9 @@ class Continuation:
         at_home = dict(zip(names, self.read(self._home[None])[0], strict=True))
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
         q = np.empty((*shape, self._nq))  # every pose of it will be marched to
-        q[first] = self.walk(values[first][None]).q[0]
+        nearest = self._home[None].copy()
+        self._solve_each(nearest, values[first][None], self._home)
+        q[first] = nearest[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
             part: tuple[Any, ...] = (*[slice(None)] * (dimension + 1), *first[dimension + 1 :])
@@ -285,16 +334,15 @@ class Continuation:
     def _fill(self, q: Array, values: Array) -> None:
         """Find what a march has left, by walks from home, then from solved neighbours, in place."""
         missing = np.isnan(q[..., 0])
-        found = np.tile(self._home, (int(missing.sum()), 1))
-        arrived, found = self._walked(found, values[missing])
-        arrived &= self._residuals(found, values[missing]) <= CLOSURE_TOLERANCE
-        q[missing] = np.where(arrived[:, None], found, np.nan)
+        left, ends = self._walked(np.tile(self._home, (int(missing.sum()), 1)), values[missing])
+        q[missing] = self._last_leg(ends, values[missing], left)
         untried = np.isnan(q[..., 0])
         while untried.any():
             starts = _solved_neighbours(q)
             frontier = untried & np.isfinite(starts[..., 0])
             if not frontier.any():  # islands
-                q[untried] = self._damped(np.tile(self._home, (int(untried.sum()), 1)), values[untried], ())
+                if not self._robot.closures:
+                    q[untried] = self._damped(np.tile(self._home, (int(untried.sum()), 1)), values[untried], ())
                 return
             untried &= ~frontier
             found = starts[frontier]
@@ -317,11 +365,14 @@ class Continuation:
         self, q: Matrix, numbers: Matrix, jump: float, regular: float, modes: Vector | float
     ) -> tuple[Matrix, Mask]:
         """Close the loops; return q, and which poses are accepted, by a joint's longest way, regularity and mode."""
+        found, residuals, regularity, found_modes, jumps = self._iterated(q, numbers, _NEARLY_CLOSED, _STEPS)
+        return found, (residuals <= _NEARLY_CLOSED) & (regularity > regular) & (jumps <= jump) & (found_modes == modes)
+
+    def _iterated(self, q: Matrix, numbers: Matrix, tolerance: float, steps: int) -> tuple[Array, ...]:
+        """Take Newton steps; return q, residuals, regularity, modes, and how far joints moved at most."""
         nq = self._nq
-        states, residuals, _ = self._step.iterate(self._inputs(q, numbers), _NEARLY_CLOSED, _STEPS)
-        regularity, found_modes = regularity_and_mode(states[:, nq])
-        accepted = (residuals <= _NEARLY_CLOSED) & (regularity > regular) & (states[:, nq + 1] <= jump)
-        return states[:, :nq], accepted & (found_modes == modes)
+        states, residuals, _ = self._step.iterate(self._inputs(q, numbers), tolerance, steps)
+        return states[:, :nq], residuals, *regularity_and_mode(states[:, nq]), states[:, nq + 1]
 
     def _inputs(self, q: Matrix, numbers: Matrix) -> Matrix:
         nq = self._nq
@@ -330,21 +381,6 @@ class Continuation:
         inputs[:, nq : nq + 2] = 1.0, 0.0
         inputs[:, nq + 2 :] = numbers
         return inputs
-
-    def _careful(self, target: Vector, guesses: Sequence[Vector]) -> Vector:
-        """Return the pose that the damped solver finds from the first guess from which it finds one, or NaN."""
-        numbers = (target - self._offsets) / self._scales
-        missing = np.full(self._nq, np.nan)
-        if not np.isfinite(numbers).all():
-            return missing
-        joints = {joint.name: numbers[k] for joint, k in zip(self._given, self._joint_columns, strict=True)}
-        tool = dict(zip(self._tool, numbers[self._tool_columns], strict=True))
-        for guess in guesses:
-            if np.isfinite(guess).all():
-                result = assemble(self._robot, guess, joints=joints, tool=tool)
-                if result.converged:
-                    return np.array(result.configuration.q)
-        return missing
 
     def _check(self, q: Matrix, values: Matrix | None = None, *, placed: bool = True) -> Solution:
         """Check configurations, whether the tool is at its values too; what is not solved becomes NaN in a copy."""

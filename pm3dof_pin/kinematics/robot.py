@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
 from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
-from pm3dof_pin.kinematics.careful import close_all
+from pm3dof_pin.kinematics.careful import assemble_at, close_all
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import REACH, Poses
@@ -395,14 +395,16 @@ class Robot(Mechanism):
 
             def walked(rows: Matrix, starts: Matrix | None, *, again: bool = False) -> tuple[Any, ...]:
                 if continuation is None:
-                    return (close_all(self, self.home.q, coordinates, rows, starts)[0],)
+                    given = np.tile(self.home.q, (len(rows), 1)) if starts is None else starts
+                    return (close_all(self, coordinates, rows, given),)
                 return continuation.walk(rows, starts, home_too=not again)
 
             found = walked(rows, starts)
-            for start in self._further_starts(coordinates) if starts is None else ():
-                failed = np.flatnonzero(np.isnan(found[0][:, 0]))
+            missing = np.isnan(found[0]).any(axis=1) & np.isfinite(rows).all(axis=1)
+            for elsewhere in self._further_starts(coordinates, rows) if starts is None and missing.any() else ():
+                failed = np.flatnonzero(missing & np.isnan(found[0][:, 0]))
                 if failed.size:
-                    others = walked(rows[failed], np.tile(start, (failed.size, 1)), again=True)
+                    others = walked(rows[failed], elsewhere[failed], again=True)
                     for kept, value in zip(found, others, strict=True):
                         if kept is not None:
                             kept[failed] = value
@@ -415,12 +417,21 @@ class Robot(Mechanism):
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
 
-    def _further_starts(self, coordinates: tuple[Coordinate, ...]) -> Matrix:
-        """Return where else a serial arm's inverse kinematics starts: it has many solutions, and far ways to them."""
-        if self.closures or all(coordinate.tool is None for coordinate in coordinates):
-            return np.empty((0, self.model.nq))
-        ways = np.random.default_rng(0).uniform(-np.pi, np.pi, (_FURTHER_STARTS, self.model.nv)) * self.velocity_scale
-        return np.array([pin.integrate(self.model, self.home.q, way) for way in ways])
+    def _further_starts(self, coordinates: tuple[Coordinate, ...], values: Matrix) -> Iterator[Matrix]:
+        """Yield where else walks to values start, if none leads there from home, shape=(n, nq).
+
+        The inverse kinematics of a serial arm has many solutions, and far ways to them. The reachable set of a machine
+        with loops may have holes, and walks go round them.
+        """
+        if self.closures:
+            continuation = self.continuation(coordinates)
+            if continuation is not None:
+                yield continuation.waypoints(values)
+        elif any(coordinate.tool is not None for coordinate in coordinates):
+            shape = (_FURTHER_STARTS, self.model.nv)
+            for way in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * self.velocity_scale:
+                start = pin.integrate(self.model, self.home.q, way)
+                yield np.broadcast_to(start, (len(values), self.model.nq))
 
     def _turned_back(self, q: Matrix, coordinates: tuple[Coordinate, ...]) -> Matrix:
         """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
@@ -456,16 +467,16 @@ class Robot(Mechanism):
         return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
 
     def _unreachable(self, coordinates: tuple[Coordinate, ...], target: Vector, which: str) -> UnreachablePoseError:
-        """Return the error of a pose that was not found: how far open damped steps from home leave its loops."""
-        numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, target, strict=True)]
-        joints = {c.joint: n for c, n in zip(coordinates, numbers, strict=True) if c.joint is not None}
-        tool = {c.tool: float(n) for c, n in zip(coordinates, numbers, strict=True) if c.tool is not None}
-        residual = assemble(self, self.home, joints=joints, tool=tool).residual
+        """Return the error of a pose that was not found: what damped steps from home come to."""
+        result = assemble_at(self, coordinates, target, self.home.q)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
+        reason = f"residual {result.residual:.3e} m or rad; the pose may be out of reach"
+        if result.converged:
+            reason = (
+                "there is one in another assembly mode, past a singular pose or round a corner: a guess leads there"
+            )
         return UnreachablePoseError(
-            f"{self.name}: no assembled configuration found at {pose}{which}: residual {residual:.3e} m or rad; "
-            "the pose may be out of reach",
-            residual,
+            f"{self.name}: no assembled configuration found at {pose}{which}: {reason}", result.residual
         )
 
     def why_careful(self) -> str | None:

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.kinematics import continuation as continuation_module
+from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
@@ -47,14 +48,14 @@ def random_values(name: str, given: str, count: int, share: float = 1.0) -> np.n
 
 
 @pytest.mark.parametrize("given", ["coordinates", "commands"])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [*ROBOTS, "linear_delta", "agile_eye"])
 def test_walks_end_where_the_careful_engine_does(name, given):
-    robot, solver = load(name), continuation(name, given)
+    robot = load(name)
     values = random_values(name, given, 150)
-    found = solver.walk(values)
-    careful = robot.solve if given == "coordinates" else robot.forward
-    expected = careful(values, on_failure="nan", engine="pinocchio")
-    np.testing.assert_array_equal(np.isfinite(found.residual), expected.solved)
+    solve = robot.solve if given == "coordinates" else robot.forward
+    found = solve(values, on_failure="nan")
+    expected = solve(values, on_failure="nan", engine="pinocchio")
+    np.testing.assert_array_equal(found.solved, expected.solved)
     np.testing.assert_array_equal(found.broken_limits, expected.broken_limits)
     if robot.tool_frame is not None:
         np.testing.assert_allclose(found.transforms[expected.solved], expected.transforms[expected.solved], atol=1e-9)
@@ -134,21 +135,52 @@ def test_a_walk_to_a_singular_pose_stays_in_the_mode_of_home_or_is_flagged():
     directions = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     way = 0.6 * np.column_stack([np.cos(directions), np.sin(directions)])
     for share in np.linspace(0.05, 1.0, 20):
-        arrived, last = solver._walked(np.tile(q, (48, 1)), home + share * way)
+        left, last = solver._walked(np.tile(q, (48, 1)), home + share * way)
+        arrived = left == 0.0
         for row in last[arrived]:
             assert robot.configuration(row).closure_residual < 1e-12
             assert sign * elbow_area(robot, row) > 0.0
     assert not arrived.all()
 
 
+def five_bar_by_triangles(pens: np.ndarray) -> np.ndarray:
+    """Return the motors' travels from home, elbows outward, at pens, shape=(n, 2); NaN where an arm does not reach.
+
+    The arms, of 0.25 m and 0.35 m, stand 0.1 m left and right of the origin.
+    """
+    travels = []
+    for side in (-1.0, 1.0):
+        x, y = (pens - [0.1 * side, 0.0]).T
+        reach = np.hypot(x, y)
+        with np.errstate(invalid="ignore"):
+            between = np.arccos((0.25**2 + reach**2 - 0.35**2) / (0.5 * reach))
+        travels.append(np.arctan2(y, x) - side * between)
+    return np.stack(travels, axis=-1)
+
+
+def test_the_reachable_set_up_to_singular_reach_is_that_of_homes_assembly_mode():
+    """All over the five-bar's plane, and within a micrometre of the reach of both arms, against triangles."""
+    robot = load("five_bar")
+    generator = np.random.default_rng(4)
+    angle = generator.uniform(1.3, 2.6, 300)
+    reach = (0.6 + generator.uniform(-1e-6, 1e-6, 300))[:, None]
+    edge = reach * np.stack([np.cos(angle), np.sin(angle)], axis=-1) + [0.1, 0.0]
+    pens = np.vstack([generator.uniform([-0.5, 0.15], [0.5, 0.65], (2000, 2)), edge, edge * [-1.0, 1.0]])
+    poses = robot.solve(pens, on_failure="nan")
+    expected = five_bar_by_triangles(pens)
+    np.testing.assert_array_equal(poses.solved, np.isfinite(expected).all(axis=1))
+    home = five_bar_by_triangles(robot.home_coordinates[None])
+    np.testing.assert_allclose(poses.commands[poses.solved], (expected - home)[poses.solved], atol=1e-5)
+
+
 def test_damped_steps_find_what_the_careful_solver_finds_from_far():
     """From home in one go to poses all over the five-bar's plane, most of them out of reach."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
     values = np.random.default_rng(1).uniform([-0.6, 0.1], [0.6, 1.0], (150, 2))
-    ends, costs, moving = solver._damped_ends(np.tile(robot.home.q, (150, 1)), values)
-    expected = np.array([np.isfinite(solver._careful(row, (robot.home.q,))[0]) for row in values])
+    ends, moving = solver._damped_ends(np.tile(robot.home.q, (150, 1)), values)
+    expected = np.array([assemble_at(robot, robot.coordinates, row, robot.home.q).converged for row in values])
     assert 0.2 < expected.mean() < 0.8
-    np.testing.assert_array_equal((costs < 1e-12) & ~moving, expected)
+    np.testing.assert_array_equal((solver._residuals(ends, values) < 1e-12) & ~moving, expected)
     np.testing.assert_allclose(
         robot.at(ends[expected], engine="pinocchio").positions[:, :2], values[expected], atol=1e-12
     )
@@ -182,10 +214,11 @@ def test_legs_twenty_times_shorter_end_in_the_same_poses(name, given, monkeypatc
     home = solver.read(robot.home.q[None])
     values = home + np.random.default_rng(3).uniform(-1.0, 1.0, (200, home.shape[1])) * units
     starts = np.tile(robot.home.q, (200, 1))
-    arrived, q = solver._walked(starts, values)
+    left, q = solver._walked(starts, values)
     monkeypatch.setattr(continuation_module, "_LEG", 0.005)
     monkeypatch.setattr(continuation_module, "_JUMP", 0.05)
-    arrived_slowly, q_slowly = solver._walked(starts, values)
+    left_slowly, q_slowly = solver._walked(starts, values)
+    arrived, arrived_slowly = left == 0.0, left_slowly == 0.0
     assert not (arrived & ~arrived_slowly).any()
     assert arrived.sum() >= 0.98 * arrived_slowly.sum()
     np.testing.assert_allclose(robot.at(q[arrived]).transforms, robot.at(q_slowly[arrived]).transforms, atol=1e-8)
