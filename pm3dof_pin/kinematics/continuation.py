@@ -195,12 +195,13 @@ class Continuation:
     def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
         """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at guesses."""
         left, ends = self._walked(q, targets)
-        q[:] = self._last_leg(ends, targets, left)
-        free = np.isnan(q[:, 0])
-        if self._robot.closures:
-            free &= np.isinf(left) & np.isfinite(ends[:, 0])
-        if free.any():
-            q[free] = self._damped(ends[free], targets[free], guesses)
+        found = self._last_leg(ends, targets, left)
+        failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
+        if self._robot.closures and failed.size:
+            failed = failed[np.isnan(self._check(q[failed]).residual)]
+        if failed.size:
+            found[failed] = self._damped(ends[failed], targets[failed], guesses)
+        q[:] = found
 
     def _last_leg(self, q: Matrix, targets: Matrix, left: Vector) -> Matrix:
         """Return the poses at targets that are not farther than the shortest leg; NaN where there are none."""
