@@ -198,7 +198,7 @@ class Continuation:
         found = self._last_leg(ends, targets, left)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
         if self._robot.closures and failed.size:
-            failed = failed[np.isnan(self._check(q[failed]).residual)]
+            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], guesses)
         q[:] = found
