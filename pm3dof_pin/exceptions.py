@@ -108,10 +108,12 @@ class UnreachablePoseError(PM3DofError):
 
     Attributes:
         residual: what was left of the closure error [m, rad], or None if it was not solved for.
+        reason: what is in the way, "" if it is not known.
     """
 
-    def __init__(self, message: str, residual: float | None = None) -> None:
+    def __init__(self, message: str, residual: float | None = None, reason: str = "") -> None:
         self.residual = residual
+        self.reason = reason
         super().__init__(message)
 
 

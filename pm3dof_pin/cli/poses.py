@@ -75,10 +75,9 @@ def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False)
         solve = robot.forward if forward else robot.solve
         return solve(values, engine="pinocchio")
     except UnreachablePoseError as error:
-        residual = "" if error.residual is None else f" (residual {error.residual:.3e} m or rad)"
         raise UnreachablePoseError(
-            f"pose {_pose_in_words(given, values)} is out of reach: no assembled configuration was found{residual}"
-            f"{_ranges_left(robot, given, values)}"
+            f"pose {_pose_in_words(given, values)} is out of reach: no assembled configuration was found "
+            f"({error.reason}){_ranges_left(robot, given, values)}"
         ) from error
 
 

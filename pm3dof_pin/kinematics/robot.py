@@ -470,14 +470,11 @@ class Robot(Mechanism):
         """Return the error of a pose that was not found: what damped steps from home come to."""
         result = assemble_at(self, coordinates, target, self.home.q)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
-        reason = f"residual {result.residual:.3e} m or rad; the pose may be out of reach"
+        reason = f"residual {result.residual:.3e} m or rad"
         if result.converged:
-            reason = (
-                "there is one in another assembly mode, past a singular pose or round a corner: a guess leads there"
-            )
-        return UnreachablePoseError(
-            f"{self.name}: no assembled configuration found at {pose}{which}: {reason}", result.residual
-        )
+            reason = "the loops close there past a singular pose or in another assembly mode only"
+        message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
+        return UnreachablePoseError(message, result.residual, reason)
 
     def why_careful(self) -> str | None:
         """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""
