@@ -20,8 +20,8 @@ from pm3dof_pin.typing import Matrix, Vector
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEG = 0.25  # of the way to a far pose [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 256.0  # of that
+_LEG = 0.5  # of the way to a far pose [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 512.0  # of that
 _JUMP = 1.0  # greatest move of a joint in a leg [rad, characteristic lengths]
 _STEPS = 20  # of a leg that may be tried again
 _LAST_STEPS = 100

@@ -56,7 +56,7 @@ _JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, 
 _MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
 _GREATEST_SHARE = 20.0  # of a pose in the prediction of another; that of equally spaced ones is 6
 _WAYPOINTS = 1000
-_WIDTH = 2.0  # of their lattice, where nothing is declared, on both sides of home [characteristic lengths]
+_WIDTH = 3.0  # of their lattice on both sides of home, where no joint ends before [characteristic lengths]
 _AT_ONCE = 4096  # poses whose numbers stay near the processor
 _SINGULAR = 1e-5  # regularity up to which a pose is singular
 _REGULAR = 1e-3  # regularity of a configuration away from singular ones
@@ -184,7 +184,8 @@ class Continuation:
         axes = {}
         for coordinate, home, unit in zip(self._coordinates, self.read(self._home[None])[0], self._units, strict=True):
             width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
-            lower, upper = self._robot.range_of(coordinate)
+            # what is declared for the tool is what maps go over, and no end of what is reached
+            lower, upper = (-np.inf, np.inf) if coordinate.joint is None else self._robot.range_of(coordinate)
             first = lower if np.isfinite(lower) else home - width
             last = upper if np.isfinite(upper) else home + width
             axes[coordinate.name] = np.linspace(first, last, size)

@@ -103,7 +103,7 @@ def test_axes_may_be_uneven_and_come_back(name):
 def test_a_march_over_more_than_the_workspace():
     """The pen of a five-bar reaches less than the sum of its links: the grid is twice as wide."""
     robot, solver = load("five_bar"), continuation("five_bar", "coordinates")
-    grid = robot.grid(x=(-0.7, 0.7, 15), y=(0.05, 0.95, 10))
+    grid = robot.grid(x=(-0.7, 0.7, 9), y=(0.05, 0.95, 7))
     marched = solver.march(grid)
     values = grid.values.reshape(-1, 2)
     expected = robot.solve(values, on_failure="nan", engine="pinocchio")
