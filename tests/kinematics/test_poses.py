@@ -68,7 +68,8 @@ def test_the_tripod_agrees_with_its_closed_form(
 
 
 def test_the_same_limits_are_broken_as_in_closed_form(tripod: Tripod, mechanism: Robot, engine: Engine) -> None:
-    values = np.random.default_rng(3).uniform([-0.9, -0.9, 0.36], [0.9, 0.9, 0.62], (400 if engine == "program" else 150, 3))
+    count = 400 if engine == "program" else 150
+    values = np.random.default_rng(3).uniform([-0.9, -0.9, 0.36], [0.9, 0.9, 0.62], (count, 3))
     solved = mechanism.solve(values, on_failure="nan", engine=engine)
     expected = limit_flags(tripod, values)
     assert [group.name for group in mechanism.limit_groups] == ["stroke", "universal", "spherical", "tilt", "height"]
