@@ -18,15 +18,14 @@ def other_unit(values: ArrayLike, unit: str, lower: float, upper: float) -> str:
 
     Numbers are suspected if all of them are far beyond the range, and would be near it in the other unit.
     """
-    numbers = np.asarray(values, dtype=float)
-    numbers = numbers[np.isfinite(numbers) & (numbers != 0.0)]
-    if not numbers.size or not np.isfinite([lower, upper]).all():
-        return ""
-    most = max(abs(lower), abs(upper))
+    numbers, most = np.asarray(values, dtype=float).reshape(-1), max(abs(lower), abs(upper))
     if unit == "m":
         limit, factor, word = _METRES_BEYOND * most, 1e-3, "millimetres"
     else:
         limit, factor, word = max(_RADIANS_BEYOND * most, _LEAST_ANGLE), math.radians(1.0), "degrees"
+    if not np.isfinite([lower, upper]).all() or (numbers.size and 0.0 < abs(numbers[0]) <= limit):
+        return ""  # mostly the first number tells
+    numbers = numbers[np.isfinite(numbers) & (numbers != 0.0)]
     margin = _MARGIN * (upper - lower)
     plausible = (factor * numbers >= lower - margin) & (factor * numbers <= upper + margin)
-    return word if bool((np.abs(numbers) > limit).all() and plausible.all()) else ""
+    return word if numbers.size and bool((np.abs(numbers) > limit).all() and plausible.all()) else ""
