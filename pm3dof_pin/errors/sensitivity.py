@@ -220,15 +220,14 @@ class _Loops:
         return np.concatenate([motions[:, :, driven:] + tool[:, :, self._model.nv :], motions[:, :, :driven]], axis=2)
 
     def _error_twists(self, local: Array) -> Array:
-        twists = np.zeros((len(self._joints), 6, len(self._errors)))
-        for place in dict.fromkeys(p.place for p in self._errors.parameters):
-            which = [k for k, p in enumerate(self._errors.parameters) if p.place == place]
-            frame = self._place(place)
-            rotation, origin = frame[:, :3, :3], frame[:, :3, 3]
-            angular = rotation @ local[3:, which]
-            twists[:, 3:, which] = angular
-            twists[:, :3, which] = rotation @ local[:3, which] + np.cross(origin[:, None, :], angular, axisb=1, axisc=1)
-        return twists
+        if not len(self._errors):
+            return np.zeros((len(self._joints), 6, 0))
+        names = [parameter.place for parameter in self._errors.parameters]
+        places = {name: k for k, name in enumerate(dict.fromkeys(names))}
+        frames = np.stack([self._place(name) for name in places], axis=1)[:, [places[name] for name in names]]
+        linear, angular = (np.einsum("nkij,jk->nik", frames[..., :3, :3], part) for part in np.split(local, 2))
+        origins = np.swapaxes(frames[..., :3, 3], 1, 2)
+        return np.concatenate([linear + np.cross(origins, angular, axis=1), angular], axis=1)
 
     def _place(self, place: str) -> Array:
         """Return where the displaced origin of a place is, before its joint moves, shape=(n, 4, 4)."""
@@ -283,6 +282,5 @@ def _tree(model: pin.Model, q: Array) -> tuple[Array, Array]:
     for row, positions in enumerate(q):
         pin.computeJointJacobians(model, data, positions)
         twists[row] = data.J.reshape(6, model.nv)
-        for joint in range(model.njoints):
-            placements[row, joint] = data.oMi[joint].homogeneous
+        placements[row] = [placement.homogeneous for placement in data.oMi]
     return placements, twists
