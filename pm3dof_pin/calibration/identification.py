@@ -5,9 +5,10 @@ closed-loop forward kinematics, in units of its noise, p the machine's parameter
 (:mod:`pm3dof_pin.measuring.nuisances`): the instrument's frame, offsets of targets, drift. Gauss-Newton on the exact
 Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in each step the robust linear problem is solved to its end by
 reweighting (P. Holland and R. Welsch, 1977): first with Huber's weights, which have one minimum, then from there with
-Tukey's, which leave gross outliers no say. Their scale is that of Huber's fit (V. Yohai's MM-estimates, 1987), so that
-each reweighting lowers one sum; and once the steps are small they keep to the minimum found, lest few rows with
-outliers make them change for ever between two.
+Tukey's, which leave gross outliers no say. Their scales are those of Huber's fit (V. Yohai's MM-estimates, 1987), so
+that each reweighting lowers one sum; and once the steps are small they keep to the minimum found, lest few rows with
+outliers make them change for ever between two. Positions, angles and encoders have each a scale of their own: drives
+that miss move some robots' tools along and turn none of them.
 """
 
 from __future__ import annotations
@@ -82,9 +83,11 @@ class Identification:
     poses: Poses  #: the calibrated machine's at the commands
     residuals: Array  #: settled measurements minus calibrated machine, shape=(n, rows) [m, rad]
     weights: Array  #: what robust weighting left of each measurement, 0 to 1, shape=(n,)
-    certainties: Array  #: the same over the variance of the noise, on average as for good ones, shape=(n,)
-    #: how many times larger than the sigmas say the residuals scatter; at least 1 is assumed in the covariance
-    noise_factor: float
+    #: the same over the variance of each coordinate's noise, on average as for good ones, shape=(n, rows)
+    certainties: Array
+    #: how many times larger than the sigmas say the residuals scatter, alike for all coordinates of a kind, at least 1,
+    #: shape=(rows,)
+    noise_factors: Array
     outliers: tuple[int, ...]  #: rows whose residual is no noise
     #: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
     #: parameters)
@@ -142,6 +145,11 @@ class Identification:
         return np.asarray(np.sqrt(np.diag(self.joint_covariance)[first:]))
 
     @property
+    def noise_factor(self) -> float:
+        """How many times larger than the sigmas say the residuals scatter, over all coordinates measured."""
+        return float(np.sqrt(np.average(self.noise_factors**2, weights=self.measurements.seen.sum(axis=0))))
+
+    @property
     def normalized_residuals(self) -> Array:
         """Residuals in units of the measurements' sigma, shape=(n, rows)."""
         return np.asarray(self.residuals / self.measurements.sigmas)
@@ -154,7 +162,7 @@ class Identification:
         """
         units = np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
         known = np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0) / np.outer(units, units)
-        absorbed = np.einsum("nri,ij,nrj->nr", self.rows, known / self.noise_factor**2, self.rows, optimize=True)
+        absorbed = np.einsum("nri,ij,nrj->nr", self.rows, known, self.rows, optimize=True) / self.noise_factors**2
         return np.asarray(np.where(self.measurements.seen, np.clip(1.0 - absorbed, 0.0, 1.0), 0.0))
 
     @property
@@ -197,7 +205,7 @@ def prior_from_data(found: Identification) -> tuple[float, float]:
     """
     count = len(found.errors)
     measuring = found.rows[:, :, count:]
-    scaled = np.sqrt(found.weights)[:, None, None] / found.noise_factor
+    scaled = np.sqrt(found.weights)[:, None, None] / found.noise_factors[:, None]
     blocks = (scaled * found.rows[:, :, :count]).reshape(-1, count)
     if measuring.shape[2]:
         others = (scaled * measuring).reshape(len(blocks), -1)
@@ -300,7 +308,7 @@ class _Fit:
 
     x: Array
     weights: Array
-    noise_factor: float
+    noise_factors: Array
 
 
 class _Linearised:
@@ -333,39 +341,41 @@ class _Linearised:
         self._wanted = self.residuals / measurements.sigmas + self.rows @ x  # rows x = wanted - residual
         self._sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names)), nuisances.sigmas])
         self._precisions = 1.0 / self._sigmas**2
-        self.dimensions = measurements.seen.sum(axis=1)
+        self.kinds = _kinds(measurements)
+        self.dimensions = measurements.seen @ self.kinds
 
     def robust(self, loss: Loss, start: _Fit | None) -> _Fit:
         """Solve it by reweighting, from the first or from a fit nearby, whose scale then stands."""
-        weights, factor = (np.ones(len(self._wanted)), 1.0) if start is None else (start.weights, start.noise_factor)
-        x = self._solve(weights, factor)
+        weights, factors = np.ones(len(self._wanted)), np.ones(self.kinds.shape[1])
+        if start is not None:
+            weights, factors = start.weights, start.noise_factors
+        x, dimensions = self._solve(weights, factors), self.dimensions.sum(axis=1)
         kinds = {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]
         for kind in kinds if start is None else kinds[-1:]:
             for _ in range(_REWEIGHTINGS):
-                last, last_factor = weights, factor
+                last, last_factors = weights, factors
                 squares = self.squares(x)
                 if start is None and kind != "tukey":
-                    factor = self.noise_factor(squares)
-                weights = _weights(squares / factor**2, self.dimensions, kind)
-                x = self._solve(weights, factor)
-                if max(np.abs(weights - last).max(), abs(factor - last_factor)) < _SETTLED:
+                    factors = self.noise_factors(squares)
+                weights = _weights(squares @ factors**-2.0, dimensions, kind)
+                x = self._solve(weights, factors)
+                if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < _SETTLED:
                     break
-        return _Fit(x, weights, factor)
+        return _Fit(x, weights, factors)
 
     def squares(self, x: Array) -> Array:
-        """Return |r_k|^2, shape=(n,)."""
-        return np.asarray(np.sum((self._wanted - self.rows @ x) ** 2, axis=1))
+        """Return |r_k|^2 of each kind of coordinate, shape=(n, kinds)."""
+        return np.asarray((self._wanted - self.rows @ x) ** 2 @ self.kinds)
 
-    def noise_factor(self, squares: Array) -> float:
-        """Return how much the residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
-        seen = self.dimensions > 0
-        median = np.median(squares[seen] / _chi_square_quantile(0.5, self.dimensions[seen]))
-        freedom = max(_LEAST_FREEDOM, 1.0 - self._used / self.dimensions.sum())
-        return float(max(1.0, np.sqrt(median / freedom)))
-
-    def information(self, weights: Array, factor: float) -> Array:
-        """Return the information on the parameters in units of their scales, without the prior."""
-        return np.asarray(np.einsum("n,njk->jk", weights, self._blocks) / factor**2)
+    def noise_factors(self, squares: Array) -> Array:
+        """Return how much residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
+        factors = np.ones(len(self._used))
+        for kind, (used, own) in enumerate(zip(self._used, self.dimensions.T, strict=True)):
+            if (seen := own > 0).any():
+                median = np.median(squares[seen, kind] / _chi_square_quantile(0.5, own[seen]))
+                freedom = max(_LEAST_FREEDOM, 1.0 - used / own.sum())
+                factors[kind] = max(1.0, np.sqrt(median / freedom))
+        return factors
 
     def covariance(self, certainties: Array, prior_error: float) -> Array:
         """Return the covariance of all parameters; infinite for those that a singular information leaves open.
@@ -373,7 +383,8 @@ class _Linearised:
         With the information I and the knowledge L beforehand it is C = (I + L)^-1 = C I C + C L C, the second what
         nobody has measured; the prior's error is that of the parameters' part of it.
         """
-        information = self.information(certainties, 1.0)
+        scaled = (np.sqrt(certainties)[:, :, None] * self.rows).reshape(-1, len(self.units))
+        information = scaled.T @ scaled
         unit = np.outer(self.units, self.units)
         if np.isfinite(self.prior):
             covariance = np.linalg.inv(information + np.diag(self._precisions))
@@ -389,7 +400,7 @@ class _Linearised:
         covariance[open_ones, open_ones] = np.inf
         return np.asarray(covariance)
 
-    def hidden_shifts(self, certainties: Array, factor: float, covariance: Array) -> Array:
+    def hidden_shifts(self, certainties: Array, factors: Array, covariance: Array) -> Array:
         """Return what shifts parameters and no residual shows, root sum of squares, shape=(number of parameters,).
 
         A coordinate of what is measured, of each target, may be off by :data:`_SMOOTH` times its noise, alike
@@ -399,47 +410,49 @@ class _Linearised:
         spread = commands.std(axis=0)
         moving = spread > 0.0
         varying = (commands - commands.mean(axis=0))[:, moving] / spread[moving]
-        effects = np.column_stack([np.ones(len(commands)), varying]) * (_SMOOTH * factor * certainties)[:, None]
+        effects = _SMOOTH * np.column_stack([np.ones(len(commands)), varying])
+        certain = (certainties * factors)[:, :, None] * self.rows
         numbers, pulls = self.measurements.target_numbers, []
         for number in np.unique(numbers):
             own = numbers == number
-            pulls.append(np.einsum("nb,ncq->bcq", effects[own], self.rows[own]).reshape(-1, len(self.units)))
+            pulls.append(np.einsum("nb,ncq->bcq", effects[own], certain[own]).reshape(-1, len(self.units)))
         known = np.where(np.isfinite(covariance), covariance, 0.0)[: self.ends[0]]
         shifts = (np.concatenate(pulls) / self.units) @ known.T
         return np.asarray(np.sqrt(np.sum(shifts**2, axis=0)))
 
     @cached_property
-    def _used(self) -> float:
-        """How many degrees of freedom the parameters take from the measurements."""
+    def _used(self) -> Array:
+        """How many degrees of freedom the parameters take from each kind of coordinate."""
         sigmas = np.minimum(self._sigmas, UNKNOWN)
         if np.isinf(self.prior):
-            s = np.linalg.svd(self.rows.reshape(-1, self.rows.shape[2]) * sigmas, compute_uv=False)
-            return float(np.sum(s > REGRESSOR_TOLERANCE * s.max(initial=0.0)))
-        squares = np.maximum(np.linalg.eigvalsh(self._blocks.sum(axis=0) * np.outer(sigmas, sigmas)), 0.0)
-        return float(np.sum(squares / (squares + 1.0)))
+            u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
+            told = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
+            return np.asarray(told.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
+        blocks = self._blocks.sum(axis=0) * np.outer(sigmas, sigmas)
+        return np.asarray(np.einsum("kij,ji->k", blocks, np.linalg.inv(blocks.sum(axis=0) + np.eye(len(sigmas)))))
 
-    def _solve(self, weights: Array, factor: float) -> Array:
+    def _solve(self, weights: Array, factors: Array) -> Array:
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and many times quicker to weight again
-            pull = np.einsum("n,nj->j", weights, self._pulls) / factor**2
-            return np.asarray(scipy.linalg.solve(self.information(weights, factor) + np.diag(self._precisions), pull))
-        scale, count = np.sqrt(weights) / factor, self.rows.shape[2]
+            shares = weights[:, None] / factors**2
+            information = np.einsum("nk,nkij->ij", shares, self._blocks) + np.diag(self._precisions)
+            return np.asarray(scipy.linalg.solve(information, np.einsum("nk,njk->j", shares, self._pulls)))
+        scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
         known_before = self._sigmas < UNKNOWN
         held = np.diag(np.where(known_before, 1.0 / self._sigmas, np.sqrt(_DAMPING)))
-        matrix = np.concatenate([(scale[:, None, None] * self.rows).reshape(-1, count), held])
-        right = np.concatenate(
-            [(scale[:, None] * self._wanted).ravel(), held @ np.where(known_before, 0.0, self._start)]
-        )
+        matrix = np.concatenate([(scale[:, :, None] * self.rows).reshape(-1, count), held])
+        right = np.concatenate([(scale * self._wanted).ravel(), held @ np.where(known_before, 0.0, self._start)])
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=REGRESSOR_TOLERANCE)[0])
 
     @cached_property
     def _blocks(self) -> Array:
-        """Information of each measurement, shape=(n, parameters, parameters)."""
-        return np.asarray(np.swapaxes(self.rows, 1, 2) @ self.rows)
+        """Information of each kind of coordinate of a measurement, shape=(n, kinds, parameters, parameters)."""
+        parts = [self.rows[:, own] for own in self.kinds.T > 0.0]
+        return np.stack([np.swapaxes(part, 1, 2) @ part for part in parts], axis=1)
 
     @cached_property
     def _pulls(self) -> Array:
-        return np.asarray(np.einsum("nij,ni->nj", self.rows, self._wanted))
+        return np.asarray(np.swapaxes(self.rows * self._wanted[:, :, None], 1, 2) @ self.kinds)
 
 
 def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Poses, p: Array) -> tuple[Array, Array]:
@@ -453,11 +466,12 @@ def _tool_motions(errors: GeometricErrors, measurements: Measurements, poses: Po
 def _result(linear: _Linearised, fit: _Fit, loss: Loss, prior_error: float, steps: int) -> Identification:
     """Return what a fit says, given the problem linearised at its solution."""
     errors, measurements, count = linear.errors, linear.measurements, len(linear.errors)
-    bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), linear.dimensions) * fit.noise_factor**2
+    dimensions, factors = linear.dimensions.sum(axis=1), linear.kinds @ fit.noise_factors
+    bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(measurements), dimensions)
     values = np.split(fit.x * linear.units, linear.ends)
-    certainties = fit.weights / _usual_weights(linear.dimensions, loss) / fit.noise_factor**2
+    certainties = (fit.weights / _usual_weights(dimensions, loss))[:, None] / factors**2
     covariance = linear.covariance(certainties, prior_error)
-    hidden = linear.hidden_shifts(certainties, fit.noise_factor, covariance)
+    hidden = linear.hidden_shifts(certainties, factors, covariance)
     # of many parameters the worst has to be within its bounds too: twice the error of k
     variances = np.diag(linear.covariance(certainties, 2.0 * prior_error))[:count]
     machine = int(linear.ends[1])
@@ -476,14 +490,21 @@ def _result(linear: _Linearised, fit: _Fit, loss: Loss, prior_error: float, step
         residuals=frozen(linear.residuals),
         weights=frozen(fit.weights),
         certainties=frozen(certainties),
-        noise_factor=fit.noise_factor,
-        outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) > bound)),
+        noise_factors=frozen(factors),
+        outliers=tuple(int(row) for row in np.flatnonzero(linear.squares(fit.x) @ fit.noise_factors**-2.0 > bound)),
         rows=frozen(linear.rows),
         steps=steps,
         elastic=linear.elastic,
         stiffness_logarithms=frozen(values[1]),
         stiffness_sigmas=frozen(np.sqrt(covariance.diagonal()[count:machine])),
     )
+
+
+def _kinds(measurements: Measurements) -> Array:
+    """Return which columns of residuals are positions, which angles, and which each encoder's, shape=(rows, kinds)."""
+    tool = np.repeat(np.arange(measurements.tool_columns // 3), 3)
+    labels = np.concatenate([tool, len(tool) + np.arange(len(measurements.joints))])
+    return np.asarray(labels[:, None] == np.unique(labels), dtype=float)
 
 
 def _weights(squares: Array, dimensions: Indices, loss: str) -> Array:

@@ -228,7 +228,7 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
         "tool_frame": compensation.errors.robot.tool_frame,
         "eta_m_per_rad": compensation.eta,
         "unexplained_m": compensation.scatter.tip_error,
-        "scatter_everywhere_m2": compensation.scatter.everywhere,
+        "scatter_everywhere_m2": compensation.scatter.everywhere.tolist(),
         "scatter_of_drives": compensation.scatter.drives.tolist(),
         "parameters": list(compensation.errors.names),
         "values": None if compensation.values is None else compensation.values.tolist(),
@@ -311,11 +311,11 @@ def _semidefinite(path: Path, key: str, data: Mapping[str, Any], sizes: Sequence
 
 
 def _scatter(path: Path, data: Mapping[str, Any], drives: int) -> Scatter:
-    """Return the scatter; that of older files, which do not tell the drives' part, as one of all directions."""
+    """Return the scatter; of older files, which tell less, as one of all directions."""
     size = float(data["unexplained_m"])
-    everywhere, by_drives = float(data.get("scatter_everywhere_m2", size**2 / 6.0)), data.get("scatter_of_drives", [])
-    found = Scatter(everywhere, np.array(by_drives, dtype=float), size)
-    if len(found.drives) not in (0, drives) or min(everywhere, *found.drives, 0.0) < 0.0:
+    everywhere = np.broadcast_to(np.array(data.get("scatter_everywhere_m2", size**2 / 6.0), dtype=float), 2)
+    found = Scatter(everywhere, np.array(data.get("scatter_of_drives", []), dtype=float), size)
+    if len(found.drives) not in (0, drives) or min(*everywhere, *found.drives) < 0.0:
         raise DescriptionError(path, "scatter_of_drives", f"expected {drives} variances, none of them negative")
     return found
 

@@ -3,14 +3,15 @@
 What parameters do not describe comes from the drives (leads, waves, backlash), which miss their commands, and from all
 else (guides, sag, warmth), of which no direction is preferred: the tip-weighted error e at a pose has the covariance
 
-    V = K + a 1 + C diag(d) C^T,
+    V = K + a P + b (1 - P) + C diag(d) C^T,
 
-K known, from noise and parameters, C the motion of the tool by the drives' joints. a and d are fitted to errors of
-poses that were hidden, by Fisher's scoring (minimum-variance quadratic estimates: C. R. Rao, J. Multivariate Analysis
-1, 1971), as far as each pose shows them. Drives of one kind, that travel or that turn, are taken to be alike, and
-both kinds to be alike in what they do to the tool. Variances are not negative: where there is no scatter at all they
-are too large by 0.4 of their standard error, on average. That is on the safe side of a bound; for what is expected a
-part that is less than its standard error may be left out.
+K known, from noise and parameters, P the projection on positions, C the motion of the tool by the drives' joints. a, b
+and d are fitted to errors of poses that were hidden, by Fisher's scoring (minimum-variance quadratic estimates: C. R.
+Rao, J. Multivariate Analysis 1, 1971), as far as each pose shows them; a = b where not all of poses is shown. Drives of
+one kind, that travel or that turn, are taken to be alike, and both kinds to be alike in what they do to the tool.
+Variances are not negative: where there is no scatter at all they are too large by 0.4 of their standard error, on
+average. That is on the safe side of a bound; for what is expected a part that is less than its standard error may be
+left out.
 """
 
 from __future__ import annotations
@@ -26,13 +27,16 @@ from pm3dof_pin.typing import Array
 _ROUNDS = 20
 _SETTLED = 1e-3
 _RIDGE = 1e-9
+_WHOLE = 5.5  # directions of a pose that are shown, on average, for positions and orientations to be told apart
+_DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])])
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
     """Variances of tip errors that nothing known explains."""
 
-    everywhere: float = 0.0  #: a, of each direction of the tip-weighted error [m^2]
+    #: a and b, of each direction of the tip-weighted error: of positions and of orientations, shape=(2,) [m^2]
+    everywhere: Array = field(default_factory=lambda: np.zeros(2))
     #: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none
     drives: Array = field(default_factory=lambda: np.zeros(0))
     tip_error: float = 0.0  #: what both amount to, root mean square over the poses that they were found at [m]
@@ -44,7 +48,7 @@ class Scatter:
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
         """
         by_drives = (control * self.drives) @ np.swapaxes(control, 1, 2) if self.drives.size else 0.0
-        return np.asarray(self.everywhere * np.eye(6) + by_drives + np.zeros((len(control), 6, 6)))
+        return np.asarray(np.tensordot(self.everywhere, _DIRECTIONS, 1) + by_drives + np.zeros((len(control), 6, 6)))
 
 
 def scatter_of(
@@ -67,9 +71,11 @@ def scatter_of(
     effects = np.sqrt((same @ squares) / same.sum(axis=1))  # of each kind of drive, rms
     alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
     by_drives = shown @ (control * alike)
-    parts = np.array([shown, by_drives @ np.swapaxes(by_drives, 1, 2)])
+    whole = np.mean(np.einsum("nii->n", shown)) > _WHOLE
+    directions = shown @ (_DIRECTIONS if whole else np.eye(6)[None])[:, None] @ shown
+    parts = np.concatenate([directions, [by_drives @ np.swapaxes(by_drives, 1, 2)]])
     known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
-    kept, variances = [0, 1], np.zeros(2)
+    kept, variances = list(range(len(parts))), np.zeros(len(parts))
     while kept:
         found, standard_errors = _variances(products, known, shown, parts[kept])
         weakest = int(np.argmin(found - least * standard_errors))
@@ -77,8 +83,8 @@ def scatter_of(
             variances[kept] = found
             break
         kept.pop(weakest)
-    everywhere, drives = (unit * variances).tolist()
-    tip_error = float(np.sqrt(6.0 * everywhere + drives * np.count_nonzero(alike)))
+    everywhere, drives = np.resize(unit * variances[:-1], 2), unit * float(variances[-1])
+    tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
     return Scatter(everywhere, drives * alike**2, tip_error)
 
 

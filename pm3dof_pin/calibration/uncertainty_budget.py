@@ -59,7 +59,7 @@ def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
     """Return variances [m^2], given the mean square of the tip's motions by parameters, base and tool."""
     found, count = calibration.identification, len(calibration.identification.errors)
     machine = found.rows.shape[2] - len(found.nuisances)
-    scaled = np.sqrt(found.certainties)[:, None, None] * found.rows
+    scaled = np.sqrt(found.certainties)[:, :, None] * found.rows
     matrix = scaled.reshape(-1, scaled.shape[2])
     units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
     before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])

@@ -180,18 +180,22 @@ def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
     count, dimension, used = 1001, 6, 4000
     places = (np.arange(count) + 0.5) / count
     noise = 3.0**2 * chi2.ppf(places, dimension)
-    problem = SimpleNamespace(dimensions=np.full(count, dimension), _used=used)
+    problem = SimpleNamespace(dimensions=np.full((count, 2), dimension), _used=np.array([used, 0.0]))
     left = (count * dimension - used) / (count * dimension)
-    assert _Linearised.noise_factor(problem, left * noise) == pytest.approx(3.0, rel=1e-9)  # type: ignore[arg-type]
+    squares = np.stack([left * noise, 4.0 * noise], axis=1)
+    np.testing.assert_allclose(_Linearised.noise_factors(problem, squares), [3.0, 6.0], rtol=1e-9)  # type: ignore[arg-type]
 
 
 def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
     generator = np.random.default_rng(0)
-    rows, sigmas = generator.standard_normal((15, 2, 4)), np.array([0.1, 0.3, 1.0, 3.0])
+    rows, sigmas = generator.standard_normal((15, 3, 4)), np.array([0.1, 0.3, 1.0, 3.0])
     design = rows.reshape(-1, 4)
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
-    problem = SimpleNamespace(prior=PRIOR, rows=rows, _blocks=np.swapaxes(rows, 1, 2) @ rows, _sigmas=sigmas)
-    assert _Linearised._used.func(problem) == pytest.approx(np.trace(hat), rel=1e-12)  # type: ignore[attr-defined]
+    kinds = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, _sigmas=sigmas)
+    problem._blocks = _Linearised._blocks.func(problem)  # type: ignore[attr-defined]
+    used = np.diag(hat).reshape(15, 3).sum(axis=0) @ kinds
+    np.testing.assert_allclose(_Linearised._used.func(problem), used, rtol=1e-12)  # type: ignore[attr-defined]
 
 
 class _Thirty:
@@ -219,7 +223,7 @@ def test_the_prior_from_data_is_the_most_likely_one(true: float) -> None:
         prior=PRIOR,
         rows=rows,
         weights=weights,
-        noise_factor=factor,
+        noise_factors=np.full(3, factor),
     )
 
     def unlikely(k: float) -> float:
@@ -268,13 +272,13 @@ def test_a_wider_prior_widens_what_was_not_measured(tripod_errors: GeometricErro
 def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
     """Information goes with the square of what is seen: so does the threshold, down to the rounding of its own sum."""
     problem = SimpleNamespace(
-        information=lambda weights, factor: np.diag([1.0, weak]),
+        rows=np.diag(np.sqrt([1.0, weak]))[None],
         units=np.ones(2),
         prior=np.inf,
         _sigmas=np.full(2, np.inf),
         _precisions=np.zeros(2),
     )
-    covariance = _Linearised.covariance(problem, np.ones(1), 1.0)  # type: ignore[arg-type]
+    covariance = _Linearised.covariance(problem, np.ones((1, 2)), 1.0)  # type: ignore[arg-type]
     assert covariance[0, 0] == pytest.approx(1.0, rel=1e-12)
     assert covariance[1, 1] == (pytest.approx(1.0 / weak, rel=1e-9) if told else np.inf)
 
