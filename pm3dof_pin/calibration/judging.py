@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.special
 
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
 from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
@@ -16,7 +17,7 @@ from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, 
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
-from pm3dof_pin.errors.normal_vectors import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
@@ -48,6 +49,8 @@ class HeldOut:
             drives' joints, shape=(visits,) [m, rad]: by what is uncertain about parameters and learned parts, seen or
             not, and by the scatter beyond that. What is seen of it has more noise than there is excess. NaN where a
             method without parameters, which say how uncertain that is, does not see all motions of the drives.
+        excess_interval: the root mean square of that over visits, of this machine, is between these with the
+            probability :data:`COVERAGE`, see :func:`excess_interval`; None for a method that learns.
         scatter: what the corrected machine misses beyond what is known to be uncertain.
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
@@ -59,6 +62,7 @@ class HeldOut:
     floor: Array
     noise: Array
     excess: Array
+    excess_interval: tuple[float, float] | None
     scatter: Scatter
     within: float
     energies: Array
@@ -152,6 +156,8 @@ class _Scores:
         shown: the directions that are shown, shape=(visits, 6, 6).
         control: tip-weighted motion by the drives' joints, shape=(visits, 6, drives).
         uncertain: of poses that the calibration from all measurements predicts, shape=(visits, 6, 6) [m^2].
+        effects: what that moves for parameters a standard deviation off, in all independent directions, shape=(visits,
+            6, directions) [m]; without any for a method that learns.
     """
 
     sizes: Array
@@ -160,6 +166,7 @@ class _Scores:
     shown: Array
     control: Array
     uncertain: Array
+    effects: Array
 
     def that_show_the_tool(self) -> _Scores:
         """Return those of visits at which something of the tool was seen; all of them if it never was."""
@@ -168,7 +175,7 @@ class _Scores:
 
     @property
     def _of_visits(self) -> tuple[Array, ...]:
-        return self.missed, self.covariances, self.shown, self.control, self.uncertain
+        return self.missed, self.covariances, self.shown, self.control, self.uncertain, self.effects
 
     @classmethod
     def joined(cls, parts: Sequence[_Scores], order: Indices) -> _Scores:
@@ -198,12 +205,16 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     left = seen_errors(measurements, model, eta)
     uncertain = compensation.covariances(model, visits.conditions)
     known = left.covariances + left.shown @ uncertain @ left.shown
-    of_all = final.covariances(final.model_poses(nominal), visits.conditions)
+    of_all = final.covariances(reached := final.model_poses(nominal), visits.conditions)
+    effects = np.zeros((len(nominal), 6, 0))
+    if final.learned is None and final.covariance is not None:
+        known_parameters = np.where(np.isfinite(final.covariance), final.covariance, 0.0)
+        effects = final.effects(reached) @ covariance_root(known_parameters)
     control = weighted_control(nominal, eta)
     if compensation.values is None:
         blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
         of_all[blind] = np.nan
-    return _Scores(sizes, left.errors, known, left.shown, control, of_all)
+    return _Scores(sizes, left.errors, known, left.shown, control, of_all, effects)
 
 
 def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
@@ -214,7 +225,32 @@ def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    return HeldOut(rows, before, after, floor, noise, excess, scatter, within, np.array(energies))
+    interval = excess_interval(scores.effects, scores.control, sure) if scores.effects.size else None
+    return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
+
+
+def excess_interval(effects: Array, control: Array, scatter: Scatter) -> tuple[float, float]:
+    """Return between which a machine's excess is, root mean square over poses and drives' joints [m, rad].
+
+    Its square is a quadratic form of the errors of the parameters, normal, which are the same at all poses, and the
+    mean square of the scatter, of which there is an estimate. It is taken for a scaled chi square of the same mean and
+    variance (F. Satterthwaite, Biometrics Bulletin 2, 1946).
+
+    Args:
+        effects: on the tip-weighted error of parameters a standard deviation off, shape=(n, 6, directions) [m].
+        control: tip-weighted motion by the drives' joints, shape=(n, 6, drives).
+        scatter: beside that.
+    """
+    gains = control_inverse(control)
+    by_joint = np.concatenate(gains @ effects) / np.sqrt(gains.shape[0] * gains.shape[1])
+    product = by_joint.T @ by_joint
+    drives = np.einsum("nij,njk,nik->", gains, scatter.covariances(control), gains)
+    mean = float(np.trace(product)) + float(drives) / (gains.shape[0] * gains.shape[1])
+    variance = 2.0 * float(np.sum(product**2)) + scatter.mean_square_variance(gains, control)
+    freedom = 2.0 * mean**2 / variance
+    squares = 2.0 * mean * scipy.special.gammaincinv(0.5 * freedom, 0.5 + np.array([-0.5, 0.5]) * COVERAGE) / freedom
+    low, high = np.sqrt(squares).tolist()
+    return low, high
 
 
 def chance_of_harm(calibration: Calibration) -> float:

@@ -40,6 +40,9 @@ class Scatter:
     #: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none
     drives: Array = field(default_factory=lambda: np.zeros(0))
     tip_error: float = 0.0  #: what both amount to, root mean square over the poses that they were found at [m]
+    #: d in proportion to the square of these, shape=(drives,), and the covariance of a, b and that proportion
+    alike: Array = field(default_factory=lambda: np.zeros(0))
+    uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def covariances(self, control: Array) -> Array:
         """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].
@@ -49,6 +52,17 @@ class Scatter:
         """
         by_drives = (control * self.drives) @ np.swapaxes(control, 1, 2) if self.drives.size else 0.0
         return np.asarray(np.tensordot(self.everywhere, _DIRECTIONS, 1) + by_drives + np.zeros((len(control), 6, 6)))
+
+    def mean_square_variance(self, gains: Array, control: Array) -> float:
+        """Return the variance, by the scatter's own uncertainty, of the mean square of what gains make of the errors.
+
+        Args:
+            gains: shape=(n, k, 6).
+            control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+        """
+        parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * self.alike)
+        squares = np.array([np.sum(part**2) for part in parts]) / (gains.shape[0] * gains.shape[1])
+        return float(squares @ self.uncertainty @ squares)
 
 
 def scatter_of(
@@ -75,9 +89,11 @@ def scatter_of(
     directions = shown @ (_DIRECTIONS if whole else np.eye(6)[None])[:, None] @ shown
     parts = np.concatenate([directions, [by_drives @ np.swapaxes(by_drives, 1, 2)]])
     known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
-    kept, variances = list(range(len(parts))), np.zeros(len(parts))
+    kept, variances, uncertainty = list(range(len(parts))), np.zeros(len(parts)), np.zeros(0)
     while kept:
-        found, standard_errors = _variances(products, known, shown, parts[kept])
+        found, covariance = _variances(products, known, shown, parts[kept])
+        standard_errors = np.sqrt(np.diag(covariance))
+        uncertainty = uncertainty if uncertainty.size else covariance
         weakest = int(np.argmin(found - least * standard_errors))
         if found[weakest] >= least * standard_errors[weakest]:
             variances[kept] = found
@@ -85,11 +101,12 @@ def scatter_of(
         kept.pop(weakest)
     everywhere, drives = np.resize(unit * variances[:-1], 2), unit * float(variances[-1])
     tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
-    return Scatter(everywhere, drives * alike**2, tip_error)
+    places = [0, len(parts) - 2, len(parts) - 1]
+    return Scatter(everywhere, drives * alike**2, tip_error, alike, unit**2 * uncertainty[np.ix_(places, places)])
 
 
 def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tuple[Array, Array]:
-    """Return by how much each part is in the products of errors beside what is known, and the standard errors."""
+    """Return by how much each part is in the products of errors beside what is known, and the covariance of that."""
     hidden, variances = np.eye(6) - shown, np.zeros(len(parts))
     for _ in range(_ROUNDS):
         weights = shown @ np.linalg.inv(known + np.tensordot(variances, parts, 1) + hidden) @ shown
@@ -101,4 +118,4 @@ def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tup
         last, variances = variances, scipy.optimize.nnls(factor.T, np.linalg.solve(factor, pull))[0]
         if np.abs(variances - last).max() <= _SETTLED * variances.max():
             break
-    return variances, np.sqrt(2.0 * np.diag(np.linalg.inv(information)))
+    return variances, 2.0 * np.linalg.inv(information)

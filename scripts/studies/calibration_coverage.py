@@ -184,7 +184,12 @@ def one(case: Case, count: int) -> dict[str, object]:
     best = best_commands(reached, tests.transforms, answer.commands)
     floor = tip(tests.transforms, reached(best))
     compared = Compared(
-        (before, after, floor), answer.predicted_error, answer.error_bound, answer.commands - best, judged.excess
+        (before, after, floor),
+        answer.predicted_error,
+        answer.error_bound,
+        answer.commands - best,
+        judged.excess,
+        judged.excess_interval or (np.nan, np.nan),
     )
     return row(case, calibration.identification, compared, judged.scatter) | {
         "refused": int(bool(objections(calibration, judged)))
@@ -208,7 +213,7 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     rows, truly = measured(machine, station.poses.commands, setup, generator, station.poses)
     found = identified(station, rows)
     correction = Correction.of(station, found)
-    scatter, excess = cross_validated(station, correction)
+    scatter, excess, interval = cross_validated(station, correction)
     base, tool = placed(found, setup, truly)
     sides = generator.choice([-1.0, 1.0], tests.poses.commands.shape)
     before = tip(tests.poses.transforms, base @ machine.poses(tests.poses.commands, sides) @ tool)
@@ -216,7 +221,7 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     after = before + moved
     missing = np.einsum("nij,nj->ni", np.linalg.pinv(tests.control, rcond=1e-3), after)
     floor = after - np.einsum("nij,nj->ni", tests.control, missing)
-    compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)))
+    compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), interval)
     chance = correction.gain.chance_of_harm(correction.values)
     return row(case, found, compared, scatter) | {"refused": int(chance > 1.0 - COVERAGE)}
 
@@ -230,6 +235,7 @@ class Compared:
     bound: np.ndarray  #: of 95 %
     excess: np.ndarray  #: by how much the commands miss the best ones
     excess_said: np.ndarray  #: the same as expected, root mean square over the drives
+    excess_interval: tuple[float, float]  #: of the root mean square over poses, too
 
 
 def row(case: Case, found: Identification, compared: Compared, scatter: Scatter) -> dict[str, object]:
@@ -256,6 +262,8 @@ def row(case: Case, found: Identification, compared: Compared, scatter: Scatter)
         "scatter_um": micrometres(np.array([scatter.tip_error])),
         "excess_true_um": micrometres(compared.excess),
         "excess_said_um": micrometres(compared.excess_said),
+        "excess_low_um": round(1e6 * compared.excess_interval[0], 3),
+        "excess_high_um": round(1e6 * compared.excess_interval[1], 3),
         "parameters": len(off),
         "beyond_4_sigma": int(np.sum(np.abs(off) > _FAR)),
     }

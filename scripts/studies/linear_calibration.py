@@ -18,15 +18,17 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.identification import (
     PRIOR,
     Identification,
+    _kinds,
     _Linearised,
     _result,
     prior_from_data,
     tool_motions_by_drives,
 )
+from pm3dof_pin.calibration.judging import excess_interval
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import weighted_control
-from pm3dof_pin.errors.normal_vectors import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.measuring.measurements import Measurements
@@ -88,7 +90,8 @@ class _AtTheDescription(_Linearised):
         self._wanted = self.residuals / measurements.sigmas + self.rows[:, :, count:] @ (known / self.nuisances.scales)
         self._sigmas = np.concatenate([np.full(count, prior), self.nuisances.sigmas])
         self._precisions = 1.0 / self._sigmas**2
-        self.dimensions = measurements.seen.sum(axis=1)
+        self.kinds = _kinds(measurements)
+        self.dimensions = measurements.seen @ self.kinds
 
     def identified(self, prior_error: float) -> Identification:
         """Solve it."""
@@ -126,12 +129,18 @@ class Correction:
         gain = Gain(found.values, covariance, effects, corrected)
         return cls(found, gain, gain.sure_values())
 
-    def covariances(self, station: Station) -> np.ndarray:
-        """Return how uncertain predicted poses are, tip-weighted, shape=(n, 6, 6)."""
+    @property
+    def covariance(self) -> np.ndarray:
+        """How uncertain parameters, base and tool are."""
         covariance = self.gain.covariance.copy()
         count = len(self.values)
         left_out = self.found.values - self.values
         covariance[:count, :count] += np.outer(left_out, left_out)
+        return covariance
+
+    def covariances(self, station: Station) -> np.ndarray:
+        """Return how uncertain predicted poses are, tip-weighted, shape=(n, 6, 6)."""
+        covariance = self.covariance
         effects = station.effects[:, :, : len(covariance)]
         return np.asarray(effects @ covariance @ np.swapaxes(effects, 1, 2))
 
@@ -145,8 +154,8 @@ class Correction:
         return moved, expected, norm_quantiles(error + moved, spread, 0.95)
 
 
-def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, np.ndarray]:
-    """Return the scatter at hidden poses, and the excess to be expected of each drive at each pose, squared."""
+def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, np.ndarray, tuple[float, float]]:
+    """Return the scatter at hidden poses, and the excess of each drive at each pose, squared, with its interval."""
     found, units = correction.found, [command.unit for command in station.errors.robot.commands]
     measurements, numbers, count = found.measurements, found.measurements.pose_numbers, len(station.poses)
     folds = np.random.default_rng(0).permutation(np.arange(count) % _FOLDS)
@@ -171,7 +180,9 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     scatter, sure = scatter_of(*given), scatter_of(*given, least=1.0)
     gains = control_inverse(station.control)
     spread = correction.covariances(station) + sure.covariances(station.control)
-    return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains)
+    effects = station.effects[:, :, : len(correction.gain.covariance)] @ covariance_root(correction.covariance)
+    interval = excess_interval(effects, station.control, sure)
+    return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains), interval
 
 
 def _part(whole: _AtTheDescription, shown: np.ndarray) -> _AtTheDescription:
