@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.calibration.learned_part import LearnedPart
+from pm3dof_pin.calibration.rms_interval import COVERAGE, rms_interval
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses, weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
-from pm3dof_pin.errors.normal_vectors import norm_quantiles
+from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
@@ -34,9 +35,6 @@ from pm3dof_pin.typing import Array, OnFailure
 
 Conditions = Mapping[str, Array | float]
 """Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
-
-COVERAGE = 0.95
-"""Probability of the bounds of errors."""
 
 _MAX_ITERATIONS = 30
 _SETTLED = 1e-13  # of the drives' joints, beside the rounding of what their counters show
@@ -270,6 +268,27 @@ class Compensation:
         if self.covariance is not None and len(self.covariance) > len(self.errors):
             effects = np.concatenate([effects, datum_motions(poses)], axis=2)
         return np.asarray(effects * tip_weights(self.eta)[:, None])
+
+    def standard_effects(self, poses: Poses) -> Array:
+        """Return the same for parameters a standard deviation off in each independent direction.
+
+        Without any direction for a method that learns: how that errs at one pose and at another is not known.
+        """
+        if self.learned is not None or self.covariance is None:
+            return np.zeros((len(poses), 6, 0))
+        # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
+        return self.effects(poses) @ covariance_root(np.where(np.isfinite(self.covariance), self.covariance, 0.0))
+
+    def rms_interval(self, wanted: Poses) -> tuple[float, float] | None:
+        """Return between which the tip error with corrected commands is [m], root mean square over poses, unloaded.
+
+        With the probability :data:`COVERAGE`; None for a method that learns. See
+        :mod:`pm3dof_pin.calibration.rms_interval`.
+        """
+        nearest = self._nearest(wanted, self.model_poses(wanted), {})
+        effects = self.standard_effects(nearest)
+        left, _ = self._left_over(wanted, nearest, {})
+        return rms_interval(left, effects, self.scatter, weighted_control(nearest, self.eta)) if effects.size else None
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""

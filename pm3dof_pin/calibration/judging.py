@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.special
 
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Calibration, compensation_from
-from pm3dof_pin.calibration.compensation import COVERAGE, Compensation
+from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
+from pm3dof_pin.calibration.rms_interval import COVERAGE, excess_interval
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import nearest_poses, weighted_control
 from pm3dof_pin.errors.error_map import section_grid
-from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
+from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.measuring.measurements import Measurements
@@ -50,7 +50,8 @@ class HeldOut:
             not, and by the scatter beyond that. What is seen of it has more noise than there is excess. NaN where a
             method without parameters, which say how uncertain that is, does not see all motions of the drives.
         excess_interval: the root mean square of that over visits, of this machine, is between these with the
-            probability :data:`COVERAGE`, see :func:`excess_interval`; None for a method that learns.
+            probability of 95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a method that learns, or near
+            singular poses.
         scatter: what the corrected machine misses beyond what is known to be uncertain.
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
@@ -206,10 +207,7 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     uncertain = compensation.covariances(model, visits.conditions)
     known = left.covariances + left.shown @ uncertain @ left.shown
     of_all = final.covariances(reached := final.model_poses(nominal), visits.conditions)
-    effects = np.zeros((len(nominal), 6, 0))
-    if final.learned is None and final.covariance is not None:
-        known_parameters = np.where(np.isfinite(final.covariance), final.covariance, 0.0)
-        effects = final.effects(reached) @ covariance_root(known_parameters)
+    effects = final.standard_effects(reached)
     control = weighted_control(nominal, eta)
     if compensation.values is None:
         blind = np.linalg.matrix_rank(control_inverse(true.control)) < control.shape[2]
@@ -225,32 +223,8 @@ def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    interval = excess_interval(scores.effects, scores.control, sure) if scores.effects.size else None
+    interval = excess_interval(scores.effects, sure, scores.control)
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
-
-
-def excess_interval(effects: Array, control: Array, scatter: Scatter) -> tuple[float, float]:
-    """Return between which a machine's excess is, root mean square over poses and drives' joints [m, rad].
-
-    Its square is a quadratic form of the errors of the parameters, normal, which are the same at all poses, and the
-    mean square of the scatter, of which there is an estimate. It is taken for a scaled chi square of the same mean and
-    variance (F. Satterthwaite, Biometrics Bulletin 2, 1946).
-
-    Args:
-        effects: on the tip-weighted error of parameters a standard deviation off, shape=(n, 6, directions) [m].
-        control: tip-weighted motion by the drives' joints, shape=(n, 6, drives).
-        scatter: beside that.
-    """
-    gains = control_inverse(control)
-    by_joint = np.concatenate(gains @ effects) / np.sqrt(gains.shape[0] * gains.shape[1])
-    product = by_joint.T @ by_joint
-    drives = np.einsum("nij,njk,nik->", gains, scatter.covariances(control), gains)
-    mean = float(np.trace(product)) + float(drives) / (gains.shape[0] * gains.shape[1])
-    variance = 2.0 * float(np.sum(product**2)) + scatter.mean_square_variance(gains, control)
-    freedom = 2.0 * mean**2 / variance
-    squares = 2.0 * mean * scipy.special.gammaincinv(0.5 * freedom, 0.5 + np.array([-0.5, 0.5]) * COVERAGE) / freedom
-    low, high = np.sqrt(squares).tolist()
-    return low, high
 
 
 def chance_of_harm(calibration: Calibration) -> float:

@@ -9,10 +9,10 @@ import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
-from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.identification import PRIOR, UNKNOWN, Identification
 from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, chance_of_harm, held_out_errors
 from pm3dof_pin.calibration.pseudo_error import seen_errors
+from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.errors.error_map import error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import (

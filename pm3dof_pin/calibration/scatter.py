@@ -61,7 +61,7 @@ class Scatter:
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
         """
         parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * self.alike)
-        squares = np.array([np.sum(part**2) for part in parts]) / (gains.shape[0] * gains.shape[1])
+        squares = np.array([np.sum(part**2) for part in parts]) / len(gains)
         return float(squares @ self.uncertainty @ squares)
 
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.judging import HeldOut, part_corrected
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
+from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.uncertainty_budget import uncertainty_budget
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array

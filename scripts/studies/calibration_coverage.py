@@ -27,10 +27,10 @@ from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Options, calibrate
-from pm3dof_pin.calibration.compensation import COVERAGE
 from pm3dof_pin.calibration.identification import Identification, identify
 from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.calibration.objections import objections
+from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.exceptions import PM3DofError
 from pm3dof_pin.measuring.measurements import Measurements
@@ -44,6 +44,7 @@ ROBOTS = {"tripod": "pm3dof", "delta": "linear_delta", "hexapod": "hexapod", "ar
 TESTS = 60
 _DENSE = 80  # poses at which a machine shows its parameters without noise
 _NO_PRIOR = 1e3  # tolerances
+_NOT_SAID = (np.nan, np.nan)
 _FAR = 4.0  # standard deviations
 _STATIONS = 8  # sets of poses for calibrations to first order
 
@@ -189,7 +190,7 @@ def one(case: Case, count: int) -> dict[str, object]:
         answer.error_bound,
         answer.commands - best,
         judged.excess,
-        judged.excess_interval or (np.nan, np.nan),
+        (calibration.compensation.rms_interval(tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
     )
     return row(case, calibration.identification, compared, judged.scatter) | {
         "refused": int(bool(objections(calibration, judged)))
@@ -217,11 +218,13 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     base, tool = placed(found, setup, truly)
     sides = generator.choice([-1.0, 1.0], tests.poses.commands.shape)
     before = tip(tests.poses.transforms, base @ machine.poses(tests.poses.commands, sides) @ tool)
-    moved, expected, bound = correction.at(tests, scatter)
+    moved, expected, bound, rms = correction.at(tests, scatter)
     after = before + moved
     missing = np.einsum("nij,nj->ni", np.linalg.pinv(tests.control, rcond=1e-3), after)
     floor = after - np.einsum("nij,nj->ni", tests.control, missing)
-    compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), interval)
+    compared = Compared(
+        (before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), (rms, interval)
+    )
     chance = correction.gain.chance_of_harm(correction.values)
     return row(case, found, compared, scatter) | {"refused": int(chance > 1.0 - COVERAGE)}
 
@@ -235,7 +238,8 @@ class Compared:
     bound: np.ndarray  #: of 95 %
     excess: np.ndarray  #: by how much the commands miss the best ones
     excess_said: np.ndarray  #: the same as expected, root mean square over the drives
-    excess_interval: tuple[float, float]  #: of the root mean square over poses, too
+    #: of the root mean squares over poses, of the size after and of the excess
+    intervals: tuple[tuple[float, float], tuple[float, float]]
 
 
 def row(case: Case, found: Identification, compared: Compared, scatter: Scatter) -> dict[str, object]:
@@ -262,8 +266,11 @@ def row(case: Case, found: Identification, compared: Compared, scatter: Scatter)
         "scatter_um": micrometres(np.array([scatter.tip_error])),
         "excess_true_um": micrometres(compared.excess),
         "excess_said_um": micrometres(compared.excess_said),
-        "excess_low_um": round(1e6 * compared.excess_interval[0], 3),
-        "excess_high_um": round(1e6 * compared.excess_interval[1], 3),
+        **{
+            f"{name}_{end}_um": round(1e6 * value, 3)
+            for name, interval in zip(("after", "excess"), compared.intervals, strict=True)
+            for end, value in zip(("low", "high"), interval, strict=True)
+        },
         "parameters": len(off),
         "beyond_4_sigma": int(np.sum(np.abs(off) > _FAR)),
     }

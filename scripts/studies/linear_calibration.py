@@ -24,8 +24,8 @@ from pm3dof_pin.calibration.identification import (
     prior_from_data,
     tool_motions_by_drives,
 )
-from pm3dof_pin.calibration.judging import excess_interval
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
+from pm3dof_pin.calibration.rms_interval import excess_interval, rms_interval
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
@@ -144,14 +144,19 @@ class Correction:
         effects = station.effects[:, :, : len(covariance)]
         return np.asarray(effects @ covariance @ np.swapaxes(effects, 1, 2))
 
-    def at(self, station: Station, scatter: Scatter) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what corrected commands do to the tool, the tip error to be expected, and its bound."""
+    def standard_effects(self, station: Station) -> np.ndarray:
+        """Return what parameters a standard deviation off do to the tool, shape=(n, 6, directions)."""
+        return np.asarray(station.effects[:, :, : len(self.covariance)] @ covariance_root(self.covariance))
+
+    def at(self, station: Station, scatter: Scatter) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
+        """Return what corrected commands do to the tool, the tip error to be expected, its bound, and its rms."""
         error = station.effects[:, :, : len(self.values)] @ self.values
         change = -np.einsum("nij,nj->ni", control_inverse(station.control, 1e-9), error)
         moved = np.einsum("nij,nj->ni", station.control, change)
         spread = self.covariances(station) + scatter.covariances(station.control)
         expected = np.sqrt(np.sum((error + moved) ** 2, axis=1) + np.einsum("nii->n", spread))
-        return moved, expected, norm_quantiles(error + moved, spread, 0.95)
+        rms = rms_interval(error + moved, self.standard_effects(station), scatter, station.control)
+        return moved, expected, norm_quantiles(error + moved, spread, 0.95), rms
 
 
 def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, np.ndarray, tuple[float, float]]:
@@ -180,9 +185,8 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     scatter, sure = scatter_of(*given), scatter_of(*given, least=1.0)
     gains = control_inverse(station.control)
     spread = correction.covariances(station) + sure.covariances(station.control)
-    effects = station.effects[:, :, : len(correction.gain.covariance)] @ covariance_root(correction.covariance)
-    interval = excess_interval(effects, station.control, sure)
-    return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains), interval
+    interval = excess_interval(correction.standard_effects(station), sure, station.control)
+    return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains), interval or (np.nan, np.nan)
 
 
 def _part(whole: _AtTheDescription, shown: np.ndarray) -> _AtTheDescription:
