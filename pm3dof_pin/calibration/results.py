@@ -165,6 +165,7 @@ def _verdict_summary(judgement: Verdict) -> dict[str, Any]:
         "what_was_not_seen": judgement.unseen,
         "what_to_do_next": judgement.next,
         "tip_error_95_percent_bound_m": judgement.bound,
+        "tip_error_rms_95_percent_interval_m": None if judgement.interval is None else list(judgement.interval),
         "uncertainty_budget_m": dict(judgement.budget),
     }
     for found in judgement.systematic:
@@ -195,7 +196,9 @@ def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
         excess: judged.excess,
         **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), judged.energies, strict=True)),
     }
-    named = {name: statistics(values) for name, values in kinds.items() if np.isfinite(values).all()}
+    named: dict[str, Any] = {name: statistics(values) for name, values in kinds.items() if np.isfinite(values).all()}
+    if judged.excess_interval is not None and excess in named:
+        named[excess]["rms_95_percent_interval"] = list(judged.excess_interval)
     return {"poses": len(judged.after)} | named | {"within_95_percent_bound": judged.within}
 
 

@@ -60,7 +60,7 @@ class Scatter:
             gains: shape=(n, k, 6).
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
         """
-        parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * self.alike)
+        parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * (self.alike if self.alike.size else 0.0))
         squares = np.array([np.sum(part**2) for part in parts]) / len(gains)
         return float(squares @ self.uncertainty @ squares)
 

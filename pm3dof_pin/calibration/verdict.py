@@ -31,6 +31,9 @@ class Verdict:
     #: tip error of the corrected machine below which, with a probability of 95 % each, 95 % of the poses of the
     #: workspace are [m]
     bound: float
+    #: between which, with the same probability, the root mean square of this machine's tip error over the workspace is
+    #: [m]; None for a method that learns
+    interval: tuple[float, float] | None
     budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
     repeated: Repeatability | None  #: what poses that were visited several times tell; None if there are none
@@ -52,7 +55,15 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
         reached &= answer.error_bound <= bound
         total = _rms(answer.predicted_error[reached])
     budget = uncertainty_budget(calibration, poses[reached])
+    interval = compensation.rms_interval(poses[reached])
+    if interval is not None:
+        where += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with a probability of 95 %"
     expect = f"a tip error of {1e6 * total:.0f} µm ({where}), below {1e6 * bound:.0f} µm at 95 % of the poses"
+    if 2.0 * budget["parameters"] ** 2 > total**2 - budget["floor"] ** 2:
+        expect += (
+            "; as most of what is uncertain was not measured and the same at all poses, such bounds hold for 95 % of "
+            "machines, of one nearly everywhere or hardly anywhere"
+        )
     judged, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
     if judged is not None:
         before, after = _rms(judged.before), _rms(judged.after)
@@ -65,6 +76,7 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
         "; ".join(_unseen(calibration)) or "nothing that moves the tool",
         _advice(calibration, validation, budget),
         bound,
+        interval,
         budget,
         drift_and_hysteresis(calibration),
         repeatability(calibration),

@@ -174,9 +174,13 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
     for kind, words in (("validation", "poses of the validation"), ("held_out", "held-out poses")):
         if kind in summary:
             rows = [
-                [text, *(f"{1e6 * number:.1f}" for number in summary[kind][key].values())]
+                [text, *(f"{1e6 * summary[kind][key][name]:.1f}" for name in ("mean", "percentile_95", "max"))]
                 for key, text in names.items()
                 if key in summary[kind]
             ]
             lines += table_lines([f"{words}, tip error [µm]", "mean", "95 %", "max"], rows)
+            for key, text in names.items():
+                if (between := summary[kind].get(key, {}).get("rms_95_percent_interval")) is not None:
+                    low, high = (1e6 * value for value in between)
+                    lines.append(f"{text}, rms of this machine: {low:.1f} to {high:.1f} with a probability of 95 %")
     return lines

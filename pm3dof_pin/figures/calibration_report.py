@@ -174,6 +174,11 @@ def _accuracy(
     rows += [(f"E of (8.15), {kind}", values) for kind, values in zip(kinds, held_out.energies, strict=True)]
     rows = [(name, values) for name, values in rows if np.isfinite(values).all()]
     numbers = [(name, *(f"{1e6 * number:.1f}" for number in statistics(values).values())) for name, values in rows]
+    interval = ""
+    if held_out.excess_interval is not None:
+        low, high = (1e6 * value for value in held_out.excess_interval)
+        interval = f"<p>Corrected minus best commands are, root mean square of this machine, {low:.1f} to {high:.1f} "
+        interval += f"{joint_unit} with a probability of 95 %: what finitely many poses tell.</p>"
     return [
         heading,
         f"<p>{text} Tip errors in µm, as measured, so noise is in all of them. The floor is left with the best "
@@ -181,6 +186,7 @@ def _accuracy(
         "E, the energy of the pose error, adds position and weighed turn instead of their squares; the best commands "
         "are best for the tip error.</p>",
         _table(("tip error [µm]", "mean", "95 %", "max"), numbers),
+        interval,
         _image(picture, "share of held-out poses below a tip error"),
         f"<p>{100.0 * held_out.within:.0f} % of what was predicted with a probability of 95 % came true. Beside "
         f"noise, {1e6 * calibration.compensation.scatter.tip_error:.1f} µm (rms) of the tip error are explained by "

@@ -78,7 +78,7 @@ def test_springs_and_geometry_are_found_within_their_uncertainty(
     assert set(found.stiffness) == set(factors)
     errors = [(np.log(factor) - np.log(factors[name])) / sigma for name, (factor, sigma) in found.stiffness.items()]
     assert np.abs(errors).max() < 4.0
-    assert found.noise_factor < 1.2
+    assert found.noise_factor < 1.3  # its square has a standard error of 0.17, by medians over 45 rows
     assert found.identifiability.names[-len(factors) :] == tuple(f"{name}.ln_k" for name in factors)
     assert min(sigma for _, sigma in found.stiffness.values()) < 0.025  # the softest are known far better than before
 

@@ -63,6 +63,18 @@ def test_parts_below_their_standard_error_are_left_out_on_request() -> None:
     assert sure < 0.4
 
 
+def test_estimates_are_as_uncertain_as_they_say() -> None:
+    """What a gain makes of the scatter, over drawn sets of 60 poses: its spread against what is said of each."""
+    generator, gains, found = np.random.default_rng(6), np.eye(6)[None, :4], []
+    for _ in range(80):
+        errors, known, shown, control = (a[:60] for a in drawn(generator, np.eye(6), KINDS["m", "m"], EVERYWHERE))
+        scatter, at = scatter_of(errors, known, shown, control, ("m", "m")), np.broadcast_to(gains, (60, 4, 6))
+        square = np.einsum("nij,njk,nik->", at, scatter.covariances(control), at) / 60
+        found.append([square, np.sqrt(scatter.mean_square_variance(at, control))])
+    squares, deviations = np.transpose(found)
+    assert np.mean(deviations) == pytest.approx(np.std(squares), rel=0.25)  # three standard errors of 80
+
+
 def test_covariances_are_the_sum_of_all() -> None:
     control, drives = np.random.default_rng(4).standard_normal((5, 6, 2)), KINDS["m", "rad"]
     directions = np.diag(EVERYWHERE.repeat(3))
