@@ -285,10 +285,11 @@ class Compensation:
         With the probability :data:`COVERAGE`; None for a method that learns. See
         :mod:`pm3dof_pin.calibration.rms_interval`.
         """
+        if self.learned is not None:
+            return None
         nearest = self._nearest(wanted, self.model_poses(wanted), {})
-        effects = self.standard_effects(nearest)
         left, _ = self._left_over(wanted, nearest, {})
-        return rms_interval(left, effects, self.scatter, weighted_control(nearest, self.eta)) if effects.size else None
+        return rms_interval(left, self.standard_effects(nearest), self.scatter, weighted_control(nearest, self.eta))
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
         """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
