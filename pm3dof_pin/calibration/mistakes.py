@@ -320,7 +320,7 @@ def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: 
     seen = measurements.seen[:, :columns] * tip_weights(eta)[:columns]
     residuals = measurements.residuals(poses)[:, :columns] * seen
     sizes = np.linalg.norm(residuals, axis=1)
-    trust = 1.0 / np.maximum(sizes, _FAR * np.median(sizes) + np.finfo(float).tiny)
+    trust = 1.0 / np.maximum(sizes, _FAR * np.median(sizes) + _SAME)
     rows = measurements.derivatives(poses, motions)[:, :columns] * (seen * trust[:, None])[:, :, None]
     answer = np.linalg.lstsq(rows.reshape(-1, motions.shape[2]), (residuals * trust[:, None]).reshape(-1), rcond=1e-9)
     return np.asarray(answer[0][:count])

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.options import Json, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result
+
+if TYPE_CHECKING:
+    from pm3dof_pin.simulation.worlds import World
+    from pm3dof_pin.typing import Array, Mask
 
 
 def measure(
@@ -66,8 +70,29 @@ def measure(
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")
+    taken = _taken(truth, commands)
+    if left := int((~taken).sum()):
+        message(f"pm3dof: {left} of {len(commands)} poses are left out: this machine cannot be assembled there")
+        commands, given = commands[taken], given and {name: values[taken] for name, values in given.items()}
     measurements = truth.measure(commands, generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)
     result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
     print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world}'"], as_json=as_json)
     message(f"wrote {path}")
+
+
+def _taken(truth: World, commands: Array) -> Mask:
+    """Tell which commands a machine can take: next to singular poses not all that the description can, shape=(n,)."""
+    import numpy as np
+
+    from pm3dof_pin.exceptions import PM3DofError
+
+    def takes(some: Array) -> bool:
+        try:
+            truth.poses(some, {})
+        except PM3DofError:
+            return False
+        return True
+
+    count = len(commands)
+    return np.ones(count, dtype=bool) if takes(commands) else np.array([takes(row[None]) for row in commands])

@@ -307,14 +307,19 @@ class _Reader:
             self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
 
     def _measured_columns(self, header: list[str]) -> tuple[str, ...]:
-        """Return which columns of what was measured the file has to have: of positions alone, some will do."""
+        """Return which columns of what was measured the file has to have.
+
+        Some positions will do alone, and orientations alone, where no other column could hold the rest.
+        """
         positions = tuple(name for name in POSITION_COLUMNS if name in header)
         if DISTANCE_COLUMN in header:
             return (*positions, DISTANCE_COLUMN)
         if self._encoders:
             return positions
-        beside = (*POINT_COLUMNS, *SIGMA_COLUMNS[:3], _TIME_COLUMN, *approach_columns(self._robot))
-        alone = positions and all(name in {*self._own, *positions, *beside} or is_condition(name) for name in header)
+        beside = (*POINT_COLUMNS, *SIGMA_COLUMNS[:3]) if positions else (*QUATERNION_COLUMNS, *SIGMA_COLUMNS[3:])
+        known = {*self._own, *positions, *beside, _TIME_COLUMN, *approach_columns(self._robot)}
+        some = positions or QUATERNION_COLUMNS[0] in header
+        alone = some and all(name in known or is_condition(name) for name in header)
         return positions if alone else POSITION_COLUMNS
 
     def _settle_what_was_measured(self) -> tuple[Mask, Mask]:

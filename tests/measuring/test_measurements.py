@@ -153,6 +153,15 @@ def test_copies_and_repeated_commands_are_named(
     assert found.warnings[1].startswith("14 rows at 12 different commands")
 
 
+def test_orientations_alone_need_no_columns_of_positions(
+    lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
+) -> None:
+    places = [k for k, name in enumerate(lines[0]) if name not in ("x_m", "y_m", "z_m") and name[:8] != "sigma_x_"]
+    turned = [[row[k] for k in places if lines[0][k][:7] not in ("sigma_y", "sigma_z")] for row in lines]
+    found = read(turned, tripod_errors, tmp_path)
+    assert found.seen.tolist() == [[False] * 3 + [True] * 3] * 12
+
+
 def test_what_was_measured_twice_to_the_last_digit_is_named(
     lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:

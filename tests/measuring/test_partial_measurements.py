@@ -149,7 +149,7 @@ def test_what_is_wrong_with_partial_rows_is_named(tripod_nominal: Poses, tmp_pat
     for header, row, problem in (
         ("z_m,distance_m,cx_m,cy_m,cz_m", f"{height},0.3,0,0,0", "expected a row for each"),
         ("distance_m", "0.3", "from where"),
-        ("qw,qx,qy,qz", q, "no column x_m"),
+        ("qw,qx,qy,qz,note", f"{q},1", "no column x_m"),
         ("z_m,note", f"{height},1", "no column x_m"),
     ):
         path = tmp_path / "file.csv"
