@@ -159,7 +159,7 @@ class Continuation:
         for first in range(0, len(q), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             if thorough:
-                self._solve_each(q[part], targets[part], *([self._home] if home_too else []))
+                self._solve_each(q[part], targets[part], home_too=home_too)
             else:
                 left, found = self._walked(q[part], targets[part], _SHORTEST_QUICK_LEG)
                 q[part] = np.where(left[:, None] == 0.0, found, np.nan)
@@ -193,15 +193,15 @@ class Continuation:
         q = self.march(lattice).q.reshape(*lattice.shape, -1)
         return lattice, np.where(np.isnan(q), _solved_neighbours(q), q)
 
-    def _solve_each(self, q: Matrix, targets: Matrix, *guesses: Vector) -> None:
-        """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at guesses."""
+    def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> None:
+        """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at home."""
         left, ends = self._walked(q, targets)
         found = self._last_leg(ends, targets, left)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
         if self._robot.closures and failed.size:
             failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]
         if failed.size:
-            found[failed] = self._damped(ends[failed], targets[failed], guesses)
+            found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
         q[:] = found
 
     def _last_leg(self, q: Matrix, targets: Matrix, left: Vector) -> Matrix:
@@ -213,14 +213,14 @@ class Continuation:
         accepted[rows] = modes[rows] == self._regularity_and_mode(q[rows])[1]
         return np.where(accepted[:, None], found, np.nan)
 
-    def _damped(self, q: Matrix, targets: Matrix, guesses: Sequence[Vector]) -> Matrix:
-        """Return the poses that damped steps find from q or else from the guesses; NaN where they come to rest.
+    def _damped(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> Matrix:
+        """Return the poses that damped steps find from q or else from home; NaN where they come to rest.
 
         Where they do not, the careful solver has the last word.
         """
         found = np.full_like(q, np.nan)
         numbers = self._given_numbers(targets)
-        for starts in (q, *(np.tile(guess, (len(q), 1)) for guess in guesses)):
+        for starts in (q, np.tile(self._home, (len(q), 1))) if home_too else (q,):
             rows = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(numbers).all(axis=1))
             ends, moving = self._damped_ends(starts[rows], numbers[rows])
             closed = self._residuals(ends, targets[rows]) <= CLOSURE_TOLERANCE
@@ -301,7 +301,7 @@ class Continuation:
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
         q = np.empty((*shape, self._nq))  # every pose of it will be marched to
         nearest = self._home[None].copy()
-        self._solve_each(nearest, values[first][None], self._home)
+        self._solve_each(nearest, values[first][None], home_too=True)
         q[first] = nearest[0]
         numbers = self._given_numbers(values)
         for dimension, axis in enumerate(grid.axes.values()):
@@ -344,7 +344,9 @@ class Continuation:
             frontier = untried & np.isfinite(starts[..., 0])
             if not frontier.any():  # islands
                 if not self._robot.closures:
-                    q[untried] = self._damped(np.tile(self._home, (int(untried.sum()), 1)), values[untried], ())
+                    q[untried] = self._damped(
+                        np.tile(self._home, (int(untried.sum()), 1)), values[untried], home_too=False
+                    )
                 return
             untried &= ~frontier
             found = starts[frontier]
