@@ -252,7 +252,7 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
     lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
-        x, y, z = result["home_tool_position_m"]
+        x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus before zero
         lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
     counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())

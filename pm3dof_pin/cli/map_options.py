@@ -181,7 +181,10 @@ def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Seq
         if not math.isfinite(upper - lower):
             lower, upper = coordinate_span(robot, coordinate) or (lower, upper)
         if not math.isfinite(upper - lower):
-            raise typer.BadParameter(f"{coordinate.name} of {robot.name} has no range: give one with its name")
+            raise typer.BadParameter(
+                f"{coordinate.name} of {robot.name}: its description gives no range, and from home limits give none: "
+                f"expected --range or --over {coordinate.name} FIRST LAST COUNT"
+            )
         factor = shown_in(coordinate.unit)[0]
         ranges.append(CoordinateRange(coordinate.name, factor * float(lower), factor * float(upper), count))
     return ranges

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.grid import Grid
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.named_arrays import Map
-    from pm3dof_pin.typing import Array, Engine
+    from pm3dof_pin.typing import Array, Engine, Mask
 
 _LEAST_TO_DRAW = 3
 PICTURES = {
@@ -174,6 +174,14 @@ def _draw(
     from pm3dof_pin.maps.limit_space import limits_over
 
     broken = limits_over(robot, grid.dims, grid.fixed, engine=engine)
+    known: dict[bytes, Mask] = {}  # most pictures ask for the same points
+
+    def within(points: Array) -> Mask:
+        key = points.tobytes()
+        if key not in known:
+            known[key] = broken(points) == 0
+        return known[key]
+
     entries = _entries(dataset)
     files = []
     for done, (name, label, index) in enumerate(entries, start=1):
@@ -183,7 +191,7 @@ def _draw(
                 dataset,
                 name,
                 entry=label or None,
-                within=lambda points: broken(points) == 0,
+                within=within,
                 exact=lambda points, name=name, index=index: exact(points)[name][index],  # type: ignore[misc]
             )
             files += save(figure, path, formats)

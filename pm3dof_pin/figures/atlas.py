@@ -119,7 +119,7 @@ def _atlas_slices(values: xr.DataArray, flags: xr.DataArray, name: str, unit: st
 def atlas_pictures(dataset: xr.Dataset, robot: Robot | None = None) -> dict[str, Figure]:
     """Draw every quantity of an atlas that is a number, or a list of numbers, at a pose, by `<quantity>[_<entry>]`.
 
-    With the robot, the planes end where its limits do, found to 1e-6 of a cell, and values between the last pose within
+    With the robot, the planes end where its limits do, found to 1e-3 of a cell, and values between the last pose within
     and there are extrapolated; without it, they end at the last poses within.
     """
     figures = {}

@@ -25,10 +25,10 @@ from pm3dof_pin.typing import Array, Mask
 Within: TypeAlias = Callable[[Array], Mask]
 """From points of the section, shape=(n, 2), to whether they are within the limits."""
 
-_HALVINGS = 22  # of the side of a cell
+_HALVINGS = 12  # of the side of a cell
 _BETWEEN = 3  # points of the outline between two sides of a cell
 _NEAREST = 1e-4  # of the side of a cell, so that no triangle is without area
-_CELLS = 60  # along each axis at least; coarser grids are divided
+_CELLS = 40  # along each axis at least; coarser grids are divided
 _MARGIN = 0.03  # of the axes, about a map
 _TIP = 0.02  # of the axes, below which the end of the grid is not worth a word
 _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, going round
@@ -96,7 +96,7 @@ def joined(lines: Array) -> list[Array]:
 def edge_handles(meshes: Iterable[OutlinedMesh]) -> list[Line2D]:
     """Return what a legend has to say of the edges of some maps."""
     every = list(meshes)
-    kinds = (("joint limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
+    kinds = (("limit", "limit_lines", LIMIT_LINE), ("end of the grid", "end_lines", END_LINE))
     return [
         Line2D([], [], label=text, **style)
         for text, kind, style in kinds

@@ -31,7 +31,7 @@ from pm3dof_pin.figures.labels import (
     plain,
     typeset,
 )
-from pm3dof_pin.figures.outlined_mesh import Within, joined, outlined_mesh
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, joined, outlined_mesh
 from pm3dof_pin.figures.space import divided_triangles, towards_viewer
 from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
@@ -116,7 +116,7 @@ class _Sheet:
     @cached_property
     def scale(self) -> ColorScale:
         """Values between which the colours step."""
-        return color_scale(self.points[:, 2])
+        return color_scale(self.grid[..., 2], self.points[:, 2])
 
 
 def _sheet(
@@ -148,14 +148,13 @@ def _sheet(
         excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
         axes = [section[coordinate].values for coordinate in across]
         mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
-        heights = mesh.values(values)
+        places, corners, heights = mesh.points, mesh.triangles, mesh.values(values)
         if exact is not None:
-            found = exact(mesh.points)
-            heights = np.where(np.isfinite(found), found, heights)
-        heights /= factor
-        points = np.column_stack([*(drawn(c, u) for c, u in zip(mesh.points.T, units, strict=True)), heights])
-        triangles = mesh.triangles.astype(np.int32)
-        keys = {place.tobytes(): value for place, value in zip(mesh.points, heights, strict=True)}
+            places, corners, heights = _evaluated(mesh, heights, exact)
+        heights = heights / factor
+        points = np.column_stack([*(drawn(c, u) for c, u in zip(places.T, units, strict=True)), heights])
+        triangles = corners.astype(np.int32)
+        keys = {place.tobytes(): value for place, value in zip(places, heights, strict=True)}
         for lines, found in ((limit_lines, mesh.limit_lines), (end_lines, mesh.end_lines)):
             for line in joined(found):
                 columns = [drawn(c, u) for c, u in zip(line.T, units, strict=True)]
@@ -189,6 +188,23 @@ def _sheet(
         # the title has the words too, so long ones are left out here
         label=in_brackets(words if len(words) <= _LONGEST_LABEL else "", unit).strip(),
     )
+
+
+def _evaluated(
+    mesh: OutlinedMesh, heights: Array, exact: Callable[[Array], Array]
+) -> tuple[Array, NDArray[np.intp], Array]:
+    """Divide every triangle into four, and evaluate at all corners; along the outline between the values beside it."""
+    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    pairs, numbers, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    middles, inner, count = mesh.points[pairs].mean(axis=1), counts > 1, len(mesh.points)
+    found = exact(np.concatenate([mesh.points, middles[inner]]))
+    known = np.where(np.isfinite(found[:count]), found[:count], heights)
+    between = known[pairs].mean(axis=1)
+    between[inner] = np.where(np.isfinite(found[count:]), found[count:], between[inner])
+    a, b, c = mesh.triangles.T
+    ab, bc, ca = count + numbers.reshape(-1, 3).T
+    parts = [np.stack(part, axis=-1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return np.concatenate([mesh.points, middles]), np.concatenate(parts), np.concatenate([known, between])
 
 
 def _pieces(edge: Array, cut: NDArray[np.bool_]) -> tuple[list[Array], list[Array]]:
@@ -239,14 +255,17 @@ def _longest_diagonal(places: Array) -> float:
 
 def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     scale = sheet.scale
-    heights: Callable[[Array], Array] = np.log10 if scale.logarithmic else np.asarray
+    levels = np.array([scale.levels[0], scale.levels[-1]])
+
+    def heights(values: Array) -> Array:  # what lies beyond the colours is cut off
+        within: Array = np.clip(values, *levels)
+        return np.log10(within) if scale.logarithmic else within
+
     points = np.column_stack([sheet.points[:, :2], heights(sheet.points[:, 2])])
     faces = divided_triangles(points[sheet.triangles], _FACES)
     means = faces[:, :, 2].mean(axis=1)
     face_colors = colormaps[COLORMAP](scale.smooth_norm()(10.0**means if scale.logarithmic else means))
-    ends = np.array([scale.levels[0], scale.levels[-1]])
-    ends = heights(np.array([min(ends[0], sheet.points[:, 2].min()), max(ends[1], sheet.points[:, 2].max())]))
-    limits = np.vstack([sheet.extent, ends])
+    limits = np.vstack([sheet.extent, heights(levels)])
     # Lines and triangles stand in one collection, so that they hide each other by their depth; the lines are drawn
     # a little nearer, out of the triangles they lie in.
     lifted = np.concatenate([sheet.grid[..., :2], heights(sheet.grid[..., 2:])], axis=-1)
@@ -329,7 +348,7 @@ def _draw_contours(axes: Any, sheet: _Sheet) -> Any:
 
 
 def _add_legend(figure: Figure, sheet: _Sheet) -> None:
-    kinds = (("joint limit", sheet.limit_lines, LIMIT_LINE), ("end of the grid", sheet.end_lines, END_LINE))
+    kinds = (("limit", sheet.limit_lines, LIMIT_LINE), ("end of the grid", sheet.end_lines, END_LINE))
     handles = [Line2D([], [], label=text, **style) for text, lines, style in kinds if lines]
     if handles:
         figure.legend(handles=handles, loc="lower right", ncols=2, bbox_to_anchor=(0.9, 0.0), borderaxespad=0.2)

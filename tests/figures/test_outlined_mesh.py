@@ -43,10 +43,10 @@ def test_limit_lines_lie_on_the_outline_and_end_lines_on_the_rim(shape: str) -> 
     points = mesh.limit_lines.reshape(-1, 2)
     radii = np.linalg.norm(points, axis=1)
     off = {"disc": radii - 1.0, "ring": np.minimum(abs(radii - 1.0), abs(radii - 0.6)), "half plane": points[:, 0]}
-    np.testing.assert_allclose(off[shape], 0.0, atol=1e-5)
+    np.testing.assert_allclose(off[shape], 0.0, atol=1e-4)
     if shape == "half plane":
         length = np.linalg.norm(np.diff(mesh.end_lines, axis=1), axis=-1).sum()
-        assert length == pytest.approx(2.5 + 2 * 1.1, rel=1e-5)
+        assert length == pytest.approx(2.5 + 2 * 1.1, rel=1e-4)
     else:
         assert not len(mesh.end_lines)
 
@@ -58,7 +58,7 @@ def test_a_linear_field_stays_linear_up_to_the_outline(coarse: bool) -> None:
     # the logarithm is what is extrapolated of positive values
     np.testing.assert_allclose(mesh.values(field + 7.0), exact, atol=0.15 if coarse else 2e-3)
     radii = np.linalg.norm(mesh.limit_lines.reshape(-1, 2), axis=1)
-    np.testing.assert_allclose(radii, 1.0, atol=1e-5)
+    np.testing.assert_allclose(radii, 1.0, atol=1e-4)
 
 
 def test_a_hole_without_a_limit_stays_open() -> None:
