@@ -20,6 +20,7 @@ from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error, weighted_energy
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Array, Indices, Mask
@@ -32,6 +33,9 @@ logger = logging.getLogger(__name__)
 
 _FOLDS = 5
 _MOVED = 0.01  # [m, rad]: further than errors of a machine move its base
+RICH = 2.0
+"""Noise factor from which a machine is richer than its parameters."""
+
 _FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
 
 
@@ -50,8 +54,9 @@ class HeldOut:
             not, and by the scatter beyond that. What is seen of it has more noise than there is excess. NaN where a
             method without parameters, which say how uncertain that is, does not see all motions of the drives.
         excess_interval: the root mean square of that over visits, of this machine, is between these with the
-            probability of 95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a method that learns, or near
-            singular poses.
+            probability of 95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a method that learns, near
+            singular poses, and of a machine that is :data:`RICH`: what its parameters leave is no scatter from pose to
+            pose.
         scatter: what the corrected machine misses beyond what is known to be uncertain.
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
@@ -105,7 +110,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     units = [command.unit for command in errors.robot.commands]
     scores = _Scores.joined(parts, np.argsort(np.concatenate(starts))).that_show_the_tool()
     seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-    return _together(rows, scores, scatter_of(*seen), scatter_of(*seen, least=1.0))
+    return _together(calibration, rows, scores, scatter_of(*seen), scatter_of(*seen, least=1.0))
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
@@ -117,7 +122,13 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
     compensation = calibration.compensation
     scores = _judged(compensation, settled, compensation)
     scatter = compensation.scatter
-    return _together(np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+    return _together(calibration, np.arange(len(measurements)), scores.that_show_the_tool(), scatter, scatter)
+
+
+def tip_interval(calibration: Calibration, wanted: Poses) -> tuple[float, float] | None:
+    """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval`; None of a :data:`RICH` machine."""
+    rich = calibration.identification.noise_factor > RICH
+    return None if rich else calibration.compensation.rms_interval(wanted)
 
 
 def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
@@ -215,7 +226,7 @@ def _judged(compensation: Compensation, measurements: Measurements, final: Compe
     return _Scores(sizes, left.errors, known, left.shown, control, of_all, effects)
 
 
-def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
+def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
     """Return errors with the scatter that bounds allow for, and the excess with that of which there is no doubt."""
     before, after, floor, noise, *energies = scores.sizes
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
@@ -223,7 +234,8 @@ def _together(rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    interval = excess_interval(scores.effects, sure, scores.control)
+    rich = calibration.identification.noise_factor > RICH
+    interval = None if rich else excess_interval(scores.effects, sure, scores.control)
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
 
 

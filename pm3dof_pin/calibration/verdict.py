@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.judging import HeldOut, part_corrected
+from pm3dof_pin.calibration.judging import RICH, HeldOut, part_corrected, tip_interval
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
 from pm3dof_pin.calibration.rms_interval import COVERAGE
@@ -18,7 +18,6 @@ from pm3dof_pin.typing import Array
 
 _POSES = 60  # of the workspace
 _WHOLE = 0.995  # of a correction
-_RICH = 2.0  # noise factor from which the machine is richer than its parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class Verdict:
     #: workspace are [m]
     bound: float
     #: between which, with the same probability, the root mean square of this machine's tip error over the workspace is
-    #: [m]; None for a method that learns
+    #: [m]; None for a method that learns, and of a machine that is much richer than its parameters
     interval: tuple[float, float] | None
     budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
@@ -55,7 +54,7 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
         reached &= answer.error_bound <= bound
         total = _rms(answer.predicted_error[reached])
     budget = uncertainty_budget(calibration, poses[reached])
-    interval = compensation.rms_interval(poses[reached])
+    interval = tip_interval(calibration, poses[reached])
     if interval is not None:
         where += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with a probability of 95 %"
     expect = f"a tip error of {1e6 * total:.0f} µm ({where}), below {1e6 * bound:.0f} µm at 95 % of the poses"
@@ -117,7 +116,7 @@ def _unseen(calibration: Calibration) -> list[str]:
 
 def _advice(calibration: Calibration, validation: HeldOut | None, budget: Mapping[str, float]) -> str:
     found = calibration.identification
-    if found.noise_factor > _RICH:
+    if found.noise_factor > RICH:
         return (
             f"find what the parameters do not describe, as residuals are {found.noise_factor:.1f} times the noise: "
             "temperatures, loads, backlash, errors missing in the error file, or sigmas that are too small"

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.identification import Identification, identify
-from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.calibration.judging import RICH, held_out_errors, tip_interval
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.scatter import Scatter
@@ -190,7 +190,7 @@ def one(case: Case, count: int) -> dict[str, object]:
         answer.error_bound,
         answer.commands - best,
         judged.excess,
-        (calibration.compensation.rms_interval(tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
+        (tip_interval(calibration, tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
     )
     return row(case, calibration.identification, compared, judged.scatter) | {
         "refused": int(bool(objections(calibration, judged)))
@@ -222,9 +222,8 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     after = before + moved
     missing = np.einsum("nij,nj->ni", np.linalg.pinv(tests.control, rcond=1e-3), after)
     floor = after - np.einsum("nij,nj->ni", tests.control, missing)
-    compared = Compared(
-        (before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), (rms, interval)
-    )
+    intervals = (rms, interval) if found.noise_factor <= RICH else (_NOT_SAID, _NOT_SAID)
+    compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), intervals)
     chance = correction.gain.chance_of_harm(correction.values)
     return row(case, found, compared, scatter) | {"refused": int(chance > 1.0 - COVERAGE)}
 
@@ -287,6 +286,7 @@ def table(path: Path) -> str:
     heads = (
         *("robot", "measured", "errors", "method", "machines", "before", "after", "floor", "expected", "within"),
         *("refused", "made worse", "of them not refused", "beyond 4 sigma", "commands off", "said to be"),
+        *("rms in its interval", "commands in theirs"),
     )
     lines = [heads, ("---",) * len(heads)]
     for key, group in groups.items():
@@ -298,6 +298,11 @@ def table(path: Path) -> str:
             return float(np.sqrt(np.mean(column(name) ** 2)))
 
         beyond, parameters = (int(column(name).sum()) for name in ("beyond_4_sigma", "parameters"))
+        held = []
+        for true, name in (("after", "after"), ("excess_true", "excess")):
+            low, size, high = (column(f"{key}_um") for key in (f"{name}_low", true, f"{name}_high"))
+            said = np.isfinite(low)
+            held.append(f"{np.sum((low <= size) & (size <= high))} of {np.sum(said)}" if said.any() else "")
         within, refused = column("within"), column("refused") > 0.0
         worse = column("after_um") > column("before_um")
         lines.append(
@@ -309,6 +314,7 @@ def table(path: Path) -> str:
                 *(str(int(np.sum(flags))) for flags in (refused, worse, worse & ~refused)),
                 f"{beyond} of {parameters}" if parameters else "",
                 *(f"{rms(f'excess_{name}_um'):.1f}" if key[0] != "arm" else "" for name in ("true", "said")),
+                *held,
             )
         )
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)
