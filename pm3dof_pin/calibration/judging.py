@@ -33,8 +33,8 @@ logger = logging.getLogger(__name__)
 
 _FOLDS = 5
 _MOVED = 0.01  # [m, rad]: further than errors of a machine move its base
-RICH = 2.0
-"""Noise factor from which a machine is richer than its parameters."""
+SMOOTH = 1.5
+"""Noise factor from which what parameters leave is taken to go on from pose to pose, and not to scatter."""
 
 _FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
 
@@ -55,8 +55,7 @@ class HeldOut:
             method without parameters, which say how uncertain that is, does not see all motions of the drives.
         excess_interval: the root mean square of that over visits, of this machine, is between these with the
             probability of 95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a method that learns, near
-            singular poses, and of a machine that is :data:`RICH`: what its parameters leave is no scatter from pose to
-            pose.
+            singular poses, and from the noise factor :data:`SMOOTH` on.
         scatter: what the corrected machine misses beyond what is known to be uncertain.
         within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
@@ -126,9 +125,9 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
 
 
 def tip_interval(calibration: Calibration, wanted: Poses) -> tuple[float, float] | None:
-    """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval`; None of a :data:`RICH` machine."""
-    rich = calibration.identification.noise_factor > RICH
-    return None if rich else calibration.compensation.rms_interval(wanted)
+    """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval`; None from :data:`SMOOTH` on."""
+    scattered = calibration.identification.noise_factor < SMOOTH
+    return calibration.compensation.rms_interval(wanted) if scattered else None
 
 
 def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
@@ -234,8 +233,8 @@ def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter:
     spread = scores.covariances + scores.shown @ scatter.covariances(scores.control) @ scores.shown
     bounds = norm_quantiles(np.zeros_like(scores.missed), spread, COVERAGE)
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
-    rich = calibration.identification.noise_factor > RICH
-    interval = None if rich else excess_interval(scores.effects, sure, scores.control)
+    scattered = calibration.identification.noise_factor < SMOOTH
+    interval = excess_interval(scores.effects, sure, scores.control) if scattered else None
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
 
 

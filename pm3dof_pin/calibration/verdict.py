@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.judging import RICH, HeldOut, part_corrected, tip_interval
+from pm3dof_pin.calibration.judging import HeldOut, part_corrected, tip_interval
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
 from pm3dof_pin.calibration.rms_interval import COVERAGE
@@ -18,6 +18,7 @@ from pm3dof_pin.typing import Array
 
 _POSES = 60  # of the workspace
 _WHOLE = 0.995  # of a correction
+_RICH = 2.0  # noise factor from which the machine is richer than its parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class Verdict:
     #: workspace are [m]
     bound: float
     #: between which, with the same probability, the root mean square of this machine's tip error over the workspace is
-    #: [m]; None for a method that learns, and of a machine that is much richer than its parameters
+    #: [m]; None for a method that learns, and of a machine that is richer than its parameters
     interval: tuple[float, float] | None
     budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
@@ -116,7 +117,7 @@ def _unseen(calibration: Calibration) -> list[str]:
 
 def _advice(calibration: Calibration, validation: HeldOut | None, budget: Mapping[str, float]) -> str:
     found = calibration.identification
-    if found.noise_factor > RICH:
+    if found.noise_factor > _RICH:
         return (
             f"find what the parameters do not describe, as residuals are {found.noise_factor:.1f} times the noise: "
             "temperatures, loads, backlash, errors missing in the error file, or sigmas that are too small"

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.identification import Identification, identify
-from pm3dof_pin.calibration.judging import RICH, held_out_errors, tip_interval
+from pm3dof_pin.calibration.judging import SMOOTH, held_out_errors, tip_interval
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.scatter import Scatter
@@ -222,7 +222,7 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
     after = before + moved
     missing = np.einsum("nij,nj->ni", np.linalg.pinv(tests.control, rcond=1e-3), after)
     floor = after - np.einsum("nij,nj->ni", tests.control, missing)
-    intervals = (rms, interval) if found.noise_factor <= RICH else (_NOT_SAID, _NOT_SAID)
+    intervals = (rms, interval) if found.noise_factor < SMOOTH else (_NOT_SAID, _NOT_SAID)
     compared = Compared((before, after, floor), expected, bound, missing, np.sqrt(np.mean(excess, axis=1)), intervals)
     chance = correction.gain.chance_of_harm(correction.values)
     return row(case, found, compared, scatter) | {"refused": int(chance > 1.0 - COVERAGE)}
