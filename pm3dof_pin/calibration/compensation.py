@@ -25,13 +25,13 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, moved_pose, pose_difference, tip_error, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, UnreachablePoseError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, SingularConfigurationError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.wrenches import is_wrench, without_deflections, wrenches_of
-from pm3dof_pin.typing import Array, OnFailure
+from pm3dof_pin.typing import Array, Indices, OnFailure
 
 Conditions = Mapping[str, Array | float]
 """Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
@@ -129,12 +129,13 @@ class Compensation:
             wanted: a pose of the robot as described, or poses of shape (n,), or homogeneous transforms of the tool,
                 shape=(4, 4) or (n, 4, 4).
             conditions: temperatures and loads by the names of the measurements' columns.
-            on_failure: "raise", or "nan" for poses that the machine cannot reach.
+            on_failure: "raise", or "nan" for poses that the machine cannot reach, and singular ones.
             with_deviations: whether to compute the deviations too, which takes a third of the time; NaN otherwise.
             progress: called with the number of poses done and that of all.
 
         Raises:
             UnreachablePoseError: the machine cannot bring its tool there, and `on_failure` is "raise".
+            SingularConfigurationError: the tool can move there while all drives stand still, likewise.
             ConvergenceError: the correction does not settle.
             InvalidValueError: poses of a wrong shape, or a condition is missing.
         """
@@ -159,21 +160,42 @@ class Compensation:
         given = {name: np.broadcast_to(values, count) for name, values in (conditions or {}).items()}
         for start in range(0, count, _CHUNK):
             rows = np.arange(start, min(start + _CHUNK, count))[nominal.solved[start : start + _CHUNK]]
-            model = self.model_poses(nominal[rows], on_failure)
-            rows, model = rows[model.solved], model[model.solved]
-            part: Conditions = {name: values[rows] for name, values in given.items()}
-            nearest = self._nearest(nominal[rows], model, part, on_failure)
-            answer.commands[rows] = self._corrected(nearest.commands, part)
-            if with_deviations:
-                answer.deviations[rows] = self._deviations(nominal[rows], model, part)
-            left, spread = self._left_over(nominal[rows], nearest, part)
-            answer.predicted_error[rows] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
-            answer.error_bound[rows] = norm_quantiles(left, spread, COVERAGE)
+            self._fill(answer, rows, nominal, given, on_failure, with_deviations=with_deviations)
             if progress is not None:
                 progress(min(start + _CHUNK, count), count)
         for array in vars(answer).values():
             frozen(array)
         return answer
+
+    def _fill(
+        self,
+        answer: Compensated,
+        rows: Indices,
+        nominal: Poses,
+        given: Mapping[str, Array],
+        on_failure: OnFailure,
+        *,
+        with_deviations: bool,
+    ) -> None:
+        """Compensate some rows of nominal poses; those that are singular stay NaN where `on_failure` says so."""
+        try:
+            model = self.model_poses(nominal[rows], on_failure)
+            taken, model = rows[model.solved], model[model.solved]
+            part: Conditions = {name: values[taken] for name, values in given.items()}
+            nearest = self._nearest(nominal[taken], model, part, on_failure)
+            commands = self._corrected(nearest.commands, part)
+            deviations = self._deviations(nominal[taken], model, part) if with_deviations else np.nan
+            left, spread = self._left_over(nominal[taken], nearest, part)
+        except (SingularConfigurationError, UnreachablePoseError):
+            if on_failure == "raise":
+                raise
+            if len(rows) > 1:
+                for half in np.array_split(rows, 2):
+                    self._fill(answer, half, nominal, given, on_failure, with_deviations=with_deviations)
+            return
+        answer.commands[taken], answer.deviations[taken] = commands, deviations
+        answer.predicted_error[taken] = np.sqrt(np.sum(left**2, axis=1) + np.einsum("nii->n", spread))
+        answer.error_bound[taken] = norm_quantiles(left, spread, COVERAGE)
 
     def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:
         """Predict where the machine is at the commands of nominal poses, under conditions by name.

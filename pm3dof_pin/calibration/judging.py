@@ -295,11 +295,15 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
     if grid is None or len(grid.dims) < 2:
         return None
     poses = robot.solve(grid, on_failure="nan")
-    inside = np.nonzero(poses.within_limits)
-    nominal = poses[inside]
+    within = poses.within_limits
     conditions = {name: float(values.mean()) for name, values in calibration.measurements.conditions.items()}
     used = () if compensation.learned is None else compensation.learned.inputs.conditions
-    answer = compensation.compensate(nominal, {name: conditions[name] for name in used})
+    known = {name: conditions[name] for name in used}
+    expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
+    # next to singular poses the machine may not get as far as its description
+    taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
+    inside = tuple(indices[taken] for indices in np.nonzero(within))
+    nominal, expected = poses[inside], expected[taken]
     seen = compensation.poses(nominal, conditions).transforms
 
     def spread(values: Array) -> Array:
@@ -309,7 +313,7 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
 
     floor = None
     if compensation.values is not None:
-        nearest = nearest_poses(nominal, seen, compensation.eta).transforms
+        nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
         floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
     first, second = grid.dims
     return WorkspaceErrors(
@@ -317,7 +321,7 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
         (robot.coordinate(first).unit, robot.coordinate(second).unit),
         (grid.axes[first], grid.axes[second]),
         spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
-        spread(answer.predicted_error),
+        spread(expected),
         floor,
         _within(robot, grid),
     )

@@ -53,6 +53,7 @@ def measure(
 
     import numpy as np
 
+    from pm3dof_pin.exceptions import UnreachablePoseError
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import Instrument
     from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -72,7 +73,10 @@ def measure(
         instrument = replace(instrument, measured="position")
     taken = _taken(truth, commands)
     if left := int((~taken).sum()):
-        message(f"pm3dof: {left} of {len(commands)} poses are left out: this machine cannot be assembled there")
+        problem = f"{left} of {len(commands)} poses are left out: this machine cannot be assembled there"
+        if left == len(commands):
+            raise UnreachablePoseError(problem)
+        message(f"pm3dof: {problem}")
         commands, given = commands[taken], given and {name: values[taken] for name, values in given.items()}
     measurements = truth.measure(commands, generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)

@@ -126,7 +126,7 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
 
     By default these are random ones. A planar four-bar with parallel axes cannot close when one axis is tilted: it
     would bend or bind. Such an error is no matter of kinematics. Each parameter is judged by itself; one that moves
-    nothing by itself, such as the turn of a rod about its own axis, is judged beside the others as well.
+    no loop by itself, such as the turn of a rod about its own axis, is judged beside the others as well.
     """
     if not len(errors) or not errors.robot.closures:
         return errors
@@ -169,8 +169,8 @@ class _Loops:
         return np.asarray(strain[:, len(self._robot.actuated_joints) :].max(axis=0, initial=0.0))
 
     def idle(self) -> Mask:
-        """Tell which errors move neither a closure nor the tool at any pose, shape=(errors,)."""
-        moved = np.concatenate([self._closures(), self._tool()], axis=1)[:, :, self._model.nv :]
+        """Tell which errors move no closure at any pose, shape=(errors,)."""
+        moved = self._closures()[:, :, self._model.nv :]
         return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
     def followed_rates(self, *, tool_at_rest: bool = True) -> tuple[Array, Array]:

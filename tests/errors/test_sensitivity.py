@@ -66,6 +66,39 @@ def test_an_offset_is_a_change_of_command(tripod_errors: GeometricErrors, tripod
     np.testing.assert_allclose(derivatives.errors[:, :, offset] @ axis, derivatives.commands[:, :, 0], atol=1e-12)
 
 
+def test_a_leg_that_carries_the_tool_closes_with_all_its_errors(tmp_path: Path) -> None:
+    """Two sliding legs that turn in a plane and meet; the first carries a lift.
+
+    The first leg's turn about its own axis, by itself, moves the tool and not the loop; beside an offset of its tip
+    across that axis, which stays in the plane, it lifts the tip out of it.
+    """
+
+    def joint(name: str, kind: str, parent: str, child: str, place: str, axis: str) -> str:
+        limit = '<limit lower="-0.5" upper="0.5" effort="1" velocity="1"/>'
+        ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/><axis xyz="{axis}"/>'
+        return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint><link name="{child}"/>'
+
+    joints = (
+        joint("turn1", "revolute", "base", "swing1", "0 0 0", "0 0 1"),
+        joint("leg1", "prismatic", "swing1", "rod1", "0.3 0 0", "1 0 0"),
+        joint("turn2", "revolute", "base", "swing2", "0.3 -0.3 0", "0 0 1"),
+        joint("leg2", "prismatic", "swing2", "rod2", "0 0.3 0", "0 1 0"),
+        joint("lift", "prismatic", "rod1", "pen", "0 0 0.1", "0 0 1"),
+    )
+    tips = "".join(
+        f'<joint name="t{k}" type="fixed"><parent link="rod{k}"/><child link="tip{k}"/></joint><link name="tip{k}"/>'
+        for k in (1, 2)
+    )
+    (tmp_path / "legs.urdf").write_text(f'<robot name="legs"><link name="base"/>{"".join(joints)}{tips}</robot>')
+    closures = 'closed_loop: [[tip1, tip2]]\ntype: ["3d"]\nname_mot: [leg1, leg2, lift]\ntool_frame: pen\n'
+    (tmp_path / "legs.closures.yaml").write_text(closures)
+    errors = closable(GeometricErrors(Robot.load(tmp_path / "legs.urdf")))
+    assert "leg1.rx" not in errors.names
+    assert {"leg1.ty", "tip1.ty", "lift.rx"} <= set(errors.names)
+    machine = errors.apply(errors.sample(np.random.default_rng(0)))
+    assert machine.forward(np.zeros((1, 3)), on_failure="nan").solved.all()
+
+
 def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
     """A planar four-bar does not close with a tilted or lifted pivot; lengths and offsets in its plane it takes."""
     mechanism = Robot.load(four_bar)
