@@ -83,6 +83,8 @@ def _of_command_units(measurements: Measurements) -> Iterator[Mistake]:
     for heading, unit, factor in (("degrees", "radians", 180.0 / np.pi), ("millimetres", "metres", 1e3)):
         without = replace(measurements, commands=factor * measurements.commands)
         yield Mistake(f"the commands are in {unit} under a heading that says {heading}", without, None)
+    every = replace(without, positions=1e3 * measurements.positions, points=1e3 * measurements.points)
+    yield Mistake("all lengths are in metres under a heading that says millimetres", every, None)
 
 
 def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:

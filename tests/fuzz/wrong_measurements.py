@@ -319,7 +319,9 @@ WRONG: dict[str, Wrong] = {
     "no header": Wrong(lambda g: "\n".join(as_text(g.table).splitlines()[1:]) + "\n", "no column|header"),
     "a comment": Wrong(lambda g: "# tracker 7\n" + as_text(g.table), "no column|header|line 1"),
     "upper case": Wrong(lambda g: as_text(g.table).replace("x_m", "X_M"), "no column x_m"),
-    "millimetres in the header": Wrong(lambda g: as_text(g.table).replace("_m,", "_mm,"), "limits|scale|thousand"),
+    "millimetres in the header": Wrong(
+        lambda g: as_text(g.table).replace("_m,", "_mm,"), "limits|scale|thousand|all lengths"
+    ),
     "commands in another unit": Wrong(
         lambda g: _renamed(g.table, {n: n.split("_")[0] for n in g.commands}), "no column u1"
     ),
