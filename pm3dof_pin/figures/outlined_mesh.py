@@ -25,7 +25,7 @@ from pm3dof_pin.typing import Array, Mask
 Within: TypeAlias = Callable[[Array], Mask]
 """From points of the section, shape=(n, 2), to whether they are within the limits."""
 
-_HALVINGS = 12  # of the side of a cell
+_HALVINGS = 10  # of the side of a cell
 _BETWEEN = 3  # points of the outline between two sides of a cell
 _NEAREST = 1e-4  # of the side of a cell, so that no triangle is without area
 _CELLS = 40  # along each axis at least; coarser grids are divided
