@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.springs import AxialSpring, CantileverSpring, ClosureSpring, JointSpring, Spring
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer import colours
 from pm3dof_pin.viewer.bodies import Body
 from pm3dof_pin.viewer.panel import numbers_with_unit
 from pm3dof_pin.viewer.scene import Json
@@ -61,6 +62,20 @@ class ColouredLegs:
     def shares(self, shares: Mapping[str, float]) -> dict[int, float]:
         """Return each body's share in a deflection, that of its leg, by joint, from the share of each spring."""
         return {joint: sum(shares[name] for name in names) for joint, names in self._of_joint.items()}
+
+    def paint(self, bodies: Iterable[Body], by_joint: Mapping[int, float]) -> list[Json]:
+        """Return what an entry paints: all drawn parts of legs in the colour of their share."""
+        return [
+            {
+                "path": f"{body.parts_path}/{part.name}",
+                "own": list(part.colour),
+                "colour": colours.blend(colours.SHARE_STOPS, by_joint[body.joint]).tolist(),
+                "leg": self.number(body.joint),
+            }
+            for body in bodies
+            if body.joint in by_joint
+            for part in body.parts
+        ]
 
 
 def _chain(mechanism: Robot, joint: int) -> list[int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,6 +54,14 @@ def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
     if len(set(units)) == 1:
         return " · ".join(texts).replace("-", "\u2212") + units[0]
     return " · ".join(text + own for text, own in zip(texts, units, strict=True)).replace("-", "\u2212")
+
+
+def numbers_with_units(values: ArrayLike, units: Sequence[str]) -> str:
+    """Write numbers of which each has a unit of its own, together where all have the same."""
+    if len(set(units)) == 1:
+        return numbers_with_unit(values, units[0])
+    each = zip(np.asarray(values, dtype=float), units, strict=True)
+    return " · ".join(numbers_with_unit([value], unit) for value, unit in each)
 
 
 def _power(number: float) -> int:

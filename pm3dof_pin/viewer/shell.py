@@ -21,7 +21,8 @@ from pm3dof_pin.maps.workspace_section import WorkspaceSection
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
-from pm3dof_pin.viewer.scene import Scene
+from pm3dof_pin.viewer.panel import Entry, numbers_with_unit
+from pm3dof_pin.viewer.scene import Json, Scene
 
 _TOOL_COLOUR = (0.13, 0.15, 0.18)
 _LEAST_SECTIONS = 3
@@ -51,6 +52,34 @@ class Shell:
             scene.set_object(f"{path}/points", cloud, casts_shadow=False)
         lines = objects.line_segments(self.lines, (0.1, 0.1, 0.15), opacity=0.35)
         scene.set_object(f"{path}/lines", lines, casts_shadow=False)
+
+    def entry(self, path: str, tool: str, tool_length: float) -> Entry:
+        """Return the entry of the legend for the shell at a path, and the tool [m] at another."""
+        layers: list[Json] = [
+            {
+                "name": layer.name,
+                "title": layer.title + (" (logarithmic)" if layer.logarithmic else ""),
+                "ends": [numbers_with_unit([end], layer.unit) for end in (layer.values.min(), layer.values.max())],
+                "places": objects.bytes_of(layer.places),
+            }
+            for layer in self.layers
+        ]
+        of = f"of the tip of a tool {1000.0 * tool_length:g} mm long" if tool_length else "of the tool"
+        return Entry(
+            key="workspace",
+            title="Workspace",
+            lines=[of, layers[0]["title"], *([self.part] if self.part else [])],
+            bar={"colours": list(colours.INDEX_STOPS), "ends": layers[0]["ends"]},
+            nodes=[path, tool],
+            of_pose=False,
+            cut={
+                "corners": [self.vertices.min(axis=0).tolist(), self.vertices.max(axis=0).tolist()],
+                "layers": layers,
+                "stops": colours.stops(colours.INDEX_STOPS).tolist(),
+                "colours": [f"{path}/surface", f"{path}/points"],
+                "nodes": [f"{path}/surface", f"{path}/lines", f"{path}/points"],
+            },
+        )
 
 
 def _tool_tips(poses: Poses, length: float) -> Array:

@@ -19,12 +19,12 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion
-from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, objects, shell
+from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Bodies, Body
 from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
 from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
-from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, scale_text
+from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, numbers_with_units, scale_text
 from pm3dof_pin.viewer.scene import Json
 from pm3dof_pin.viewer.showing import ShownScene
 from pm3dof_pin.viewer.sliders import Sliders, reading, sets_of
@@ -286,7 +286,7 @@ class Viewer(ShownScene):
                 key="forces",
                 title=what,
                 lines=[scale_text(scale, self._unit_length, unit, "arrow")],
-                values=_written_forces(values, axes),
+                values=numbers_with_units(values, [axis.unit for axis in axes]),
                 colour=colours.css(arrows.COLOUR),
                 nodes=list(drawn),
                 live=live,
@@ -330,17 +330,6 @@ class Viewer(ShownScene):
             raise SingularConfigurationError(f"no spring of {self.mechanism.name} gives under {_load_text(load)}")
         legs = ColouredLegs(model)
         by_joint = legs.shares(by_spring)
-        paint = [
-            {
-                "path": f"{body.parts_path}/{part.name}",
-                "own": list(part.colour),
-                "colour": colours.blend(colours.SHARE_STOPS, by_joint[body.joint]).tolist(),
-                "leg": legs.number(body.joint),
-            }
-            for body in self._bodies
-            if body.joint in by_joint
-            for part in body.parts
-        ]
         of_legs = {legs.number(joint): share for joint, share in by_joint.items()}
         names = [", ".join(springs) for springs in legs.springs]
         live = None
@@ -356,7 +345,7 @@ class Viewer(ShownScene):
                     f"{name}: {100.0 * share:.1f} %" for name, share in zip(names, of_legs.values(), strict=True)
                 ),
                 bar={"colours": list(colours.SHARE_STOPS), "ends": ["0 %", "100 %"]},
-                paint=paint,
+                paint=legs.paint(self._bodies, by_joint),
                 live=live,
             )
         )
@@ -437,37 +426,7 @@ class Viewer(ShownScene):
         self._beside["workspace"] = surface.vertices[::7]
         body_path, in_body = self._body_at(tool)
         shell.draw_tool(self.scene, f"{body_path}/tool", in_body, length, 0.014 * self._radius)
-        layers: list[Json] = [
-            {
-                "name": layer.name,
-                "title": layer.title + (" (logarithmic)" if layer.logarithmic else ""),
-                "ends": [numbers_with_unit([end], layer.unit) for end in (layer.values.min(), layer.values.max())],
-                "places": objects.bytes_of(layer.places),
-            }
-            for layer in surface.layers
-        ]
-        corners = [ends.tolist() for ends in (surface.vertices.min(axis=0), surface.vertices.max(axis=0))]
-        self._show(
-            Entry(
-                key="workspace",
-                title="Workspace",
-                lines=[
-                    f"of the tip of a tool {1000.0 * length:g} mm long" if length else "of the tool",
-                    layers[0]["title"],
-                    *([surface.part] if surface.part else []),
-                ],
-                bar={"colours": list(colours.INDEX_STOPS), "ends": layers[0]["ends"]},
-                nodes=["/workspace", f"{body_path}/tool"],
-                of_pose=False,
-                cut={
-                    "corners": corners,
-                    "layers": layers,
-                    "stops": colours.stops(colours.INDEX_STOPS).tolist(),
-                    "colours": ["/workspace/surface", "/workspace/points"],
-                    "nodes": ["/workspace/surface", "/workspace/lines", "/workspace/points"],
-                },
-            )
-        )
+        self._show(surface.entry("/workspace", f"{body_path}/tool", length))
         self._look_again()
 
     def play(
@@ -672,13 +631,6 @@ class Viewer(ShownScene):
 
     def _update(self) -> None:
         self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
-
-
-def _written_forces(values: Array, axes: Sequence[arrows.ActuatorAxis]) -> str:
-    units = [axis.unit for axis in axes]
-    if len(set(units)) == 1:
-        return numbers_with_unit(values, units[0])
-    return " · ".join(numbers_with_unit([value], unit) for value, unit in zip(values, units, strict=True))
 
 
 def _load_text(wrench: Array) -> str:

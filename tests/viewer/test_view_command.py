@@ -108,7 +108,7 @@ def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
         (
             ["0", "0", "0.5", "--workspace", "colour", "--html", "page.html"],
             1,
-            "--workspace colour: ",
+            "--workspace = colour: expected",
         ),
         (["--robot", "hexapod", "0", "0", "0.135"], 2, "hexapod takes x"),
         (["10", "0", "0.5", "--path", "path.txt"], 2, "--path: the file has the poses"),
