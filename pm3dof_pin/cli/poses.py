@@ -66,10 +66,15 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
 
 def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
     """Find the pose at coordinates (or commands) [deg, m], shape=(); UnreachablePoseError where it is out of reach."""
+    given = robot.command_coordinates if forward else robot.coordinates
+    return solve_values(robot, si_values(robot, given, numbers), forward=forward)
+
+
+def solve_values(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
+    """Do as :func:`solve_pose` at coordinates (or commands) in radians and metres."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
     given = robot.command_coordinates if forward else robot.coordinates
-    values = si_values(robot, given, numbers)
     try:
         # a single pose is worth no compiled program, whose imports take longer than it
         solve = robot.forward if forward else robot.solve

@@ -14,7 +14,7 @@ import typer
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
-from pm3dof_pin.cli.poses import check_units, place
+from pm3dof_pin.cli.poses import check_units, place, solve_values
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 
 if TYPE_CHECKING:
@@ -265,9 +265,19 @@ def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
     """Read the poses of a path and fill in frames between them, equally spaced along its lines."""
     import numpy as np
 
+    from pm3dof_pin.exceptions import UnreachablePoseError
+
     corners = _read_path(machine, path)
     places = np.linspace(0.0, len(corners) - 1.0, frames)
-    return machine.solve(np.column_stack([np.interp(places, np.arange(len(corners)), line) for line in corners.T]))
+    values = np.column_stack([np.interp(places, np.arange(len(corners)), line) for line in corners.T])
+    poses = machine.solve(values, on_failure="nan")
+    for frame in np.flatnonzero(~poses.solved)[:1]:
+        before = int(places[max(frame - 1, 0)]) + 1
+        try:
+            solve_values(machine, values[frame])
+        except UnreachablePoseError as error:
+            raise UnreachablePoseError(f"{path}: between poses {before} and {before + 1}: {error}") from error
+    return poses
 
 
 def _read_path(machine: Robot, path: Path) -> Matrix:

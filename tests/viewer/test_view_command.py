@@ -134,7 +134,7 @@ def test_bad_input_gives_one_clear_message(
         ("0 0 0.49\n\n# nothing\n1 2 three\n", "line 4: expected 3 numbers"),
         ("0 0 0.49\n0 0 inf\n", "line 2: expected finite numbers"),
         ("0 0 0.49\n", "two poses at least"),
-        ("0 0 0.49\n0 0 0.9\n", "out of reach"),
+        ("0 0 0.49\n0 0 0.9\n", "between poses 1 and 2: pose theta_x = 0 deg"),
     ],
 )
 def test_bad_path_files(run: Run, text: str, words: str, tmp_path: Path) -> None:
