@@ -40,6 +40,7 @@ class Entry:
         return dict(vars(self))
 
 
+_ROUNDING = 1e-12  # of the greatest number: those below it are what is left of zero
 _SMALL = 1e-3  # of the greatest number: those below it have a prefix of their own
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -48,6 +49,7 @@ def numbers_with_unit(values: ArrayLike, unit: str, *, digits: int = 3) -> str:
     """Write numbers as a person does, and as the page: 64.7 · 429 kN/m, with one prefix where it suits all."""
     numbers = [float(value) for value in np.asarray(values, dtype=float)]
     greatest = max(map(abs, numbers), default=0.0)
+    numbers = [0.0 if abs(number) < _ROUNDING * greatest else number for number in numbers]
     powers = [_power(n if 0.0 < abs(n) < _SMALL * greatest else greatest) if unit != "1" else 0 for n in numbers]
     texts = [f"{float(f'{number / 10.0**power:.{digits}g}'):g}" for number, power in zip(numbers, powers, strict=True)]
     units = ["" if unit == "1" else f" {_PREFIXES[power]}{unit}" for power in powers]

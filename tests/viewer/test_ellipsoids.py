@@ -101,7 +101,7 @@ def test_numbers_in_words() -> None:
     ):
         assert numbers_with_unit([value], "N/m") == text
     assert numbers_with_unit([64660.0, 429300.0], "N/m") == "64.7 · 429 kN/m"
-    assert numbers_with_unit([62600.0, 0.0, 1.53e6], "N/m") == "0.0626 · 0 · 1.53 MN/m"
+    assert numbers_with_unit([62600.0, 1e-9, 1.53e6], "N/m") == "0.0626 · 0 · 1.53 MN/m"
     assert numbers_with_unit([1e9, 2.0], "N/m") == "1 GN/m · 2 N/m"
     assert numbers_with_unit([1234.5], "1") == "1230"
     assert scale_text(0.2 / 5e8, 0.2, "N/m", "semi-axis") == "semi-axis of 200 mm = 500 MN/m"

@@ -134,7 +134,8 @@ const pm3dof = (() => {
   // As a person writes it: 27.8 MN/m, 41.2 µm; several numbers with the prefix of the greatest, but for those far below it.
   function engineering(values, unit, digits = 3) {
     const all = [values].flat(), greatest = Math.max(...all.map(Math.abs));
-    const parts = all.map((value) => {
+    const parts = all.map((number) => {
+      const value = Math.abs(number) < 1e-12 * greatest ? 0 : number; // but for what is left of zero
       const size = value !== 0 && Math.abs(value) < 1e-3 * greatest ? Math.abs(value) : greatest;
       const known = size > 0 && Number.isFinite(size) && unit !== "1";
       const power = known ? Math.min(9, Math.max(-9, 3 * Math.floor(Math.log10(size * 1.0005) / 3))) : 0;
