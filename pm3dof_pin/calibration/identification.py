@@ -435,7 +435,7 @@ class _Linearised:
         if np.isfinite(self.prior):
             # with a prior the normal equations are well conditioned, and many times quicker to weight again
             shares = weights[:, None] / factors**2
-            information = np.einsum("nk,nkij->ij", shares, self._blocks) + np.diag(self._precisions)
+            information = np.tensordot(shares, self._blocks, 2) + np.diag(self._precisions)
             return np.asarray(scipy.linalg.solve(information, np.einsum("nk,njk->j", shares, self._pulls)))
         scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
         known_before = self._sigmas < UNKNOWN
