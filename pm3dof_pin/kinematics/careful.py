@@ -77,7 +77,7 @@ class _Walk:
             elif is_last_try:
                 return np.full_like(q, np.nan)
             else:
-                step *= 0.5
+                step *= 0.25
         return q
 
     def _continues(self, q: Vector, result: Assembly, mode: int) -> bool:
