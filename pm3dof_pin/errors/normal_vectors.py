@@ -87,6 +87,8 @@ def correlated_normal(covariance: ArrayLike, count: int, generator: np.random.Ge
 def covariance_root(covariance: Array) -> Array:
     """Return A with A A^T a covariance, which may be singular, shape=(..., k, k).
 
+    A is the symmetric root, of correlations: there is only one, also where some are zero and axes could be any.
+
     Raises:
         InvalidValueError: the covariance is not symmetric and positive semidefinite.
     """
@@ -95,4 +97,5 @@ def covariance_root(covariance: Array) -> Array:
     values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
     if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:
         raise InvalidValueError("covariance", covariance.tolist(), "a symmetric positive semidefinite matrix")
-    return np.asarray(unit[..., :, None] * axes * np.sqrt(values.clip(min=0.0))[..., None, :])
+    root = (axes * np.sqrt(values.clip(min=0.0))[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    return np.asarray(unit[..., :, None] * root)
