@@ -15,7 +15,7 @@ import numpy as np
 
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.command_correction import command_jacobians, command_scales, descend
-from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
@@ -142,7 +142,7 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
     for shift in (step, -step):
         # commands that were not read again in time: of some rows those of a neighbour
         neighbour = np.clip(np.arange(count) - shift, 0, count - 1)
-        mixed = np.where(nearest == neighbour, neighbour, np.arange(count))
+        mixed = np.where(_sizes(*taken(neighbour)) < _sizes(measurements, nominal), neighbour, np.arange(count))
         moved = np.flatnonzero(mixed != np.arange(count))
         if moved.size:
             first = f"from line {measurements.lines[moved[0]]} on the" if np.ptp(moved) > 0.5 * moved.size else "the"
@@ -150,6 +150,13 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
             far = f"{step} row{'s' * (step > 1)}"
             text = f"{first} poses of {moved.size} rows stand {far} {where} their commands: stale commands"
             yield Mistake(text, *taken(mixed))
+
+
+def _sizes(measurements: Measurements, nominal: Poses) -> Array:
+    """Return how far each row is from where the machine is by its description, shape=(n,) [m]."""
+    columns = measurements.tool_columns
+    residuals = measurements.residuals(nominal)[:, :columns] * tip_weights(TIP_LENGTH)[:columns]
+    return np.asarray(np.linalg.norm(np.where(measurements.seen[:, :columns], residuals, 0.0), axis=1))
 
 
 def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:

@@ -354,7 +354,9 @@ WRONG: dict[str, Wrong] = {
     "cyclic drives": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=1)), "permuted|turned|limits"),
     "backward drives": Wrong(_commands(lambda u, g: u[:, ::-1]), "permuted|swapped|mirrored|limits"),
     "one drive the other way": Wrong(_negated(slice(0, 1)), "u1"),
-    "all drives the other way": Wrong(_negated(slice(None)), "sign|limits|other direction|all drives count"),
+    "all drives the other way": Wrong(
+        _negated(slice(None)), "sign|limits|other direction|all drives count|could if all drives"
+    ),
     "signs": Wrong(_scaled("commands", -1.0), "limits|sign|other direction|all drives count"),
     "one row below": Wrong(_commands(lambda u, g: np.roll(u, 1, axis=0)), "[13] rows? above"),
     "one row above": Wrong(_commands(lambda u, g: np.roll(u, -1, axis=0)), "[13] rows? below"),
@@ -522,7 +524,7 @@ OF_DISTANCES: dict[str, tuple[Callable[[Table], Table], str]] = {
     "in millimetres": (lambda t: {**t, "distance_m": 1e3 * t["distance_m"]}, "distances are in millimetres"),
     "in inches": (lambda t: {**t, "distance_m": t["distance_m"] / 25.4e-3}, "distances are in inches"),
     "of another zero": (lambda t: {**t, "distance_m": t["distance_m"] + 0.0127}, "12.7 mm too long|fixed points"),
-    "of another scale": (lambda t: {**t, "distance_m": 1.01 * t["distance_m"]}, "1.01 times|fixed points"),
+    "of another scale": (lambda t: {**t, "distance_m": 1.01 * t["distance_m"]}, "1.01[0-9]* times|fixed points"),
     "from another point": (lambda t: {**t, "cx_m": t["cx_m"] + 0.02}, "fixed points"),
     "from a point with x and y exchanged": (lambda t: {**t, "cx_m": t["cy_m"], "cy_m": t["cx_m"]}, "fixed points"),
 }
