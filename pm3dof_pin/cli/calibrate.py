@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 _ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
+_FEW = 0.5  # of the poses of a validation within their bounds
 
 
 MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
@@ -104,6 +105,11 @@ def calibrate(
             if reasons and not force:
                 raise CalibrationRefusedError(reasons)
             on_others = None if others is None else validated_errors(calibration, others)
+            if on_others is not None and on_others.within < _FEW:
+                message(
+                    f"pm3dof: warning: {100.0 * on_others.within:.0f} % of the poses of {validation} are within their "
+                    "95 % bounds: of another machine, or another state of it?"
+                )
             maps = workspace_errors(calibration)
             progress(3, 4)
             name = find_robot(which.robot).name
