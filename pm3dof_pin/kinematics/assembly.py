@@ -24,7 +24,6 @@ _FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
 LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
 _LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
 _STATIONARY = 1e-13
-_SINGULAR = 1e-10  # part of the greatest singular value
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +35,6 @@ class Assembly:
     residual: float  #: greatest entry of what is left of the closure error and the pose error [m, rad]
     configuration: Configuration  #: where the solver stopped; assembled only if `converged`
     jacobian: Matrix  #: of the scaled errors there, by the scaled velocities that are free
-
-    @property
-    def orientation(self) -> int:
-        """Sign of the determinant of all equations, which tells assembly modes apart; 0 if singular or not square."""
-        if self.jacobian.shape[0] != self.jacobian.shape[1]:
-            return 0
-        values = np.linalg.svd(self.jacobian, compute_uv=False)
-        if values.min(initial=np.inf) <= _SINGULAR * values.max(initial=0.0):
-            return 0
-        return int(np.linalg.slogdet(self.jacobian)[0])
 
 
 def assemble(

@@ -1,9 +1,9 @@
 """Closing the loops of poses with care: on Pinocchio's Jacobians throughout, by continuation from home.
 
 A pose is walked to in legs short enough to stay in one assembly mode, each closed by the damped solver of
-:mod:`pm3dof_pin.kinematics.assembly`. A leg after which a joint has jumped, or the determinant of the equations changed
-its sign, is tried again in shorter ones: a walk ends at singular poses. A serial arm can be led past these, and a guess
-may have its loops open: the solver goes to the pose in one go then.
+:mod:`pm3dof_pin.kinematics.assembly`. A leg after which a joint is far from its prediction, or the determinant of the
+equations changed its sign, is tried again in shorter ones: a walk ends at singular poses. A serial arm can be led past
+these, and a guess may have its loops open: the solver goes to the pose in one go then.
 """
 
 from __future__ import annotations
@@ -20,11 +20,14 @@ from pm3dof_pin.typing import Matrix, Vector
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEG = 0.5  # of the way to a far pose [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 512.0  # of that
-_JUMP = 1.0  # greatest move of a joint in a leg [rad, characteristic lengths]
+_LEG = 0.25  # of the way to a far pose [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 256.0  # of that
+_FIRST_LEG = 1.0 / 8.0  # of it, as there is no prediction yet
+_JUMP = 0.5  # greatest distance of a joint from its prediction [rad, characteristic lengths]
 _STEPS = 20  # of a leg that may be tried again
 _LAST_STEPS = 100
+_DEPENDENT = 1e-10  # part of the greatest singular value up to which equations depend on others
+_SINGULAR = 1e-6  # the same, up to which a pose is singular
 
 
 def close_all(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix, starts: Matrix) -> Matrix:
@@ -64,27 +67,49 @@ class _Walk:
         origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
         way = np.array([_shortest(robot, *given) for given in zip(self._coordinates, target - origin, strict=True)])
         first = 1.0 / max(np.ceil(np.abs(way / self._units).max(initial=0.0) / _LEG), 1.0)
-        done, step, mode = 0.0, first, assemble_at(robot, self._coordinates, origin, q, 1).orientation
+        done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
+        rate, narrowing = np.zeros(robot.model.nv), 0.0  # how q and the least singular value change along the way
         while done < 1.0:
             reached = min(done + step, 1.0)
             is_last_try = step <= _SHORTEST_LEG * first
             values = target if reached == 1.0 else origin + reached * way
             steps = _LAST_STEPS if is_last_try else _STEPS
-            result = assemble_at(robot, self._coordinates, values, q, steps)
-            if result.converged and self._continues(q, result, mode):
-                q, done, step = result.configuration.q, reached, min(2.0 * step, first)
-                mode = mode or result.orientation
+            guess = pin.integrate(robot.model, q, rate * (reached - done))
+            result = assemble_at(robot, self._coordinates, values, guess, steps)
+            stays = _regularity(last) + narrowing * (reached - done) > 0.0
+            if stays and result.converged and self._continues(last, guess, result, is_end=reached == 1.0):
+                rate = pin.difference(robot.model, q, result.configuration.q) / (reached - done)
+                narrowing = (_regularity(result) - _regularity(last)) / (reached - done)
+                q, done, step, last = result.configuration.q, reached, min(4.0 * step, first), result
             elif is_last_try:
                 return np.full_like(q, np.nan)
             else:
                 step *= 0.25
         return q
 
-    def _continues(self, q: Vector, result: Assembly, mode: int) -> bool:
-        """Tell whether a leg from q has stayed in its assembly mode, as far as that is known."""
+    def _continues(self, last: Assembly, guess: Vector, result: Assembly, *, is_end: bool) -> bool:
+        """Tell whether a leg ended near its guess and has stayed in its assembly mode; it may end at a singular pose.
+
+        The equations that were independent at its start keep the sign of their determinant unless a singular pose was
+        passed, in the motions that they determined: there may be more of either.
+        """
         robot = self._robot
-        moves = pin.difference(robot.model, q, result.configuration.q) / robot.velocity_scale
-        return bool(np.abs(moves).max(initial=0.0) <= _JUMP) and mode * result.orientation >= 0
+        moves = pin.difference(robot.model, guess, result.configuration.q) / robot.velocity_scale
+        if np.abs(moves).max(initial=0.0) > _JUMP:
+            return False
+        left, values, right = np.linalg.svd(last.jacobian, full_matrices=False)
+        kept = values > _DEPENDENT * values.max(initial=0.0)
+        turned = left[:, kept].T @ result.jacobian @ right[kept].T
+        if np.linalg.slogdet(turned)[0] >= 0.0:
+            return True
+        sizes = np.linalg.svd(turned, compute_uv=False)
+        return is_end and bool(sizes.min() <= _SINGULAR * sizes.max())
+
+
+def _regularity(assembly: Assembly) -> float:
+    """Return the least singular value that is not one of dependent equations, at most 1."""
+    values = np.linalg.svd(assembly.jacobian, compute_uv=False)
+    return float(values[values > _DEPENDENT * values.max(initial=0.0)].min(initial=1.0))
 
 
 def _shortest(robot: Robot, coordinate: Coordinate, difference: float) -> float:
