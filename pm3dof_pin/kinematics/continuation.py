@@ -195,11 +195,11 @@ class Continuation:
 
     def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> None:
         """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at home."""
-        left, ends = self._walked(q, targets)
+        left, ends = self._walked(q.copy(), targets)
         found = self._last_leg(ends, targets, left)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
         if self._robot.closures and failed.size:
-            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]
+            failed = failed[np.isnan(self._check(q[failed]).q[:, 0])]  # open at the start
         if failed.size:
             found[failed] = self._damped(ends[failed], targets[failed], home_too=home_too)
         q[:] = found

@@ -170,7 +170,7 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert chance == pytest.approx(harmed[0], abs=0.1)
     # what is left out of the correction is the price of that: on average all of it gains more
     assert chance_of_harm(found) <= HARM + 1e-12
-    assert harmed[1] <= 3 / 150
+    assert harmed[1] <= 5 / 150  # of 1 % of them, which more than so many are once in 200 draws
     assert 0.0 < gained[1] < gained[0]
     assert 0.1 < part_corrected(found) < 0.95
     assert not any("worse than none" in reason for reason in objections(found, None))
