@@ -68,19 +68,23 @@ class _Walk:
         way = np.array([_shortest(robot, *given) for given in zip(self._coordinates, target - origin, strict=True)])
         first = 1.0 / max(np.ceil(np.abs(way / self._units).max(initial=0.0) / _LEG), 1.0)
         done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
-        rate, narrowing = np.zeros(robot.model.nv), 0.0  # how q and the least singular value change along the way
+        regularity = _regularity(last)
+        rate, narrowing = np.zeros(robot.model.nv), 0.0  # how q and the regularity change along the way
         while done < 1.0:
             reached = min(done + step, 1.0)
             is_last_try = step <= _SHORTEST_LEG * first
             values = target if reached == 1.0 else origin + reached * way
             steps = _LAST_STEPS if is_last_try else _STEPS
             guess = pin.integrate(robot.model, q, rate * (reached - done))
-            result = assemble_at(robot, self._coordinates, values, guess, steps)
-            stays = _regularity(last) + narrowing * (reached - done) > 0.0
-            if stays and result.converged and self._continues(last, guess, result, is_end=reached == 1.0):
+            result = None
+            if regularity + narrowing * (reached - done) > 0.0:
+                result = assemble_at(robot, self._coordinates, values, guess, steps)
+            if result is not None and self._continues(last, guess, result, is_end=reached == 1.0):
+                found = _regularity(result)
                 rate = pin.difference(robot.model, q, result.configuration.q) / (reached - done)
-                narrowing = (_regularity(result) - _regularity(last)) / (reached - done)
-                q, done, step, last = result.configuration.q, reached, min(4.0 * step, first), result
+                narrowing = (found - regularity) / (reached - done)
+                q, done, step = result.configuration.q, reached, min(4.0 * step, first)
+                last, regularity = result, found
             elif is_last_try:
                 return np.full_like(q, np.nan)
             else:
@@ -95,7 +99,7 @@ class _Walk:
         """
         robot = self._robot
         moves = pin.difference(robot.model, guess, result.configuration.q) / robot.velocity_scale
-        if np.abs(moves).max(initial=0.0) > _JUMP:
+        if not result.converged or np.abs(moves).max(initial=0.0) > _JUMP:
             return False
         left, values, right = np.linalg.svd(last.jacobian, full_matrices=False)
         kept = values > _DEPENDENT * values.max(initial=0.0)
