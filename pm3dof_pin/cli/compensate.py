@@ -104,10 +104,12 @@ def _moves_alike(one: Robot, other: Robot) -> bool:
     """Tell whether two robots have the same drives, and their tools are at the same places at commands around home."""
     import numpy as np
 
+    from pm3dof_pin.kinematics.coordinate_units import units_of
+
     drives = [[(command.name, command.unit) for command in robot.commands] for robot in (one, other)]
     if drives[0] != drives[1] or not np.allclose(one.home.commands, other.home.commands, rtol=0.0, atol=_SAME):
         return False
-    steps = [_TRIED * abs(c.scale) * (other.characteristic_length if c.unit == "m" else 1.0) for c in other.commands]
+    steps = _TRIED * units_of(other, other.command_coordinates)
     commands = other.home.commands + np.vstack([np.zeros(len(steps)), np.diag(steps)])
     places = [robot.forward(commands, on_failure="nan", engine="pinocchio").transforms for robot in (one, other)]
     return bool(np.allclose(places[0], places[1], rtol=0.0, atol=_SAME, equal_nan=True))

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, Assembly, assemble
+from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.typing import Matrix, Vector
 
 if TYPE_CHECKING:
@@ -53,8 +54,6 @@ class _Walk:
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], start: Vector) -> None:
         self._robot, self._coordinates, self._start = robot, coordinates, start
-        length = robot.characteristic_length
-        self._units = np.array([abs(c.scale) * (length if c.unit == "m" else 1.0) for c in coordinates])
 
     def end(self, target: Vector) -> Vector:
         """Return the pose at the target, NaN where there is none."""
@@ -65,8 +64,11 @@ class _Walk:
             return next((result.configuration.q for result in results if result.converged), np.full_like(q, np.nan))
         placed = any(coordinate.tool is not None for coordinate in self._coordinates)
         origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
-        way = np.array([_shortest(robot, *given) for given in zip(self._coordinates, target - origin, strict=True)])
-        first = 1.0 / max(np.ceil(np.abs(way / self._units).max(initial=0.0) / _LEG), 1.0)
+        way, turns = target - origin, turns_of(robot, self._coordinates)
+        angles = np.isfinite(turns)
+        way[angles] -= turns[angles] * np.round(way[angles] / turns[angles])  # the shortest way round
+        units = units_of(robot, self._coordinates)
+        first = 1.0 / max(np.ceil(np.abs(way / units).max(initial=0.0) / _LEG), 1.0)
         done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
         regularity = _regularity(last)
         rate, narrowing = np.zeros(robot.model.nv), 0.0  # how q and the regularity change along the way
@@ -114,12 +116,3 @@ def _regularity(assembly: Assembly) -> float:
     """Return the least singular value that is not one of dependent equations, at most 1."""
     values = np.linalg.svd(assembly.jacobian, compute_uv=False)
     return float(values[values > _DEPENDENT * values.max(initial=0.0)].min(initial=1.0))
-
-
-def _shortest(robot: Robot, coordinate: Coordinate, difference: float) -> float:
-    """Return the shortest way round, for a coordinate that comes back to where it was after a turn."""
-    joint = coordinate.joint
-    if coordinate.tool in ("x", "y", "z") or (joint is not None and not robot.single_joint(joint).is_continuous):
-        return difference
-    turn = 2.0 * np.pi * abs(coordinate.scale)
-    return float(difference - turn * np.round(difference / turn))

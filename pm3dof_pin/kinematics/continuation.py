@@ -33,6 +33,7 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
+from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
@@ -92,13 +93,9 @@ class Continuation:
         self._order = [*self._joint_columns, *self._tool_columns]  # in which the program takes the coordinates
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
-        length = mechanism.characteristic_length
-        self._units = np.array([abs(c.scale) * (length if c.unit == "m" else 1.0) for c in self._coordinates])
-        angles = [c.tool in ("rx", "ry", "rz") for c in self._coordinates]
-        for column, joint in zip(self._joint_columns, self._given, strict=True):
-            angles[column] = joint.is_continuous
-        self._angles = np.flatnonzero(angles)  # which come back to where they were after a turn
-        self._turns = 2.0 * np.pi * np.abs(self._scales[self._angles])
+        self._units, turns = units_of(mechanism, self._coordinates), turns_of(mechanism, self._coordinates)
+        self._angles = np.flatnonzero(np.isfinite(turns))  # which come back to where they were after a turn
+        self._turns = turns[self._angles]
         self._linear = _linear_positions(mechanism)
         self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)

@@ -12,6 +12,7 @@ from pm3dof_pin.arrays import require_count, require_kind, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+from pm3dof_pin.kinematics.coordinate_units import units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -108,8 +109,8 @@ class _Draws:
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
         self._robot, self._coordinates, self._lower, self._upper = robot, coordinates, lower, upper
-        units = [abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates]
-        self._sizes = np.maximum(np.ceil((upper - lower) / (_NEAR * np.array(units))), 1.0).astype(int)
+        sizes = np.ceil((upper - lower) / (_NEAR * units_of(robot, coordinates)))
+        self._sizes = np.maximum(sizes, 1.0).astype(int)
 
     @classmethod
     def kept(cls, robot: Robot, by_commands: bool, margin: float) -> _Draws:
