@@ -216,7 +216,7 @@ def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
     if free := result["free_degrees_of_freedom"]:
         idle = result["idle_degrees_of_freedom"]
         of_these = f"; {idle} of these leave the tool at rest, as the spin of a rod does" if idle else ""
-        remarks.append(f"with the drives locked, {free} degrees of freedom are left{of_these}")
+        remarks.append(f"mobility with the drives locked: {free}{of_these}")
     if not robot.springs:
         remarks.append("no springs: stiffness needs some, in a closures file (springs)")
     if result["errors_file"] is None:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pm3dof_pin.cli.options import Json, MachineOptions, OutFile, PoseOptions, finite_number
+from pm3dof_pin.cli.options import Json, MachineOptions, NamedConfiguration, OutFile, PoseOptions, finite_number
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
+    place,
     read_poses,
     readings,
     si_values,
@@ -64,6 +65,7 @@ def ik(
 def fk(
     which: MachineOptions,
     u: Commands = None,
+    configuration: NamedConfiguration = None,
     poses: Annotated[
         Path | None,
         typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg a command."),
@@ -79,7 +81,7 @@ def fk(
     Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
     message and exit status 1; so are other assembly modes with --all, where none is reached from home.
     """
-    chosen = PoseOptions(pose=u, poses=poses, out=out)
+    chosen = PoseOptions(pose=u, configuration=configuration, poses=poses, out=out)
     if all_modes and (not which.is_the_tripod or poses is not None):
         raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
     machine = which.load()
@@ -91,12 +93,15 @@ def fk(
         return
     modes: list[Vector] = []
     residuals: list[float] = []
-    if all_modes:
+    if configuration is not None:
+        solved = place(machine, chosen)
+    elif all_modes:
         commands = si_values(machine, machine.command_coordinates, chosen.numbers)
-        modes, residuals = _all_modes(commands, which.tripod())
         solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
     else:
         solved = solve_pose(machine, chosen.numbers, forward=True)
+    if all_modes:
+        modes, residuals = _all_modes(solved.commands, which.tripod())
     result, broken = _result(machine, solved)
     if all_modes:
         result["assembly_modes"] = [

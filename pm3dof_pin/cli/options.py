@@ -98,11 +98,11 @@ _Pose = Annotated[
         help="The robot's coordinates in their order, angles [deg], lengths [m]; `pm3dof info` names them.",
     ),
 ]
-_NamedConfiguration = Annotated[
+NamedConfiguration = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="A named configuration of the robot instead of POSE; home by default.",
+        help="A named configuration of the robot instead of numbers; home by default.",
         autocompletion=completion.configurations,
     ),
 ]
@@ -204,7 +204,7 @@ class PlaceOptions:
     """Where the robot stands: at a pose, or in a named configuration; by default at home."""
 
     pose: _Pose = None
-    configuration: _NamedConfiguration = None
+    configuration: NamedConfiguration = None
 
     @property
     def numbers(self) -> list[float]:

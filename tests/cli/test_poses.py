@@ -39,6 +39,8 @@ def test_fk_takes_what_ik_gives_back_to_the_pose(answer: Answer, name: str) -> N
     back = answer("fk", "--robot", name, *map(repr, there["u"]))
     np.testing.assert_allclose(list(back["pose"].values()), list(there["pose"].values()), atol=1e-10)
     assert there["within_limits"] is back["within_limits"] is True
+    if POSES[name] is None:
+        assert answer("fk", "--robot", name, *pose)["pose"] == there["pose"]
 
 
 def test_a_hexapods_struts_reach_from_base_to_platform(answer: Answer) -> None:
