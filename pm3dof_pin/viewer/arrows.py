@@ -11,8 +11,8 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
 from pm3dof_pin.viewer.bodies import joint_placements
-from pm3dof_pin.viewer.objects import Colour, Json
-from pm3dof_pin.viewer.scene import Scene
+from pm3dof_pin.viewer.objects import Colour
+from pm3dof_pin.viewer.scene import Json, Scene
 
 COLOUR: Colour = (0.78, 0.07, 0.13)
 _AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.12, 0.47, 0.71))

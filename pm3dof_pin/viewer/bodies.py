@@ -20,7 +20,8 @@ from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.visuals import read_visuals
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
-from pm3dof_pin.viewer.objects import Colour, Json
+from pm3dof_pin.viewer.objects import Colour
+from pm3dof_pin.viewer.scene import Json
 
 _logger = logging.getLogger(__name__)
 

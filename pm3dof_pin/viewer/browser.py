@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from pm3dof_pin.exceptions import BrowserError
+from pm3dof_pin.viewer.scene import Json
 
 VARIABLE = "PM3DOF_BROWSER"
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
@@ -52,8 +53,6 @@ os.dup2(messages, 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 _TIMEOUT = 60.0  # for one answer [s]
-
-Json = dict[str, Any]
 
 
 def find_browser() -> Path:
@@ -89,16 +88,9 @@ def pictures_of(html: str, width: int, height: int, *, around: int = 0) -> list[
 
 
 class Browser:
-    """A browser without a window, showing one page; ends with its `with` block. BrowserError where none starts.
-
-    Attributes:
-        errors: errors of the page's program, and its messages of level "error" and "warning".
-        requests: addresses that the page has asked for.
-    """
+    """A browser without a window, showing one page; ends with its `with` block. BrowserError where none starts."""
 
     def __init__(self, width: int = 1200, height: int = 900) -> None:
-        self.errors: list[str] = []
-        self.requests: list[str] = []
         self._size = {"width": width, "height": height}
         self._numbers = itertools.count(1)
         self._answers: queue.Queue[Json] = queue.Queue()
@@ -108,11 +100,10 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(prefix="pm3dof-browser-")
         self._start(executable)
         try:
-            target = self._ask("Target.createTarget", {"url": "about:blank"})["targetId"]
-            attached = self._ask("Target.attachToTarget", {"targetId": target, "flatten": True})
+            target = self.ask("Target.createTarget", {"url": "about:blank"})["targetId"]
+            attached = self.ask("Target.attachToTarget", {"targetId": target, "flatten": True})
             self._session = attached["sessionId"]
-            for domain in ("Page", "Runtime", "Log", "Network"):
-                self._ask(f"{domain}.enable")
+            self.ask("Page.enable")
             self.resize(width, height)
         except BaseException:
             self.close()
@@ -121,12 +112,12 @@ class Browser:
     def resize(self, width: int, height: int) -> None:
         """Give the page another size [pixels]."""
         size = {"width": width, "height": height}
-        self._ask("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
+        self.ask("Emulation.setDeviceMetricsOverride", {**size, "deviceScaleFactor": 1, "mobile": False})
 
     def open(self, url: str) -> None:
         """Show a page and wait until it has loaded and drawn; BrowserError where it does not load."""
         self._events.clear()
-        error = self._ask("Page.navigate", {"url": url}).get("errorText")
+        error = self.ask("Page.navigate", {"url": url}).get("errorText")
         if error:
             raise BrowserError(f"{url}: {error}")
         self._wait_for_event("Page.loadEventFired")
@@ -139,39 +130,23 @@ class Browser:
     def evaluate(self, expression: str) -> Any:
         """Return the value of a JavaScript expression in the page, awaiting promises; BrowserError where it throws."""
         wanted = {"expression": expression, "returnByValue": True, "awaitPromise": True}
-        answer = self._ask("Runtime.evaluate", wanted)
+        answer = self.ask("Runtime.evaluate", wanted)
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
             raise BrowserError(details.get("exception", {}).get("description") or details["text"])
         return answer["result"].get("value")
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Press the mouse at one point of the page, move it to another, and let go [pixels]."""
-        pressed = {"button": "left", "clickCount": 1}
-        self._mouse("mouseMoved", start)
-        self._mouse("mousePressed", start, **pressed)
-        self._mouse("mouseMoved", end, button="left")
-        self._mouse("mouseReleased", end, **pressed)
-        self.settle()
-
-    def press(self, key: str) -> None:
-        """Press a key, as "ArrowLeft", and let it go."""
-        code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
-        for kind in ("keyDown", "keyUp"):
-            self._ask("Input.dispatchKeyEvent", {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code})
-        self.settle()
-
     def picture(self) -> bytes:
         """Return a picture (PNG) of the page as it looks now."""
         self.settle()
-        return base64.b64decode(self._ask("Page.captureScreenshot", {"format": "png"})["data"])
+        return base64.b64decode(self.ask("Page.captureScreenshot", {"format": "png"})["data"])
 
     def close(self) -> None:
         """End the browser; a second call does nothing."""
         if self._process.poll() is None:
             with contextlib.suppress(BrowserError, OSError):
                 self._session = None
-                self._ask("Browser.close")
+                self.ask("Browser.close")
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(10.0)
             if self._process.poll() is None:
@@ -220,29 +195,19 @@ class Browser:
         while data := self._messages.read(65536):
             *whole, rest = (rest + data).split(b"\0")
             for text in whole:
-                self._take(json.loads(text))
+                message = json.loads(text)
+                if "id" in message:
+                    self._answers.put(message)
+                else:
+                    self.hear(message)
         self._answers.put({"gone": True})
 
-    def _take(self, message: Json) -> None:
-        if "id" in message:
-            self._answers.put(message)
-            return
-        self._events.append(message)
-        method, details = message["method"], message.get("params", {})
-        if method == "Runtime.exceptionThrown":
-            thrown = details["exceptionDetails"]
-            self.errors.append(thrown.get("exception", {}).get("description") or thrown["text"])
-        elif method == "Runtime.consoleAPICalled" and details["type"] in ("error", "warning", "assert"):
-            said = (str(entry.get("value", entry.get("description", ""))) for entry in details["args"])
-            self.errors.append(f"console.{details['type']}: {' '.join(said)}")
-        elif method == "Log.entryAdded" and details["entry"]["level"] in ("error", "warning"):
-            self.errors.append(f"{details['entry']['source']}: {details['entry']['text']}")
-        elif method == "Network.requestWillBeSent":
-            self.requests.append(details["request"]["url"])
-        elif method == "Network.webSocketCreated":
-            self.requests.append(details["url"])
+    def hear(self, event: Json) -> None:
+        """Keep what the page reports of itself."""
+        self._events.append(event)
 
-    def _ask(self, method: str, parameters: Json | None = None) -> Json:
+    def ask(self, method: str, parameters: Json | None = None) -> Json:
+        """Return the answer to a command of the DevTools protocol; BrowserError where it is an error, or none comes."""
         number = next(self._numbers)
         message: Json = {"id": number, "method": method, "params": parameters or {}}
         if self._session:
@@ -251,9 +216,6 @@ class Browser:
             self._commands.write(json.dumps(message).encode() + b"\0")
         except OSError as error:
             raise BrowserError(f"the browser has ended ({error.strerror})") from error
-        return self._answer(number, method)
-
-    def _answer(self, number: int, method: str) -> Json:
         while True:
             try:
                 message = self._answers.get(timeout=_TIMEOUT)
@@ -274,9 +236,6 @@ class Browser:
             if time.monotonic() > end:
                 raise BrowserError(f"the page did not load within {_TIMEOUT:g} s")
             time.sleep(0.02)
-
-    def _mouse(self, kind: str, point: tuple[float, float], **details: object) -> None:
-        self._ask("Input.dispatchMouseEvent", {"type": kind, "x": point[0], "y": point[1], **details})
 
 
 def _remove(folder: tempfile.TemporaryDirectory[str]) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +27,9 @@ from pm3dof_pin.viewer.scene import Scene
 
 EllipsoidMatrix = Literal["stiffness", "compliance"]
 MotionQuantity = Literal["velocity", "force", "error"]
+EllipsoidQuantity: TypeAlias = EllipsoidMatrix | MotionQuantity
 
-UNITS: dict[tuple[EllipsoidMatrix | MotionQuantity, Motion], str] = {
+UNITS: dict[tuple[EllipsoidQuantity, Motion], str] = {
     ("stiffness", "translation"): "N/m",
     ("stiffness", "rotation"): "N m/rad",
     ("compliance", "translation"): "m/N",

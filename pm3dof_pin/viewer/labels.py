@@ -13,7 +13,7 @@ from pm3dof_pin.exceptions import FrameNotFoundError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import objects
-from pm3dof_pin.viewer.objects import Json
+from pm3dof_pin.viewer.scene import Json
 
 _POINT = re.compile(r"([A-Z])_?(\w{0,2})")  # names of points: B1, D_2, O_e, P
 _INK, _MEASURE = "#111111", "#B03A2E"

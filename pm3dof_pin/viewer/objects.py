@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Json = dict[str, Any]
+from pm3dof_pin.viewer.scene import Json
+
 Colour = tuple[float, float, float]
 
 _numbers = itertools.count()

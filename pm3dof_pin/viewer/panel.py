@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-Json = dict[str, Any]
+from pm3dof_pin.viewer.scene import Json
 
 
 @dataclass

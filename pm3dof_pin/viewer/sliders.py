@@ -22,7 +22,7 @@ from pm3dof_pin.programs.tool_motion import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Motion, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.bodies import Body
-from pm3dof_pin.viewer.ellipsoids import EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.viewer.ellipsoids import EllipsoidQuantity
 from pm3dof_pin.viewer.legs import about_body
 from pm3dof_pin.viewer.page_programs import PagePrograms
 from pm3dof_pin.viewer.scene import Json, column_major
@@ -86,53 +86,22 @@ class Sliders:
         configuration: Configuration,
         *,
         kind: Motion,
-        of: EllipsoidMatrix,
+        of: EllipsoidQuantity,
         others: OtherMotions,
         scale: float,
         length: float,
     ) -> Json | None:
-        """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own springs.
+        """Return how the page goes on with an ellipsoid at the tool, if it is that of the robot's own description.
 
         The block is drawn to a `scale` [m per unit]; axes far beyond `length` [m] change the scale. For the choices see
-        :meth:`Viewer.stiffness_ellipsoid <pm3dof_pin.viewer.viewer.Viewer.stiffness_ellipsoid>`.
+        :meth:`Viewer.stiffness_ellipsoid <pm3dof_pin.viewer.viewer.Viewer.stiffness_ellipsoid>` and
+        :meth:`~pm3dof_pin.viewer.viewer.Viewer.motion_ellipsoid`.
         """
-        compliance = self._compliance(configuration)
-        if compliance is None:
-            return None
-        try:
-            own = ellipsoids.block(None, compliance, kind, of, others)
-        except SingularConfigurationError:
-            return None
-        if not np.abs(block - own).max() <= _SAME * np.abs(own).max():
-            return None
-        unit = ellipsoids.UNITS[of, kind]
-        scaled = {"scale": scale, "length": length, "unit": unit}
-        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, **scaled}
-
-    def live_motion_ellipsoid(
-        self,
-        block: Array,
-        configuration: Configuration,
-        *,
-        kind: Motion,
-        of: MotionQuantity,
-        scale: float,
-        length: float,
-    ) -> Json | None:
-        """Return how the page goes on with an ellipsoid of velocities, forces or errors; see :meth:`live_ellipsoid`."""
-        if self._programs.motion is None or (of == "error" and not len(self._programs.sigmas)):
-            return None
-        groups = self._programs.motion.program.split(self._programs.motion(configuration.q))
-        scales = [command.scale for command in self._robot.commands]
-        motions = groups["errors"] * self._programs.sigmas if of == "error" else groups["drives"] / scales
-        try:
-            own = ellipsoids.motion_block(motions, kind, of)
-        except SingularConfigurationError:
-            return None
-        if groups["sound"] != 1.0 or not np.abs(block - own).max() <= _SAME * np.abs(own).max():
+        own = self._block(configuration, kind, of, others)
+        if own is None or not np.abs(block - own).max() <= _SAME * np.abs(own).max():
             return None
         scaled = {"scale": scale, "length": length, "unit": ellipsoids.UNITS[of, kind]}
-        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": "free", **scaled}
+        return {"kind": "ellipsoid", "motion": kind, "of": of, "others": others, **scaled}
 
     def live_forces(
         self, forces: Array, configuration: Configuration, *, scale: float, length: float, width: float, unit: str
@@ -169,6 +138,24 @@ class Sliders:
             "names": [", ".join(springs) for springs in legs],
             "springs": [self._programs.spring_places(names) for names in legs],
         }
+
+    def _block(
+        self, configuration: Configuration, kind: Motion, of: EllipsoidQuantity, others: OtherMotions
+    ) -> Array | None:
+        """Return what an ellipsoid shows as the page computes it; None where it does not."""
+        try:
+            if of == "stiffness" or of == "compliance":
+                compliance = self._compliance(configuration)
+                return None if compliance is None else ellipsoids.block(None, compliance, kind, of, others)
+            motion, sigmas = self._programs.motion, self._programs.sigmas
+            if motion is None or (of == "error" and not len(sigmas)):
+                return None
+            groups = motion.program.split(motion(configuration.q))
+            scales = [command.scale for command in self._robot.commands]
+            motions = groups["errors"] * sigmas if of == "error" else groups["drives"] / scales
+            return ellipsoids.motion_block(motions, kind, of) if groups["sound"] == 1.0 else None
+        except SingularConfigurationError:
+            return None
 
     def _compliance(self, configuration: Configuration) -> Matrix | None:
         """Return C at the tool as the page computes it; None where it does not."""

@@ -21,7 +21,14 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import MOTIONS, Array, Motion
 from pm3dof_pin.viewer import animation, arrows, colours, ellipsoids, shell
 from pm3dof_pin.viewer.bodies import Bodies, Body
-from pm3dof_pin.viewer.ellipsoids import EXPLANATIONS, UNITS, DrawnEllipsoid, EllipsoidMatrix, MotionQuantity
+from pm3dof_pin.viewer.ellipsoids import (
+    EXPLANATIONS,
+    UNITS,
+    DrawnEllipsoid,
+    EllipsoidMatrix,
+    EllipsoidQuantity,
+    MotionQuantity,
+)
 from pm3dof_pin.viewer.labels import label, measures, point_names
 from pm3dof_pin.viewer.page_programs import declared_errors, programs_of
 from pm3dof_pin.viewer.panel import Entry, numbers_with_unit, numbers_with_units, scale_text
@@ -178,21 +185,8 @@ class Viewer(ShownScene):
         """
         others = others or ("held" if of == "stiffness" else "free")  # which shows a block of K or C itself
         block = ellipsoids.block(stiffness, compliance, kind, of, others)
-        unit = UNITS[of, kind]
-        if scale is None:
-            sizes = np.abs(np.linalg.eigvalsh(block))
-            greatest = float(max(sizes.max(), _BULK * sizes.min()))
-            scale = self._scales.setdefault((kind, of, others), ellipsoids.round_scale(greatest, self._unit_length))
-        drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
-        live = None
-        if self._goes_on and at is None and self._sliders is not None:
-            live = self._sliders.live_ellipsoid(
-                block, self._configuration, kind=kind, of=of, others=others, scale=scale, length=self._unit_length
-            )
-        key = kind if at is None else f"{kind}_at_{at if isinstance(at, str) else 'point'}"
-        place = "" if at is None else f" at {at if isinstance(at, str) else 'a point'}"
-        other = "rotations" if kind == "translation" else "translations"
-        return self._show_ellipsoid(key, kind, f"{kind.capitalize()} {of}{place}", drawn, f"{other} {others}", live)
+        rest = "rotations" if kind == "translation" else "translations"
+        return self._draw_ellipsoid(block, kind, of, others, scale=scale, at=at, explanation=f"{rest} {others}")
 
     def motion_ellipsoid(
         self,
@@ -232,17 +226,8 @@ class Viewer(ShownScene):
         motions = sensitivities(parameters, robot.at([self._configuration.q]))
         matrix = motions.errors[0] * parameters.tolerances if of == "error" else motions.commands[0]
         block = ellipsoids.motion_block(matrix, kind, of)
-        unit = UNITS[of, kind]
-        if scale is None:
-            greatest = float(np.linalg.eigvalsh(block)[-1])
-            scale = self._scales.setdefault((kind, of), ellipsoids.round_scale(greatest, self._unit_length))
-        live = None
-        if self._goes_on and self._sliders is not None and errors is None:
-            live = self._sliders.live_motion_ellipsoid(
-                block, self._configuration, kind=kind, of=of, scale=scale, length=self._unit_length
-            )
-        drawn = ellipsoids.ellipsoid(block, self._point(None), scale=scale, unit=unit)
-        return self._show_ellipsoid(kind, kind, f"{kind.capitalize()} {of}", drawn, EXPLANATIONS[of], live)
+        is_own = errors is None
+        return self._draw_ellipsoid(block, kind, of, "free", scale=scale, explanation=EXPLANATIONS[of], is_own=is_own)
 
     def actuator_forces(
         self, forces: ArrayLike, *, what: str = "Actuator forces", scale: float | None = None
@@ -263,8 +248,7 @@ class Viewer(ShownScene):
         axes = arrows.ActuatorAxis.of(self._configuration)
         values = finite_array("forces", forces, (len(axes),))
         if scale is None:
-            greatest = float(np.abs(values).max(initial=0.0))
-            scale = self._scales.setdefault(("forces",), ellipsoids.round_scale(greatest, self._unit_length))
+            scale = self._kept_scale(("forces",), np.abs(values).max(initial=0.0))
         if not (np.isfinite(scale) and scale > 0.0):
             raise InvalidValueError("scale", scale, "a positive length for one newton")
         width = 0.016 * self._radius
@@ -275,10 +259,9 @@ class Viewer(ShownScene):
                 arrows.draw_arrow(self.scene, path, heads=2 if axis.turns else 1)
             drawn[path] = axis.arrow(value, scale=scale, width=width)
         self.scene.set_transforms(drawn)
-        live = None
-        unit = ", ".join(sorted({axis.unit for axis in axes}))
-        if self._goes_on and self._sliders is not None:
-            live = self._sliders.live_forces(
+        unit, live = ", ".join(sorted({axis.unit for axis in axes})), None
+        if sliders := self._live_sliders:
+            live = sliders.live_forces(
                 values, self._configuration, scale=scale, length=self._unit_length, width=width, unit=unit
             )
         self._show(
@@ -333,8 +316,8 @@ class Viewer(ShownScene):
         of_legs = {legs.number(joint): share for joint, share in by_joint.items()}
         names = [", ".join(springs) for springs in legs.springs]
         live = None
-        if self._goes_on and self._sliders is not None:
-            live = self._sliders.live_shares(legs.springs, self._configuration, behaviour.compliance, load)
+        if sliders := self._live_sliders:
+            live = sliders.live_shares(legs.springs, self._configuration, behaviour.compliance, load)
         self._show(
             Entry(
                 key="legs",
@@ -417,7 +400,7 @@ class Viewer(ShownScene):
         tool = self.mechanism.model.frames[self.mechanism.tool_frame_id].name
         length = tool_length
         if length is None:
-            is_position = self.mechanism.coordinates[0].unit == "m" and self.mechanism.coordinates[1].unit == "m"
+            is_position = all(coordinate.unit == "m" for coordinate in self.mechanism.coordinates[:2])
             length = 0.0 if is_position else ellipsoids.round_length(0.42 * self._radius)
         surface = shell.workspace_shell(
             self.mechanism, quantity, tool_length=length, heights=heights, directions=directions
@@ -460,19 +443,20 @@ class Viewer(ShownScene):
         frames = len(configurations)
         if frames < 2:
             raise InvalidValueError("configurations", f"{frames} of them", "two at least")
-        for name, given in (("stiffness", stiffness), ("compliance", compliance), ("forces", forces)):
-            if given is not None and len(given) != frames:
-                raise InvalidValueError(name, f"{len(given)} of them", f"one for each of {frames} frames")
+        given: list[Sequence[ArrayLike | None]] = []
+        for name, values in (("stiffness", stiffness), ("compliance", compliance), ("forces", forces)):
+            if values is not None and len(values) != frames:
+                raise InvalidValueError(name, f"{len(values)} of them", f"one for each of {frames} frames")
+            given.append([None] * frames if values is None else values)
         if not (np.isfinite(duration) and duration > 0.0):
             raise InvalidValueError("duration", duration, "a positive time [s]")
-        matrices = [(_at(stiffness, k), _at(compliance, k), _at(forces, k)) for k in range(frames)]
+        per_frame = list(zip(configurations, given[0], given[1], given[2], strict=True))
         self._is_recording = True
-        recorded = [
-            self._frame_of_path(configuration, *given, of, others)
-            for configuration, given in zip(configurations, matrices, strict=True)
-        ]
-        self._is_recording = False
-        self._frame_of_path(configurations[0], *matrices[0], of, others)
+        try:
+            recorded = [self._frame_of_path(*given, of, others) for given in per_frame]
+        finally:
+            self._is_recording = False
+        self._frame_of_path(*per_frame[0], of, others)
         tracks = {path: [transforms[path] for transforms, _ in recorded] for path in recorded[0][0]}
         for path in tracks:
             if path.startswith("/ellipsoids/"):
@@ -516,9 +500,31 @@ class Viewer(ShownScene):
         self._panel |= {"title": title, "subtitle": subtitle}
         self._update()
 
-    def _show_ellipsoid(
-        self, key: str, kind: Motion, title: str, drawn: DrawnEllipsoid, explanation: str, live: Json | None
+    def _draw_ellipsoid(
+        self,
+        block: Array,
+        kind: Motion,
+        of: EllipsoidQuantity,
+        others: OtherMotions,
+        *,
+        scale: float | None,
+        explanation: str,
+        at: str | ArrayLike | None = None,
+        is_own: bool = True,
     ) -> DrawnEllipsoid:
+        """Draw the ellipsoid of a 3 x 3 block; sliders go on with one at the tool that may be the description's own."""
+        unit, place = UNITS[of, kind], at if isinstance(at, str) else "point"
+        if scale is None:
+            sizes = np.abs(np.linalg.eigvalsh(block))
+            scale = self._kept_scale((kind, of, others), max(sizes.max(), _BULK * sizes.min()))
+        drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
+        key, title, live = kind if at is None else f"{kind}_at_{place}", f"{kind.capitalize()} {of}", None
+        if at is not None:
+            title += f" at {at if isinstance(at, str) else 'a point'}"
+        elif is_own and (sliders := self._live_sliders):
+            live = sliders.live_ellipsoid(
+                block, self._configuration, kind=kind, of=of, others=others, scale=scale, length=self._unit_length
+            )
         path = f"/ellipsoids/{key}"
         if f"{path}/surface" not in self.scene.paths():
             ellipsoids.draw_ellipsoid(self.scene, path, kind)
@@ -529,13 +535,13 @@ class Viewer(ShownScene):
             Entry(
                 key=key,
                 title=title,
-                lines=[scale_text(drawn.scale, self._unit_length, drawn.unit, "semi-axis"), explanation],
-                values=numbers_with_unit(drawn.values, drawn.unit),
+                lines=[scale_text(scale, self._unit_length, unit, "semi-axis"), explanation],
+                values=numbers_with_unit(drawn.values, unit),
                 colour=colours.css(ellipsoids.COLOURS[kind]),
                 nodes=[path],
                 live=live,
                 principal=drawn.values.tolist(),
-                unit=drawn.unit,
+                unit=unit,
             )
         )
         return drawn
@@ -587,9 +593,14 @@ class Viewer(ShownScene):
         return transforms, {**said, "values": values}
 
     @property
-    def _goes_on(self) -> bool:
-        """Whether sliders may go on with what is drawn now: with closed loops, and not within a path."""
-        return not self._is_recording and self._configuration.closure_residual < _CLOSED
+    def _live_sliders(self) -> Sliders | None:
+        """The sliders if they may go on with what is drawn now: with closed loops, and not within a path."""
+        is_static = self._is_recording or not self._configuration.closure_residual < _CLOSED
+        return None if is_static else self._sliders
+
+    def _kept_scale(self, key: tuple[str, ...], greatest: float) -> float:
+        """Return the scale of the first thing of its kind, a round one that suits its greatest value [m per unit]."""
+        return self._scales.setdefault(key, ellipsoids.round_scale(float(greatest), self._unit_length))
 
     def _point(self, at: str | ArrayLike | None) -> Array:
         if at is None:
@@ -639,10 +650,6 @@ def _load_text(wrench: Array) -> str:
         return "the load " + ", ".join(f"{number:g}" for number in wrench) + " N, N m"
     axis = int(np.flatnonzero(wrench)[0])
     return f"{'a force along' if axis < 3 else 'a moment about'} {'xyz'[axis % 3]}"
-
-
-def _at(values: Sequence[ArrayLike] | None, index: int) -> ArrayLike | None:
-    return None if values is None else values[index]
 
 
 def _distances_to_singularities(configurations: Sequence[Configuration]) -> dict[str, list[float]]:

@@ -29,10 +29,56 @@ for (const kind of ["drawArrays", "drawArraysInstanced", "drawElements", "drawEl
 """
 
 
+class WatchedBrowser(Browser):
+    """A browser with a hand on mouse and keys, and an eye on what the page complains of and asks for."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        super().__init__(width, height)
+        for domain in ("Runtime", "Log", "Network"):
+            self.ask(f"{domain}.enable")
+
+    def hear(self, event: dict[str, Any]) -> None:
+        super().hear(event)
+        method, details = event["method"], event.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            thrown = details["exceptionDetails"]
+            self.errors.append(thrown.get("exception", {}).get("description") or thrown["text"])
+        elif method == "Runtime.consoleAPICalled" and details["type"] in ("error", "warning", "assert"):
+            said = (str(entry.get("value", entry.get("description", ""))) for entry in details["args"])
+            self.errors.append(f"console.{details['type']}: {' '.join(said)}")
+        elif method == "Log.entryAdded" and details["entry"]["level"] in ("error", "warning"):
+            self.errors.append(f"{details['entry']['source']}: {details['entry']['text']}")
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(details["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requests.append(details["url"])
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at one point of the page, move it to another, and let go [pixels]."""
+        pressed = {"button": "left", "clickCount": 1}
+        for kind, (x, y), details in (
+            ("mouseMoved", start, {}),
+            ("mousePressed", start, pressed),
+            ("mouseMoved", end, {"button": "left"}),
+            ("mouseReleased", end, pressed),
+        ):
+            self.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **details})
+        self.settle()
+
+    def press(self, key: str) -> None:
+        """Press a key, as "ArrowLeft", and let it go."""
+        code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
+        for kind in ("keyDown", "keyUp"):
+            self.ask("Input.dispatchKeyEvent", {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code})
+        self.settle()
+
+
 class Page:
     """The page of a viewer in the browser; its scene is drawn for :meth:`picture` only."""
 
-    def __init__(self, browser: Browser) -> None:
+    def __init__(self, browser: WatchedBrowser) -> None:
         self.browser = browser
 
     def open(self, url: str) -> None:
@@ -118,18 +164,18 @@ class Page:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
+def browser() -> Iterator[WatchedBrowser]:
     try:
         find_browser()
     except BrowserError as error:
         pytest.skip(str(error))
-    with Browser(800, 600) as started:
-        started._ask("Page.addScriptToEvaluateOnNewDocument", {"source": DRAWING_ON_DEMAND})
+    with WatchedBrowser(800, 600) as started:
+        started.ask("Page.addScriptToEvaluateOnNewDocument", {"source": DRAWING_ON_DEMAND})
         yield started
 
 
 @pytest.fixture
-def page(browser: Browser) -> Page:
+def page(browser: WatchedBrowser) -> Page:
     return Page(browser)
 
 

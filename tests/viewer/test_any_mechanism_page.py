@@ -17,6 +17,8 @@ from pm3dof_pin.elastic.springs import JointSpring
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
 
+MACHINES = Path(__file__).parents[1] / "machines"
+
 pytestmark = pytest.mark.browser
 
 
@@ -185,3 +187,12 @@ def test_all_of_it_is_in_the_picture(page: Any, write_robot: Any, tmp_path: Path
     height, width = whole.shape[:2]
     assert 0 < rows.min() < rows.max() < height - 1
     assert 0 < columns.min() < columns.max() < width - 1
+
+
+def test_a_wrist_offers_no_stiffness(page: Any, tmp_path: Path) -> None:
+    """It gives in no direction but its three turns, so that there are neither K nor C of all six motions."""
+    mechanism = Robot.load(MACHINES / "agile_eye")
+    viewer = Viewer(mechanism)
+    viewer.motion_ellipsoid("velocity", kind="rotation")
+    page.open(viewer.save_html(tmp_path / "page.html").as_uri())
+    assert page.ask("pm3dof.quantities()") == ["velocity", "force"]

@@ -184,3 +184,12 @@ def test_a_turntable_goes_around(browser: object, mechanism: Robot, tmp_path: Pa
     assert all(np.all(frame[:5, :5] > 245.0) for frame in frames)
     orange = [np.abs(frame - [213.0, 94.0, 0.0]).max(axis=-1).min() for frame in frames]  # of the sliders
     assert max(orange) < 60.0
+
+
+def test_sliders_go_on_after_a_path_that_cannot_be_drawn(mechanism: Robot) -> None:
+    viewer = Viewer(mechanism)
+    with pytest.raises(InvalidValueError):
+        viewer.play([mechanism.home, mechanism.home], stiffness=[np.eye(6), np.full((6, 6), np.nan)])
+    viewer.display(mechanism.home)
+    viewer.motion_ellipsoid("velocity")
+    assert legend(viewer)["translation"]["live"]

@@ -15,11 +15,16 @@
   const usual = (of) => (of === "stiffness" ? "held" : "free");
   const isElastic = (of) => of === "stiffness" || of === "compliance";
 
-  // Quantities that the page can compute of this robot.
+  // Quantities that have an ellipsoid at home or in the pose that is shown.
   function quantities() {
-    const { data, programs } = pm3dof.robot();
-    const known = [...new Set(data.ellipsoids.map(({ of }) => of))];
-    return known.filter((of) => (isElastic(of) ? programs.compliance : programs.motion && (of !== "error" || data.sigmas.length)));
+    const robot = pm3dof.robot(), known = new Set();
+    [robot.home(), pm3dof.pose()].forEach((pose) => {
+      const compliance = robot.compliance(pose);
+      robot.data.ellipsoids.forEach(({ of, motion }) => ["held", "free"].forEach((others) => {
+        if (typeof robot.ellipsoid(pose, { of, motion, others }, compliance) !== "string") known.add(of);
+      }));
+    });
+    return [...new Set(robot.data.ellipsoids.map(({ of }) => of))].filter((of) => known.has(of));
   }
 
   // The greatest length 1, 2, 5 times a power of ten in which a value is drawn no longer than what suits the robot.
@@ -35,8 +40,7 @@
     const shown = { ...entry.live, of, others, unit };
     const key = [motion, of, others].join();
     if (!scales.has(key)) {
-      const compliance = robot.programs.compliance ? robot.compliance(pm3dof.pose()) : null;
-      const found = robot.ellipsoid(pm3dof.pose(), shown, compliance);
+      const found = robot.ellipsoid(pm3dof.pose(), shown, robot.compliance(pm3dof.pose()));
       if (typeof found === "string") {
         entry.live = { ...shown, scale: length };
         return retitle(entry);

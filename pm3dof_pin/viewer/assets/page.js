@@ -369,7 +369,7 @@ const pm3dof = (() => {
   }
 
   function complianceOf(found) {
-    return panel.legend.some(({ live }) => live && live.kind !== "forces") && robot.programs.compliance ? robot.compliance(found) : null;
+    return panel.legend.some(({ live }) => live && live.kind !== "forces") ? robot.compliance(found) : null;
   }
 
   // What is said near singular poses: how much more, or less, than at home the tool moves for the same commands.

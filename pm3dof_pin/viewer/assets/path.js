@@ -30,7 +30,7 @@
     });
     pm3dof.panel().legend.filter(({ live }) => live && live.kind === "ellipsoid").forEach((entry) => {
       const values = (pose) => {
-        const found = robot.ellipsoid(pose, entry.live, robot.programs.compliance ? robot.compliance(pose) : null);
+        const found = robot.ellipsoid(pose, entry.live, robot.compliance(pose));
         return typeof found === "string" ? [NaN, NaN] : [found.values[0], found.values[2]];
       };
       made.push({ title: entry.title.toLowerCase(), names: ["least", "greatest"], unit: entry.live.unit, values });

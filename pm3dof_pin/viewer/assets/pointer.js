@@ -37,12 +37,12 @@
       const [value] = pose.values({ numbers: [number] });
       const { factor, digits, unit, range } = number.slider, written = (one) => fixed(one * factor, digits);
       lines.push(`${number.name} ${written(value)}${range ? ` of ${range.map(written).join(" to ")}` : ""}${unit}`);
-      const forces = robot.programs.holding ? robot.holdingForces(pose) : null;
+      const forces = robot.holdingForces(pose);
       if (forces) lines.push(`holds the weight with ${engineering(forces[body.actuator], robot.data.actuators[body.actuator].unit)}`);
     }
     const shares = pm3dof.panel().legend.find(({ live }) => live && live.kind === "shares");
     const painted = shares && shares.paint.find(({ path }) => path.startsWith(`${body.path}/`));
-    if (painted && robot.programs.compliance && robot.compliance(pose)) {
+    if (painted && robot.compliance(pose)) {
       const [share] = robot.shares(pose, [shares.live.springs[painted.leg]], shares.live.wrench);
       if (Number.isFinite(share)) lines.push(`its leg gives ${fixed(100 * share, 1)} % of the deflection under the load`);
     }

@@ -305,9 +305,9 @@ const Robot = (() => {
       return null;
     }
 
-    // C at the tool, twist = C wrench, or null where it is in doubt.
+    // C at the tool, twist = C wrench, or null where there is none or it is in doubt.
     compliance(pose, springs = this.programs.springs) {
-      if (this.data.lengths.some(({ index, at_zero }) => !(pose.q[index] + at_zero > 0))) return null;
+      if (!this.programs.compliance || this.data.lengths.some(({ index, at_zero }) => !(pose.q[index] + at_zero > 0))) return null;
       const numbers = new Float64Array(this.programs.compliance_size);
       this.programs.compliance(pose.q, springs, numbers);
       if (numbers[36] !== 1) return null;
@@ -315,8 +315,9 @@ const Robot = (() => {
     }
 
     // Twists of the tool for one standard deviation of each error, and for one unit of each command, as rows; null where
-    // they are in doubt.
+    // there are none or they are in doubt.
     motions(pose) {
+      if (!this.programs.motion) return null;
       const { sigmas, commands } = this.data;
       const numbers = new Float64Array(this.programs.motion_size);
       this.programs.motion(pose.q, numbers);
@@ -336,6 +337,7 @@ const Robot = (() => {
       }
       const motions = this.motions(pose);
       if (!motions) return "not in this pose: near a singular one";
+      if (of === "error" && !this.data.sigmas.length) return "no tolerances are given";
       const rows = motions[of === "error" ? "errors" : "commands"].slice(...(motion === "translation" ? [0, 3] : [3, 6]));
       const { values, axes } = principal(rows.map((a) => rows.map((b) => dot(a, b))));
       const roots = values.map((value) => (value > RIGID * values[2] ? Math.sqrt(value) : 0));
@@ -348,7 +350,7 @@ const Robot = (() => {
     // null where that is in doubt. The fastest grows without bound towards a pose in which drives lose the platform, the
     // slowest vanishes where they cannot move it.
     gains(pose) {
-      const motions = this.programs.motion ? this.motions(pose) : null;
+      const motions = this.motions(pose);
       if (!motions) return null;
       const units = this.data.commands.map(({ unit }) => (unit === "m" ? this.data.length : 1));
       const scaled = motions.commands.map((row, i) =>
@@ -408,8 +410,9 @@ const Robot = (() => {
       });
     }
 
-    // Actuator forces that hold the weight; null in a singular pose.
+    // Actuator forces that hold the weight; null where there are none, as in a singular pose.
     holdingForces(pose) {
+      if (!this.programs.holding) return null;
       const numbers = new Float64Array(this.programs.holding_size);
       this.programs.holding(pose.q, numbers);
       const forces = [...numbers.subarray(0, numbers.length - 1)];
