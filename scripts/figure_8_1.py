@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from drawings.schematic import schematic_figure
+
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.figures.schematic import schematic_figure
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

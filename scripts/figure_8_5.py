@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
+from drawings.pseudo_error import pseudo_error_figure
+
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

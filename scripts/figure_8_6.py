@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
+from drawings.compensation_flow import compensation_flow_figure
+
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"

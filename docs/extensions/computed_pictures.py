@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from drawings.compensation_flow import compensation_flow_figure
+from drawings.pseudo_error import pseudo_error_figure
+from drawings.schematic import schematic_figure
 from sphinx.application import Sphinx
 from sphinx.util.typing import ExtensionMetadata
+from studies.passive_leg_radius import passive_leg_radius_figure
+from studies.universal_joint import universal_joint_figure
 
 import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
@@ -19,15 +24,10 @@ from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.export.description import temporary_description
 from pm3dof_pin.figures.atlas import atlas_pictures
-from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
 from pm3dof_pin.figures.critical_springs import critical_springs
 from pm3dof_pin.figures.error_ranking import error_ranking
-from pm3dof_pin.figures.passive_leg_radius import passive_leg_radius_figure
-from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
-from pm3dof_pin.figures.schematic import schematic_figure
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.figures.universal_joint import universal_joint_figure
 from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
 from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from drawings.diagram import NAMES, Diagram
 from matplotlib.figure import Figure
 
-from pm3dof_pin.figures.diagram import NAMES, Diagram
 from pm3dof_pin.figures.style import house_style
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from drawings.diagram import NAMES, Diagram
 from matplotlib.figure import Figure
 
-from pm3dof_pin.figures.diagram import NAMES, Diagram
 from pm3dof_pin.figures.style import house_style
 
 

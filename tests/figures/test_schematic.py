@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +14,12 @@ from matplotlib.transforms import Bbox
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.exceptions import UnreachablePoseError
-from pm3dof_pin.figures.compensation_flow import compensation_flow_figure
-from pm3dof_pin.figures.pseudo_error import pseudo_error_figure
-from pm3dof_pin.figures.schematic import schematic_figure
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from drawings.compensation_flow import compensation_flow_figure
+from drawings.pseudo_error import pseudo_error_figure
+from drawings.schematic import schematic_figure
 
 
 def _boxes(figure: Figure) -> dict[str, Bbox]:
