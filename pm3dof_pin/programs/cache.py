@@ -14,7 +14,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import llvmlite
@@ -73,19 +73,30 @@ def stored(key: str, make: Callable[[], Program]) -> Program:
 
 
 def compiled(program: Program) -> llvm.Compiled:
-    """Return the program as machine code, kept or compiled now; ProgramError if LLVM does not compile it."""
-    processor = llvm.target()
-    versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
-    name = _name("compiled", program.key, *versions, processor.name, processor.features, str(processor.lanes))
+    """Return the program as machine code, kept or compiled now; ProgramError if LLVM does not compile it.
+
+    It is compiled quickly first, and with care when it has run for so many poses that this pays.
+    """
+    careful = _read(_code_name(program, careful=True))
+    if careful is not None:
+        return llvm.Compiled(program, careful)
+    return llvm.Compiled(program, _code(program, careful=False), faster=partial(_code, program, careful=True))
+
+
+def _code(program: Program, *, careful: bool) -> bytes:
+    name = _code_name(program, careful=careful)
     code = _read(name)
-    if code is not None:
-        try:
-            return llvm.Compiled(program, code)
-        except ProgramError:
-            _LOG.info("what is kept as %s cannot be loaded; compiled again", name)
-    code = llvm.object_code(program, processor.lanes)
-    _keep(name, code)
-    return llvm.Compiled(program, code)
+    if code is None:
+        code = llvm.object_code(program, llvm.target().lanes, careful)
+        _keep(name, code)
+    return code
+
+
+def _code_name(program: Program, *, careful: bool) -> str:
+    versions = llvmlite.__version__, ".".join(map(str, binding.llvm_version_info))
+    processor = llvm.target()
+    key = program.key, *versions, processor.name, processor.features, str(processor.lanes), str(careful)
+    return _name("compiled", *key)
 
 
 def folder() -> Path | None:

@@ -18,7 +18,7 @@ _MARCH = (
 )
 
 
-def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str = "") -> str:
+def module(program: Program, lanes: int, opaque_pointers: bool, fused: bool, attributes: str = "") -> str:
     """Return the text of a module with the function `evaluate` and, where the program allows, `iterate` and `march`.
 
     The first two take ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts
@@ -30,9 +30,10 @@ def module(program: Program, lanes: int, opaque_pointers: bool, attributes: str 
         program: the program.
         lanes: poses computed at once, a power of two.
         opaque_pointers: whether pointers are spelt without their type, as LLVM 17 and later want it.
+        fused: whether the processor has an operation a b + c, rounded once.
         attributes: attributes of all functions.
     """
-    text = _Drivers(program, lanes, opaque_pointers)
+    text = _Drivers(program, lanes, opaque_pointers, fused)
     text.prepare()
     text.straight_line()
     text.evaluate()
@@ -129,7 +130,7 @@ class _Drivers(StraightLine):
             ]
             ahead = points[0]
             for share, point in zip(shares, points[1:], strict=True):
-                ahead = self.add(ahead, self.multiply(self.subtract(points[0], point), share))
+                ahead = self.multiply_add(self.subtract(points[0], point), share, ahead)
             self.store_vector(ahead, "%block_inputs", k * lanes)
             for back, point in enumerate(points[:-1], start=1):
                 self.store_vector(point, f"%previous_{back}", k * lanes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 
 from pm3dof_pin.programs.program import Program
@@ -11,11 +12,13 @@ from pm3dof_pin.programs.vector_ir import VectorText
 class StraightLine(VectorText):
     """A module with `prepare`, which fills the table of what all poses share, and `line`, for a block."""
 
-    def __init__(self, program: Program, lanes: int, opaque_pointers: bool) -> None:
-        super().__init__(lanes, opaque_pointers)
+    def __init__(self, program: Program, lanes: int, opaque_pointers: bool, fused: bool) -> None:
+        super().__init__(lanes, opaque_pointers, fused)
         self.program = program
         self.per_pose = self._per_pose()
         self.shared = self._shared()
+        self.products = self._products() if fused else {}
+        self._fused_products = frozenset(self.products.values())
 
     # what is computed for every pose, and what is the same for all
 
@@ -39,18 +42,48 @@ class StraightLine(VectorText):
                 places.setdefault(number, len(places))
         return places
 
+    def _products(self) -> dict[int, int]:
+        """Return for every sum and difference that can be one operation with a product the number of the product."""
+        first, lines = self.program.first_line, self.program.lines
+        uses = Counter(self.program.results)
+        for _, operands in lines:
+            uses.update(operands)
+        products: dict[int, int] = {}
+        for number, (operation, operands) in enumerate(lines, start=first):
+            if operation in ("add", "subtract"):
+                for operand in operands:
+                    is_product = operand >= first and lines[operand - first][0] == "multiply"
+                    if is_product and uses[operand] == 1 and self.per_pose[operand] == self.per_pose[number]:
+                        products[number] = operand
+                        break
+        return products
+
     def straight(self, numbers: Iterable[int], value: Callable[[int], str], keep: Callable[[int, str], None]) -> None:
         """Emit the lines of ascending numbers, `value` giving the name of each, `keep` being told of every one made."""
         angles: dict[int, tuple[str, str]] = {}
         for number in numbers:
+            if number in self._fused_products:
+                continue
             operation, operands = self.program.lines[number - self.program.first_line]
-            if operation in ("sin", "cos"):
+            if number in self.products:
+                name = self.sum_with_product(operation, operands, self.products[number], value)
+            elif operation in ("sin", "cos"):
                 if operands[0] not in angles:
                     angles[operands[0]] = self.sine_and_cosine(value(operands[0]))
                 name = angles[operands[0]][operation == "cos"]
             else:
                 name = self.operation(operation, [value(operand) for operand in operands])
             keep(number, name)
+
+    def sum_with_product(
+        self, operation: str, operands: tuple[int, ...], product: int, value: Callable[[int], str]
+    ) -> str:
+        """Emit a sum or difference with one operand a product, as one operation."""
+        x, y = map(value, self.program.lines[product - self.program.first_line][1])
+        if operands[0] == product:
+            other = value(operands[1])
+            return self.multiply_add(x, y, other if operation == "add" else self.negative(other))
+        return self.multiply_add(x if operation == "add" else self.negative(x), y, value(operands[0]))
 
     def operation(self, operation: str, operands: list[str]) -> str:
         """Emit one line of a program."""
@@ -59,7 +92,7 @@ class StraightLine(VectorText):
                 instruction = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}[operation]
                 return self.binary(instruction, *operands)
             case "negative":
-                return self.emit(f"fneg {self.vector} {operands[0]}")
+                return self.negative(operands[0])
             case "sqrt":
                 return self.call("sqrt", operands[0])
             case "absolute":

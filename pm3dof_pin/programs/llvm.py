@@ -18,9 +18,9 @@ from pm3dof_pin.programs import drivers
 from pm3dof_pin.programs.program import Program
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
-_LONG = (
-    30_000  # operations, from which on compiling with care takes seconds, and without it a fifth, for half the speed
-)
+
+MANY_POSES = 1_000_000
+"""Poses, counted over all calls of a program, from which on compiling with care saves more time than it takes."""
 
 
 class Target(NamedTuple):
@@ -29,6 +29,7 @@ class Target(NamedTuple):
     name: str
     features: str
     lanes: int
+    fuses: bool  #: whether it has an operation a b + c, rounded once
 
 
 class Iteration(NamedTuple):
@@ -47,21 +48,25 @@ def target() -> Target:
         binding.initialize_native_asmprinter()
         features = binding.get_host_cpu_features()
         lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2
-        return Target(binding.get_host_cpu_name(), features.flatten(), lanes)
+        fuses = features.get("fma", not binding.get_process_triple().startswith("x86"))
+        return Target(binding.get_host_cpu_name(), features.flatten(), lanes, fuses)
     except RuntimeError as error:
         raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
 
 
-def compile(program: Program, lanes: int | None = None) -> Compiled:
+def compile(program: Program, lanes: int | None = None, careful: bool = True) -> Compiled:
     """Compile a program for so many poses at once, a power of two (the processor's); ProgramError if LLVM fails."""
-    return Compiled(program, object_code(program, lanes or target().lanes))
+    return Compiled(program, object_code(program, lanes or target().lanes, careful))
 
 
-def object_code(program: Program, lanes: int) -> bytes:
-    """Return the compiled program as an object file; ProgramError if LLVM does not compile it."""
-    machine = _machine(0 if len(program) > _LONG else 2)
+def object_code(program: Program, lanes: int, careful: bool) -> bytes:
+    """Return the compiled program as an object file; ProgramError if LLVM does not compile it.
+
+    Without care it takes a quarter of the time, for code a third as fast, with the same results bit for bit.
+    """
+    machine = _machine(careful)
     try:
-        text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, _attributes(lanes))
+        text = drivers.module(program, lanes, binding.llvm_version_info[0] >= 17, target().fuses, _attributes(lanes))
         module = binding.parse_assembly(text, binding.create_context())
         module.triple = machine.triple
         module.data_layout = str(machine.target_data)
@@ -77,11 +82,11 @@ def _attributes(lanes: int) -> str:
     return f'{width} "tune-cpu"="icelake-server"' if binding.get_process_triple().startswith("x86_64") else width
 
 
-def _machine(effort: int = 2) -> Any:
+def _machine(careful: bool = False) -> Any:
     processor = target()
     try:
         return binding.Target.from_default_triple().create_target_machine(
-            cpu=processor.name, features=processor.features, opt=effort, jit=True
+            cpu=processor.name, features=processor.features, opt=2 if careful else 0, jit=True
         )
     except RuntimeError as error:
         raise ProgramError(f"LLVM cannot compile for this processor: {error}") from error
@@ -93,22 +98,41 @@ class Compiled:
     Results do not depend on how poses are grouped into calls, on their order, or on the number of threads.
     """
 
-    def __init__(self, program: Program, code: bytes) -> None:
-        """Load object code of the program, ProgramError where that fails; LLVM crashes over code that is not whole."""
+    def __init__(self, program: Program, code: bytes, faster: Callable[[], bytes] | None = None) -> None:
+        """Load object code of the program.
+
+        Args:
+            program: the program.
+            code: its object code; LLVM crashes over code that is not whole.
+            faster: makes code that takes its place once there are many poses, if `code` was compiled quickly.
+
+        Raises:
+            ProgramError: it cannot be loaded.
+        """
         self.program = program
+        self._faster = faster
+        self._poses = 0
+        self._engines: list[Any] = []  # the first one stays, as another thread may be running it
+        self._load(code)
+
+    def _load(self, code: bytes) -> None:
+        program = self.program
         try:
             # in LLVM's own context: another one may be collected before the engine that needs it
-            self._engine = binding.create_mcjit_compiler(binding.parse_assembly(""), _machine())
-            self._engine.add_object_file(binding.ObjectFileRef.from_data(code))
-            self._engine.finalize_object()
+            self._engines.append(binding.create_mcjit_compiler(binding.parse_assembly(""), _machine()))
+            self._engines[-1].add_object_file(binding.ObjectFileRef.from_data(code))
+            self._engines[-1].finalize_object()
             pointer, size = ctypes.c_void_p, ctypes.c_int64
             common = (pointer, size, pointer, pointer, size, size)
-            self._evaluate = self._function("evaluate", *common)
             number = ctypes.c_double
             steps = (*common, number, size)
-            march = (*steps, size, size, size, size, pointer, number, number, number)
-            self._iterate = self._function("iterate", *steps) if program.can_iterate else None
-            self._march = self._function("march", *march) if program.can_march else None
+            functions = {"evaluate": self._function("evaluate", *common)}
+            if program.can_iterate:
+                functions["iterate"] = self._function("iterate", *steps)
+            if program.can_march:
+                march = (*steps, size, size, size, size, pointer, number, number, number)
+                functions["march"] = self._function("march", *march)
+            self._functions = functions
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
@@ -124,7 +148,7 @@ class Compiled:
         return outputs[:, :-1], sound
 
     def _function(self, name: str, *arguments: Any) -> Callable[..., None]:
-        address = self._engine.get_function_address(name)
+        address = self._engines[-1].get_function_address(name)
         if not address:
             raise RuntimeError(f"no function '{name}'")
         return ctypes.CFUNCTYPE(None, *arguments)(address)
@@ -155,7 +179,7 @@ class Compiled:
         rows = _rows("inputs", inputs, len(self.program.inputs))
         n_outputs = len(self.program.results)
         outputs = np.empty((len(rows), n_outputs)) if out is None else _writable("out", out, len(rows), n_outputs)
-        self._run(self._evaluate, rows, parameters, outputs, threads, then=then)
+        self._run("evaluate", rows, parameters, outputs, threads, then=then)
         return outputs
 
     def iterate(
@@ -175,14 +199,14 @@ class Compiled:
         Raises:
             InvalidValueError: an array has another shape, or the program's outputs are no state and residual.
         """
-        if self._iterate is None:
+        if not self.program.can_iterate:
             raise InvalidValueError("outputs", self.program.outputs, "a new value of the first inputs, then a residual")
         if max_steps < 1:
             raise InvalidValueError("max_steps", max_steps, "at least 1")
         n = self.program.state_size
         rows = _rows("inputs", inputs, len(self.program.inputs))
         results = np.empty((len(rows), n + 2))
-        self._run(self._iterate, rows, parameters, results, threads, tolerance, max_steps)
+        self._run("iterate", rows, parameters, results, threads, tolerance, max_steps)
         return Iteration(results[:, :n], results[:, n], results[:, n + 1])
 
     def march(
@@ -223,7 +247,7 @@ class Compiled:
             InvalidValueError: the program closes no loops, or an array has another shape.
         """
         program = self.program
-        if self._march is None:
+        if not program.can_march:
             raise InvalidValueError("outputs", program.outputs, "q, margin, jump, residual")
         n, m, nq = lines.shape
         shares = np.ascontiguousarray(shares, dtype=np.float64)
@@ -240,7 +264,7 @@ class Compiled:
             return
         step = lines.strides[1] // 8
         self._run(
-            self._march,
+            "march",
             lines[:, known - 1],
             parameters,
             given[:, known - 1],
@@ -252,7 +276,7 @@ class Compiled:
 
     def _run(
         self,
-        function: Callable[..., None],
+        name: str,
         rows: NDArray[np.float64],
         parameters: ArrayLike,
         outputs: NDArray[np.float64],
@@ -267,6 +291,11 @@ class Compiled:
             expected = f"shape ({len(self.program.parameters)},)"
             raise InvalidValueError("parameters", f"array of shape {shared.shape}", expected)
         n = len(rows)
+        self._poses += n * length
+        if self._faster is not None and self._poses > MANY_POSES:
+            faster, self._faster = self._faster, None
+            self._load(faster())
+        function = self._functions[name]
         strides = rows.strides[0] // 8, outputs.strides[0] // 8
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
 

@@ -1,7 +1,8 @@
 """Arithmetic on vectors of poses as LLVM's text: instructions, and the functions of angles made of them.
 
 Only what every LLVM from 14 on reads the same way is used, except for the spelling of pointers. There is no fast-math
-flag but `contract`, which lets a product and a sum become one fused operation.
+flag, so that every rounding is said by the text, and code compiled quickly gives the same bits as code compiled with
+care.
 """
 
 from __future__ import annotations
@@ -51,17 +52,18 @@ _SIGN = 1 << 63
 class VectorText:
     """Text of a module under construction, with vectors of as many numbers as lanes, the poses computed at once."""
 
-    def __init__(self, lanes: int, opaque_pointers: bool) -> None:
+    def __init__(self, lanes: int, opaque_pointers: bool, fused: bool) -> None:
         self.lanes = lanes
+        self.fused = fused
         self.vector = f"<{lanes} x double>"
         self.integers = f"<{lanes} x i64>"
         self.truths = f"<{lanes} x i1>"
         self.pointer = "ptr" if opaque_pointers else "double*"
         self.vector_pointer = "ptr" if opaque_pointers else f"{self.vector}*"
         self.lines = [
-            f"declare {self.vector} @llvm.{function}.v{lanes}f64({self.vector})" for function in ("sqrt", "fabs")
+            f"declare {self.vector} @llvm.{function}.v{lanes}f64({', '.join([self.vector] * count)})"
+            for function, count in (("sqrt", 1), ("fabs", 1), ("fma", 3))
         ]
-        self._count = 0
         self._count = 0
 
     # instructions
@@ -125,9 +127,8 @@ class VectorText:
     # arithmetic on vectors
 
     def binary(self, instruction: str, a: str, b: str) -> str:
-        """Emit an operation on two vectors; all but a quotient may be fused with another."""
-        flag = "" if instruction == "fdiv" else " contract"
-        return self.emit(f"{instruction}{flag} {self.vector} {a}, {b}")
+        """Emit an operation on two vectors."""
+        return self.emit(f"{instruction} {self.vector} {a}, {b}")
 
     def add(self, a: str, b: str) -> str:
         """Emit a sum."""
@@ -140,6 +141,17 @@ class VectorText:
     def multiply(self, a: str, b: str) -> str:
         """Emit a product."""
         return self.binary("fmul", a, b)
+
+    def negative(self, a: str) -> str:
+        """Emit a change of sign."""
+        return self.emit(f"fneg {self.vector} {a}")
+
+    def multiply_add(self, a: str, b: str, c: str) -> str:
+        """Emit a b + c, rounded once if this text is `fused`, where the processor does that in one operation."""
+        if not self.fused:
+            return self.add(self.multiply(a, b), c)
+        v = self.vector
+        return self.emit(f"call {v} @llvm.fma.v{self.lanes}f64({v} {a}, {v} {b}, {v} {c})")
 
     def compare(self, relation: str, a: str, b: str) -> str:
         """Emit a comparison, lane by lane."""
@@ -174,23 +186,23 @@ class VectorText:
         """Emit a polynomial by Horner's rule, the constant coefficient first."""
         value = self.splat(coefficients[-1])
         for coefficient in reversed(coefficients[:-1]):
-            value = self.add(self.multiply(value, z), self.splat(coefficient))
+            value = self.multiply_add(value, z, self.splat(coefficient))
         return value
 
     def sine_and_cosine(self, angle: str) -> tuple[str, str]:
         """Emit both: reduction to [-pi/4, pi/4] in three parts, two polynomials, exchanged and turned by quadrant."""
         inside = self.compare("ole", self.call("fabs", angle), self.splat(ANGLE_RANGE))
         x = self.select(inside, angle, self.splat(float("nan")))
-        sum_ = self.add(self.multiply(x, self.splat(2.0 / 3.141592653589793)), self.splat(_ROUND))
+        sum_ = self.multiply_add(x, self.splat(2.0 / 3.141592653589793), self.splat(_ROUND))
         quarters = self.subtract(sum_, self.splat(_ROUND))
         for part in _HALF_PI:
-            x = self.subtract(x, self.multiply(quarters, self.splat(part)))
+            x = self.multiply_add(quarters, self.splat(-part), x)
         z = self.multiply(x, x)
-        sine = self.add(x, self.multiply(self.multiply(x, z), self.polynomial(z, _SIN)))
+        sine = self.multiply_add(self.multiply(x, z), self.polynomial(z, _SIN), x)
         half = self.multiply(z, self.splat(0.5))
         near = self.subtract(self.splat(1.0), half)
         lost = self.subtract(self.subtract(self.splat(1.0), near), half)
-        cosine = self.add(near, self.add(lost, self.multiply(self.multiply(z, z), self.polynomial(z, _COS))))
+        cosine = self.add(near, self.multiply_add(self.multiply(z, z), self.polynomial(z, _COS), lost))
         quadrant = self.bits(sum_)
         odd = self.emit(f"icmp ne {self.integers} {self.on_bits('and', quadrant, 1)}, zeroinitializer")
         sine_sign = self.on_bits("shl", self.on_bits("and", quadrant, 2), 62)
@@ -217,14 +229,14 @@ class VectorText:
         below = self.select(self.compare("oeq", below, self.splat(0.0)), one, below)
         tangent = self.binary("fdiv", above, below)
         z = self.multiply(tangent, tangent)
-        angle = self.add(tangent, self.multiply(self.multiply(tangent, z), self.polynomial(z, _ATAN)))
+        angle = self.multiply_add(self.multiply(tangent, z), self.polynomial(z, _ATAN), tangent)
         turned = self.emit(f"xor {self.truths} {steep}, {left}")
-        angle = self.select(turned, self.emit(f"fneg {self.vector} {angle}"), angle)
+        angle = self.select(turned, self.negative(angle), angle)
         eighths = self.select(diagonal, one, self.splat(0.0))
         eighths = self.select(steep, self.subtract(self.splat(2.0), eighths), eighths)
         eighths = self.select(left, self.subtract(self.splat(4.0), eighths), eighths)
-        low = self.add(self.multiply(eighths, self.splat(_QUARTER_PI[1])), angle)
-        return self.flip_sign(self.add(self.multiply(eighths, self.splat(_QUARTER_PI[0])), low), y_sign)
+        low = self.multiply_add(eighths, self.splat(_QUARTER_PI[1]), angle)
+        return self.flip_sign(self.multiply_add(eighths, self.splat(_QUARTER_PI[0]), low), y_sign)
 
     def extreme(self, relation: str, a: str, b: str) -> str:
         """Emit the lesser ("olt") or greater ("ogt"): NaN where one of them is."""

@@ -6,10 +6,11 @@ One thread; the least of many short runs, taken in turn, so that ratios hold on 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+from timing import least_times
 
 from pm3dof_pin.elastic.batch import compliance, stiffness
 from pm3dof_pin.elastic.elastic_model import ElasticModel
@@ -22,17 +23,6 @@ POSES = 2000
 FEW = 50
 ROUNDS = 150
 GOALS = {"pm3dof": 50, "hexapod": 50, "three_rps": 25}
-
-
-def least_times(work: Mapping[str, Callable[[], object]]) -> dict[str, float]:
-    """Return the least time of each piece of work [s], done in turn."""
-    least = dict.fromkeys(work, np.inf)
-    for _ in range(ROUNDS):
-        for name, run in work.items():
-            start = time.perf_counter()
-            run()
-            least[name] = min(least[name], time.perf_counter() - start)
-    return least
 
 
 def bare_calls(mechanism: Mechanism, positions: np.ndarray) -> Callable[[], None]:
@@ -76,7 +66,8 @@ def main() -> dict[str, float]:
                 "stiffness": lambda model=model, many=many: stiffness(model, many, threads=1),
                 "report": lambda model=model, poses=poses: [cartesian_compliance(model, q).stiffness for q in poses.q],
                 "careful": lambda model=model, poses=poses: cartesian_compliance(model, poses.q[0], engine="pinocchio"),
-            }
+            },
+            ROUNDS,
         )
         bare = times["bare"] / FEW
         print(f"{robot}: {model.mechanism.model.nv} velocities, {len(model.springs)} springs; first use {first:.2f} s")

@@ -19,6 +19,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
 from pm3dof_pin.programs import cache, llvm
 
+llvm.MANY_POSES = 0
+
 POSES = 16384
 FEW = 100
 ROUNDS = 40
@@ -43,6 +45,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             os.environ["PM3DOF_CACHE_DIR"] = folder
             first, _ = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
+            careful, _ = timed(lambda: llvm.object_code(program, processor.lanes, careful=True))  # noqa: B023
             second, compiled = timed(lambda: cache.compiled(cache.stored(robot, lambda: program)))  # noqa: B023
             parameters = elastic_program(model, frame, COMPLIANCE, closed=True).parameters
         poses = np.tile(model.rigid.home.q, (POSES, 1))
@@ -58,8 +61,11 @@ def main() -> None:
             )
             times["one pose"] = min(times["one pose"], again / FEW)
         print(f"{robot}: {len(program)} operations")
-        print(f"  recorded with its samples in {trace:.2f} s, compiled in {first:.2f} s", end="")
-        print(f" ({1e6 * first / len(program):.0f} us an operation), loaded in {1e3 * second:.1f} ms")
+        print(
+            f"  recorded with its samples in {trace:.2f} s, compiled in {first:.2f} s, with care in {careful:.2f} s",
+            end="",
+        )
+        print(f" ({1e6 * careful / len(program):.0f} us an operation), loaded in {1e3 * second:.1f} ms")
         each = times[1] / POSES
         print(f"  {1e6 * each:.3f} us a pose, {1e12 * each / len(program):.0f} ps an operation", end="")
         print(f"; two threads {times[1] / times[2]:.2f} times faster; one pose alone {1e6 * times['one pose']:.1f} us")

@@ -1,9 +1,16 @@
-"""How long something takes: the least of several tries, which others on the machine disturbed least."""
+"""How long something takes: the least of several tries, which others on the machine disturbed least.
+
+Programs are compiled with care from the first pose on: what is timed is what many poses take.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+
+from pm3dof_pin.programs import llvm
+
+llvm.MANY_POSES = 0
 
 
 def least_time(work: Callable[[], object], tries: int = 5, clock: Callable[[], float] = time.perf_counter) -> float:
@@ -14,3 +21,12 @@ def least_time(work: Callable[[], object], tries: int = 5, clock: Callable[[], f
         work()
         times.append(clock() - start)
     return min(times)
+
+
+def least_times(work: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Return the least time of each piece of work [s], done in turn."""
+    least = dict.fromkeys(work, float("inf"))
+    for _ in range(rounds):
+        for name, run in work.items():
+            least[name] = min(least[name], least_time(run, 1))
+    return least

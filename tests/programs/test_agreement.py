@@ -112,11 +112,13 @@ def _shaken(program: Program, inputs: np.ndarray, parameters: np.ndarray, seed: 
     return flat
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(PROGRAMS, st.sampled_from([1, 7, 8, 9, 33]), st.integers(0, 2**32 - 1))
 def test_machine_code(program, n, seed):
     inputs, parameters = numbers(seed, n)
-    assert_agree(llvm.compile(program)(inputs, parameters), program, inputs, parameters)
+    outputs = llvm.compile(program, careful=False)(inputs, parameters)
+    assert_agree(outputs, program, inputs, parameters)
+    assert np.array_equal(llvm.compile(program)(inputs, parameters), outputs, equal_nan=True)
 
 
 @pytest.fixture(scope="module")

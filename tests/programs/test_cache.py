@@ -32,7 +32,9 @@ def compilations(monkeypatch):
     """Programs that were compiled, not loaded."""
     done = []
     original = llvm.object_code
-    monkeypatch.setattr(llvm, "object_code", lambda program, lanes: done.append(program) or original(program, lanes))
+    monkeypatch.setattr(
+        llvm, "object_code", lambda program, *options: done.append(program) or original(program, *options)
+    )
     return done
 
 
@@ -47,6 +49,20 @@ def test_a_program_is_compiled_once(folder, compilations):
     assert len(compilations) == 2
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert len(list(folder.iterdir())) == 2
+
+
+def test_many_poses_are_worth_care(folder, compilations, monkeypatch):
+    """Code compiled with care takes the place of the first, gives the same bits, and is the one loaded later."""
+    monkeypatch.setattr(llvm, "MANY_POSES", 100)
+    inputs = np.random.default_rng(8).uniform(0.0, 10.0, size=(60, 1))
+    program = cache.compiled(make(3.7))
+    outputs = program(inputs)
+    assert len(compilations) == 1
+    assert np.array_equal(program(inputs), outputs)
+    assert len(compilations) == 2
+    again = cache.compiled(make(3.7))
+    assert np.array_equal([again(inputs) for _ in range(3)], [outputs] * 3)
+    assert len(compilations) == 2
 
 
 def test_a_program_is_traced_once(folder):
