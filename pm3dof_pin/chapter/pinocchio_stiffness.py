@@ -1,4 +1,4 @@
-"""The chapter's stiffness on Pinocchio's Jacobians: the loops closed and every derivative taken from the URDF.
+"""The chapter's stiffness on Pinocchio's Jacobians: every closed loop checked and every derivative taken on the URDF.
 
 The platform hangs on the passive leg, so that (8.5) is Pinocchio's Jacobian of the frame E_i in the columns of the
 joints of that leg; a slider's direction is the Jacobian of D_i in the column of its joint. With k_i = E_i - D_i,
@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter.chapter_stiffness import chapter_diagonal
 from pm3dof_pin.chapter.tripod import Tripod
-from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
+from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Array, OnFailure
@@ -29,13 +30,17 @@ def pinocchio_stiffness(robot: Robot, tripod: Tripod, poses: ArrayLike, *, on_fa
     Raises:
         InvalidValueError: the robot is no machine of the chapter's family, or a pose is at or below the clamp.
         UnreachablePoseError: a pose is out of reach, and `on_failure` is "raise".
+        ConvergenceError: Pinocchio does not find the loops closed where the robot's program does.
     """
     if not all(robot.model.existJointName(name) for name in _MOTIONS):
         raise InvalidValueError("robot", robot.name, f"a tripod with the joints {', '.join(_MOTIONS)}")
-    solved = robot.solve(poses, on_failure=on_failure, engine="pinocchio")
+    solved = robot.solve(poses, on_failure=on_failure)
     link, travel = (np.full((*solved.shape, tripod.leg_count, 3), np.nan) for _ in range(2))
     for index in zip(*np.nonzero(solved.solved), strict=True):
-        link[index], travel[index] = _jacobians(Configuration(robot, solved.q[index]), tripod.leg_count)
+        configuration = Configuration(robot, solved.q[index])
+        if configuration.closure_residual > CLOSURE_TOLERANCE:
+            raise ConvergenceError(f"{robot.name}: closing the loops", configuration.closure_residual, "m or rad", 0)
+        link[index], travel[index] = _jacobians(configuration, tripod.leg_count)
     return chapter_diagonal(tripod, np.asarray(poses, dtype=float)[..., 2], link, travel, on_failure=on_failure)
 
 

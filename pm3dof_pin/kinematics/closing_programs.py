@@ -61,7 +61,6 @@ class ProgramSource:
         self._structure = geometry.structure(robot)
         self._latest: tuple[Robot, Mapping[str, float], bool] = robot, self._numbers, False
         self._known: dict[tuple[str, bool], Compiled] = {}
-        self._verified: set[bool] = set()
 
     @cached_property
     def samples(self) -> Matrix:
@@ -97,7 +96,7 @@ class ProgramSource:
         numbers, dense = self._geometry_of(robot)
 
         def traced() -> Program:
-            self._verify(dense)
+            verify(self._robot, self.samples, dense=dense)
             return trace(dense).program
 
         if (name, dense) not in self._known:
@@ -122,8 +121,3 @@ class ProgramSource:
         robot = self._robot
         content = (self._structure, self._numbers, robot.home.q.tolist(), robot.characteristic_length)
         return hashlib.sha256(repr(content).encode()).hexdigest()
-
-    def _verify(self, dense: bool) -> None:
-        if dense not in self._verified:
-            verify(self._robot, self.samples, dense=dense)
-            self._verified.add(dense)

@@ -14,7 +14,7 @@ Vectors and matrices are NumPy arrays of dtype object, or lists::
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -83,29 +83,29 @@ class Graph:
             raise InvalidValueError("name", repr(name), "an identifier")
         groups = {group: np.array(numbers, dtype=object) for group, numbers in outputs.items()}
         flat = [self._number(number) for array in groups.values() for number in array.ravel()]
-        needed = {number.index for number in flat}
+        needed = set(flat)
         for value in reversed(self._values):
-            if value.index in needed:
-                needed.update(operand.index for operand in value.operands)
+            if value in needed:
+                needed.update(value.operands)
         leaves = [*self._inputs.values(), *self._parameters.values()]
-        order = [self._values[index] for index in sorted(needed)]
-        constants = [value for value in order if isinstance(value, Number) and value.value is not None]
+        order = [value for value in self._values if value in needed]
+        constants = [value for value in order if value.value is not None]
         lines = _by_first_use(order, flat)
-        place = {value.index: number for number, value in enumerate([*leaves, *constants, *lines])}
+        place = {value: number for number, value in enumerate([*leaves, *constants, *lines])}
         return Program(
             name=name,
             inputs=tuple(self._inputs),
             parameters=tuple(self._parameters),
             outputs={group: array.shape for group, array in groups.items()},
             constants=tuple(float(constant.value or 0.0) for constant in constants),
-            lines=tuple((line.operation, tuple(place[operand.index] for operand in line.operands)) for line in lines),
-            results=tuple(place[number.index] for number in flat),
+            lines=tuple((line.operation, tuple([place[operand] for operand in line.operands])) for line in lines),
+            results=tuple([place[number] for number in flat]),
         )
 
     def _leaf(self, name: str) -> Number:
         if name in self._inputs or name in self._parameters:
             raise InvalidValueError("name", repr(name), "one that is not taken")
-        return Number(self, "leaf", ())
+        return Number(self, "leaf")
 
     def _number(self, value: object) -> Number:
         if isinstance(value, Number):
@@ -132,37 +132,43 @@ class Graph:
         return samples[index] if index >= 0 else None
 
 
-def _by_first_use(order: list[Value], results: list[Number]) -> list[Value]:
+def _by_first_use(order: Sequence[Value], results: Sequence[Value]) -> list[Value]:
     """Return the lines depth first from the results, so that fewer numbers wait at a time for their use.
 
     Of the operands of a line the one that keeps more numbers waiting comes first (R. Sethi and J. Ullman, J. ACM 17,
     1970).
     """
-    waiting: dict[int, int] = {}
+    waiting: dict[Value, int] = {}
     for value in order:
-        counts = sorted((waiting[operand.index] for operand in value.operands), reverse=True)
-        waiting[value.index] = max((count + k for k, count in enumerate(counts)), default=0) or bool(counts)
-    lines: dict[int, Value] = {}
-    stack: list[tuple[Value, bool]] = [(result, False) for result in reversed(results)]
+        counts = sorted([waiting[operand] for operand in value.operands], reverse=True)
+        waiting[value] = max([1, *[count + k for k, count in enumerate(counts)]]) if counts else 0
+    lines: dict[Value, None] = {}
+    opened: set[Value] = set()
+    stack: list[Value] = list(reversed(results))
     while stack:
-        value, is_ready = stack.pop()
-        if is_ready:
-            lines.setdefault(value.index, value)
-        elif value.operands and value.index not in lines:
-            stack.append((value, True))
-            stack.extend((o, False) for o in sorted(value.operands, key=lambda operand: waiting[operand.index]))
-    return list(lines.values())
+        value = stack[-1]
+        if value in opened or not value.operands:
+            stack.pop()
+            if value.operands:
+                lines[value] = None  # again and again for one that several wait for: the first time counts
+        else:
+            opened.add(value)
+            stack.extend(sorted(value.operands, key=waiting.__getitem__))
+    return list(lines)
 
 
 class Value:
-    """A value in a graph."""
+    """A value in a graph; `value` is that of a constant."""
 
-    __slots__ = ("graph", "index", "operands", "operation")
+    __slots__ = ("graph", "index", "operands", "operation", "value")
 
-    def __init__(self, graph: Graph, operation: str, operands: tuple[Any, ...]) -> None:
+    def __init__(
+        self, graph: Graph, operation: str, operands: tuple[Any, ...] = (), value: float | None = None
+    ) -> None:
         self.graph = graph
         self.operation = operation
         self.operands = operands
+        self.value = value
         self.index = len(graph._values)
         graph._values.append(self)
 
@@ -182,11 +188,7 @@ class Value:
 class Number(Value):
     """A recorded number. Arithmetic works among numbers and with floats, alone or in NumPy arrays of dtype object."""
 
-    __slots__ = ("value",)
-
-    def __init__(self, graph: Graph, operation: str, operands: tuple[Any, ...], value: float | None = None) -> None:
-        Value.__init__(self, graph, operation, operands)
-        self.value = value
+    __slots__ = ()
 
     @property
     def is_zero(self) -> bool:
@@ -345,7 +347,7 @@ V = TypeVar("V", Number, _Condition)
 def _record(kind: type[V], operation: str, *operands: Value) -> V:
     """Return the value of this operation: the one that is known, or a new one."""
     graph = operands[0].graph
-    key = (operation, *[operand.index for operand in operands])
+    key = (operation, *operands)
     found: V | None = graph._known.get(key)
     if found is None:
         for operand in operands:
@@ -402,7 +404,7 @@ def _negative(a: Number) -> Number:
         inner: Number = a.operands[0]
         return inner
     if a.operation == "subtract":
-        opposite: Number | None = a.graph._known.get(("subtract", a.operands[1].index, a.operands[0].index))
+        opposite: Number | None = a.graph._known.get(("subtract", a.operands[1], a.operands[0]))
         if opposite is not None:
             return opposite
     return _record(Number, "negative", a)
@@ -435,7 +437,7 @@ def _subtract(a: Number, b: Number) -> Number:
         return _add(a, b.operands[0])
     if a.operation == "negative":
         return _negative(_add(a.operands[0], b))
-    opposite: Number | None = a.graph._known.get(("subtract", b.index, a.index))
+    opposite: Number | None = a.graph._known.get(("subtract", b, a))
     return _record(Number, "subtract", a, b) if opposite is None else _negative(opposite)
 
 
