@@ -19,8 +19,11 @@ from pm3dof_pin.programs.program import Program
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
 
-MANY_POSES = 1_000_000
-"""Poses, counted over all calls of a program, from which on compiling with care saves more time than it takes."""
+MANY_POSES = 20_000
+"""Poses, counted over all calls of a program, from which on it is compiled with care.
+
+Within one session that pays from about a million poses on; but large batches seldom come alone, and the code is kept.
+"""
 
 
 class Target(NamedTuple):

@@ -19,8 +19,6 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE
 from pm3dof_pin.programs import cache, llvm
 
-llvm.MANY_POSES = 0
-
 POSES = 16384
 FEW = 100
 ROUNDS = 40

@@ -1,16 +1,9 @@
-"""How long something takes: the least of several tries, which others on the machine disturbed least.
-
-Programs are compiled with care from the first pose on: what is timed is what many poses take.
-"""
+"""How long something takes: the least of several tries, which others on the machine disturbed least."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-
-from pm3dof_pin.programs import llvm
-
-llvm.MANY_POSES = 0
 
 
 def least_time(work: Callable[[], object], tries: int = 5, clock: Callable[[], float] = time.perf_counter) -> float:
