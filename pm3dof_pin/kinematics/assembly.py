@@ -24,6 +24,7 @@ _FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
 LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
 _LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
 _STATIONARY = 1e-13
+_ROUNDING = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,19 @@ class Assembly:
     converged: bool  #: the loops are closed, and the tool is where it was wanted, within the tolerance
     steps: int  #: iterations done
     residual: float  #: greatest entry of what is left of the closure error and the pose error [m, rad]
-    configuration: Configuration  #: where the solver stopped; assembled only if `converged`
+    mechanism: Mechanism  #: the mechanism
+    q: Vector  #: where the solver stopped; assembled only if `converged`
     jacobian: Matrix  #: of the scaled errors there, by the scaled velocities that are free
+
+    @cached_property
+    def configuration(self) -> Configuration:
+        """The mechanism where the solver stopped."""
+        return Configuration(self.mechanism, self.q)
+
+    @cached_property
+    def factors(self) -> tuple[Matrix, Vector, Matrix]:
+        """The singular value decomposition of the Jacobian, U, s, V^T."""
+        return np.linalg.svd(self.jacobian, full_matrices=False)
 
 
 def assemble(
@@ -72,7 +84,7 @@ def assemble(
     equations = _Equations(mechanism, free, tool or {})
     point, steps = _iterate(equations, equations.at(q), max_steps)
     converged = point.residual <= CLOSURE_TOLERANCE
-    return Assembly(converged, steps, point.residual, Configuration(mechanism, point.q), point.jacobian)
+    return Assembly(converged, steps, point.residual, mechanism, point.q, point.jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,24 +96,23 @@ class _Point:
     error: Vector
     jacobian: Matrix
 
-    @property
+    @cached_property
     def cost(self) -> float:
         return float(self.error @ self.error)
 
     @cached_property
     def factors(self) -> tuple[Vector, Vector, Matrix]:
-        """The error in the left singular directions, the singular values, and the right singular directions."""
+        """The error in the left singular directions, the singular values but noise, and the right directions."""
         left, values, right = np.linalg.svd(self.jacobian, full_matrices=False)
-        return left.T @ self.error, values, right
+        noise = _ROUNDING * max(self.jacobian.shape, default=0) * values.max(initial=0.0)
+        kept = np.count_nonzero(values > noise)
+        return self.error @ left[:, :kept], values[:kept], right[:kept]
 
     def move(self, damping: float) -> Vector:
         """Return the scaled velocities of one damped step."""
         error, values, right = self.factors
-        noise = np.finfo(float).eps * max(self.jacobian.shape, default=0) * values.max(initial=0.0)
-        kept = values > noise
-        weights = np.zeros_like(values)
-        weights[kept] = values[kept] / (values[kept] ** 2 + damping * self.cost)
-        move = -(right.T @ (weights * error))
+        weights = values / (values * values + damping * self.cost)
+        move = -((weights * error) @ right)
         longest = np.abs(move).max(initial=0.0)
         return move if longest <= LONGEST_STEP else move * (LONGEST_STEP / longest)
 

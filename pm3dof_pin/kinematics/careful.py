@@ -61,7 +61,7 @@ class _Walk:
         start = robot.configuration(q)
         if not robot.closures or start.closure_residual > CLOSURE_TOLERANCE:
             results = (assemble_at(robot, self._coordinates, target, guess) for guess in (q, robot.home.q))
-            return next((result.configuration.q for result in results if result.converged), np.full_like(q, np.nan))
+            return next((result.q for result in results if result.converged), np.full_like(q, np.nan))
         placed = any(coordinate.tool is not None for coordinate in self._coordinates)
         origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
         way, turns = target - origin, turns_of(robot, self._coordinates)
@@ -83,9 +83,9 @@ class _Walk:
                 result = assemble_at(robot, self._coordinates, values, guess, steps)
             if result is not None and self._continues(last, guess, result, is_end=reached == 1.0):
                 found = _regularity(result)
-                rate = pin.difference(robot.model, q, result.configuration.q) / (reached - done)
+                rate = pin.difference(robot.model, q, result.q) / (reached - done)
                 narrowing = (found - regularity) / (reached - done)
-                q, done, step = result.configuration.q, reached, min(4.0 * step, first)
+                q, done, step = result.q, reached, min(4.0 * step, first)
                 last, regularity = result, found
             elif is_last_try:
                 return np.full_like(q, np.nan)
@@ -100,10 +100,10 @@ class _Walk:
         passed, in the motions that they determined: there may be more of either.
         """
         robot = self._robot
-        moves = pin.difference(robot.model, guess, result.configuration.q) / robot.velocity_scale
+        moves = pin.difference(robot.model, guess, result.q) / robot.velocity_scale
         if not result.converged or np.abs(moves).max(initial=0.0) > _JUMP:
             return False
-        left, values, right = np.linalg.svd(last.jacobian, full_matrices=False)
+        left, values, right = last.factors
         kept = values > _DEPENDENT * values.max(initial=0.0)
         turned = left[:, kept].T @ result.jacobian @ right[kept].T
         if np.linalg.slogdet(turned)[0] >= 0.0:
@@ -114,5 +114,5 @@ class _Walk:
 
 def _regularity(assembly: Assembly) -> float:
     """Return the least singular value that is not one of dependent equations, at most 1."""
-    values = np.linalg.svd(assembly.jacobian, compute_uv=False)
+    values = assembly.factors[1]
     return float(values[values > _DEPENDENT * values.max(initial=0.0)].min(initial=1.0))

@@ -32,7 +32,7 @@ def samples_near(mechanism: Mechanism, home: Vector) -> Matrix:
             tangent = mechanism.velocity_scale * generator.uniform(-distance, distance, model.nv)
             result = assemble(mechanism, pin.integrate(model, home, tangent))
             if result.converged:
-                rows.append(np.array(result.configuration.q))
+                rows.append(result.q)
             if len(rows) == _COUNT:
                 return np.array([*first, *rows])
         distance /= 2.0
