@@ -12,10 +12,9 @@ import numpy as np
 from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.caution import Gain, cautious
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.identification import PRIOR, Identification, Loss, identify, prior_from_data
-from pm3dof_pin.calibration.learned_part import InputScale, LearnedModel, LearnedPart
-from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
+from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
+from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
 from pm3dof_pin.errors.command_correction import weighted_control
@@ -130,8 +129,7 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
         )
     options = replace(options, prior=identification.prior)
     _warn_of_gaps(identification)
-    trusted = np.setdiff1d(np.arange(len(measurements)), identification.outliers)
-    shown = identification.settled[trusted]
+    shown = identification.settled[identification.trusted]
     _warn_of_unseen_motions(shown, errors.robot.forward(shown.visits.commands), options)
     compensation = compensation_from(shown, errors, options, identification if options.identifies else None)
     if options.identifies:
@@ -199,11 +197,8 @@ def compensation_from(
     found = pseudo_errors(measurements, compensation.model_poses(nominal), options.eta)
     scale = InputScale.of(nominal.robot, visits)
     inputs = scale.scaled(visits.commands, visits.conditions)
-    model: LearnedModel
-    if "nn" in options.method:
-        model = NeuralNetwork.fit(inputs, found.deviations, options.seed)
-    else:
-        model = GaussianProcess.fit(inputs, found.deviations, np.einsum("nii->ni", found.covariances))
+    variances = np.einsum("nii->ni", found.covariances)
+    model = fitted_model(options.method, inputs, found.deviations, variances, options.seed)
     return replace(compensation, learned=LearnedPart(model, scale))
 
 

@@ -13,17 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.elastic.tool_deflection import spring_deflections, stiffened
+from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import moved_pose
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.wrenches import wrenches_of
-from pm3dof_pin.typing import Array
+from pm3dof_pin.typing import Array, Engine
 
 STIFFNESS_SIGMA = 0.3
 """Standard deviation of ln k before any measurement: a stiffness that is computed, not measured, is good to a third."""
 
-_PROGRAM_FROM = 20  # poses
+_PROGRAM_FROM = 20  # poses, which are evaluated at every step
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,33 +56,26 @@ class ElasticTerm:
         """Standard deviation of the unknowns before any measurement, shape=(springs,)."""
         return np.full(len(self.springs), STIFFNESS_SIGMA)
 
+    def with_parameters(self, errors: GeometricErrors) -> tuple[tuple[str, ...], Array]:
+        """Return names and scales of geometric parameters, then of the unknowns."""
+        return (*errors.names, *self.names), np.concatenate([errors.tolerances, self.sigmas])
+
     def deflected(self, poses: Poses, logarithms: Array) -> tuple[Poses, Array]:
         """Return poses with the tool displaced, and its motion by each unknown, shape=(n, 6, springs) [m, rad].
 
         The unknowns are ln of how many times stiffer each spring is than described, shape=(springs,).
         """
+        derivatives = self.derivatives(poses, logarithms)
         if self.wrenches is None:
-            return poses, np.zeros((len(poses), 6, 0))
-        parts = self._by_spring(poses, logarithms)
-        moved = moved_pose(poses.transforms, parts.sum(axis=1))
-        loaded = Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved)
-        return loaded, -np.swapaxes(parts, 1, 2)
-
-    def displacements(self, poses: Poses, logarithms: Array) -> Array:
-        """Return how far the wrenches move the tool, shape=(n, 6) [m, rad]; arguments as for :meth:`deflected`."""
-        if self.wrenches is None:
-            return np.zeros((len(poses), 6))
-        return np.asarray(self._by_spring(poses, logarithms).sum(axis=1))
+            return poses, derivatives
+        moved = moved_pose(poses.transforms, -derivatives.sum(axis=2))
+        return Poses(poses.robot, poses.q, poses.residual, poses.broken_limits, moved), derivatives
 
     def derivatives(self, poses: Poses, logarithms: Array) -> Array:
-        """Return how each unknown moves the tool, shape=(n, 6, springs) [m, rad]; arguments as above."""
+        """Return the tool's motion by each unknown alone, shape=(n, 6, springs) [m, rad]; see :meth:`deflected`."""
         if self.wrenches is None:
             return np.zeros((len(poses), 6, 0))
-        return -np.swapaxes(self._by_spring(poses, logarithms), 1, 2)
-
-    def _by_spring(self, poses: Poses, logarithms: Array) -> Array:
-        assert self.wrenches is not None
         factors = dict(zip(self.springs, np.exp(logarithms).tolist(), strict=True))
-        many = len(poses) >= _PROGRAM_FROM  # they are evaluated at every step
+        engine: Engine = "program" if len(poses) >= _PROGRAM_FROM else "pinocchio"
         stiff = Poses(stiffened(poses.robot, factors), poses.q)
-        return spring_deflections(stiff, self.wrenches, engine="program" if many else "pinocchio")
+        return -np.swapaxes(spring_deflections(stiff, self.wrenches, engine=engine), 1, 2)

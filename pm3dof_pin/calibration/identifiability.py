@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -36,16 +35,6 @@ REGRESSOR_TOLERANCE = 1e-11
 
 _SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are left out of its name
 _ZERO = 1e-9
-
-
-def _scaled_regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> Array:
-    """Return the rows that each pose adds, shape=(n, rows of a pose, number of parameters); of full poses by default.
-
-    Raises:
-        InvalidValueError: the loops cannot close with an error, or a noise is not positive.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
-    """
-    return stacked_regressor(errors, poses, instrument)[0]
 
 
 def stacked_regressor(
@@ -91,26 +80,34 @@ def _with_encoders(measurements: Measurements, poses: Poses, instrument: Instrum
     return measurements.with_encoders(joints, np.repeat(joint_coordinates(poses, tuple(joints)), rows, axis=0), sigmas)
 
 
-class Unknowns(Protocol):
-    """What is to be identified: errors of the geometry, and whatever else stands in the columns of a regressor."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        ...
-
-    @property
-    def tolerances(self) -> Array:
-        """What the columns of the regressor are in units of, shape=(number of unknowns,)."""
-        ...
-
-
 @dataclass(frozen=True)
-class NamedUnknowns:
-    """Unknowns as plain data: see :class:`Unknowns`."""
+class ObservabilityIndices:
+    """Observability indices of a regressor with singular values s_1 >= ... >= s_L from N poses."""
 
-    names: tuple[str, ...]
-    tolerances: Array
+    O1: float  #: (s_1 ... s_L)^(1/L) / sqrt(N) (J.-H. Borm and C.-H. Menq, 1989): D-optimality
+    O2: float  #: s_L / s_1 (M. Driels and U. Pathre, 1990)
+    O3: float  #: s_L (A. Nahvi, J. Hollerbach and V. Hayward, 1994): E-optimality
+    O4: float  #: s_L^2 / s_1 (A. Nahvi and J. Hollerbach, 1996)
+    O5: float  #: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality
+
+    @classmethod
+    def of(cls, singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
+        """Compute the indices from the singular values over what is identifiable, shape=(L,).
+
+        Raises:
+            InvalidValueError: there are no singular values, or they are not positive.
+        """
+        s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
+        if not s.size or not np.all(s > 0.0):
+            expected = "positive numbers: those of identifiable combinations"
+            raise InvalidValueError("singular_values", s.tolist(), expected)
+        return cls(
+            O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
+            O2=float(s[-1] / s[0]),
+            O3=float(s[-1]),
+            O4=float(s[-1] ** 2 / s[0]),
+            O5=float(1.0 / np.sum(1.0 / s)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,30 +141,36 @@ class Identifiability:
         """Number of combinations of which the measurements say more than the tolerances do."""
         return int(np.sum(self.decision.singular_values > 1.0))
 
-    def indices(self) -> ObservabilityIndices:
-        """Return the observability indices over the identifiable combinations."""
-        return _observability_indices(self.decision.singular_values[: self.rank], self.poses)
+    @property
+    def observability(self) -> ObservabilityIndices:
+        """Observability indices over the identifiable combinations."""
+        return ObservabilityIndices.of(self.decision.singular_values[: self.rank], self.poses)
 
 
-def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike | None = None) -> Identifiability:
-    """Judge what a :func:`_scaled_regressor` identifies; what nuisances can stand for counts as not seen.
+def identifiability(
+    names: tuple[str, ...], tolerances: Array, regressor: ArrayLike, nuisances: ArrayLike | None = None
+) -> Identifiability:
+    """Judge what a :func:`stacked_regressor` identifies; what nuisances can stand for counts as not seen.
+
+    Args:
+        names: those of the parameters.
+        tolerances: what its columns are in units of, shape=(number of parameters,).
+        regressor: shape=(n, rows of a pose, number of parameters).
+        nuisances: rows of the nuisance parameters, shape=(n, rows of a pose, k).
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.
     """
-    blocks, names = np.asarray(regressor, dtype=float), errors.names
+    blocks = np.asarray(regressor, dtype=float)
     if blocks.ndim != 3 or blocks.shape[2] != len(names) or not np.isfinite(blocks).all():
         expected = f"finite numbers of shape (n, rows, {len(names)})"
         raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
-    matrix = blocks.reshape(-1, len(names))
-    others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
-    if others.size:
-        matrix = _beside(matrix, others.reshape(len(matrix), others.shape[2]))
+    matrix = _beside(blocks, nuisances)
     # the triangle has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
     decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
-    base, relations = _base_parameters(names, errors.tolerances, triangle, decision.rank)
+    base, relations = _base_parameters(names, tolerances, triangle, decision.rank)
     return Identifiability(
         names=names,
         poses=len(blocks),
@@ -181,13 +184,10 @@ def identifiability(errors: Unknowns, regressor: ArrayLike, nuisances: ArrayLike
 def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> NDArray[np.intp]:
     """Return the rank after the first pose, the first two, and so on, shape=(n,); see :func:`identifiability`."""
     blocks = np.asarray(regressor, dtype=float)
-    others = None if nuisances is None else np.asarray(nuisances, dtype=float)
+    others = np.zeros((*blocks.shape[:2], 0)) if nuisances is None else np.asarray(nuisances, dtype=float)
     ranks = []
     for count in range(1, len(blocks) + 1):
-        matrix = blocks[:count].reshape(-1, blocks.shape[2])
-        if others is not None and others.shape[2]:
-            matrix = _beside(matrix, others[:count].reshape(len(matrix), others.shape[2]))
-        values = np.linalg.svd(matrix, compute_uv=False)
+        values = np.linalg.svd(_beside(blocks[:count], others[:count]), compute_uv=False)
         ranks.append(int(np.sum(values > REGRESSOR_TOLERANCE * values.max(initial=0.0))))
     return np.array(ranks, dtype=np.intp)
 
@@ -199,35 +199,6 @@ def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> i
     """
     growth = _rank_growth(regressor, nuisances)
     return int(np.argmax(growth == growth[-1])) + 1
-
-
-@dataclass(frozen=True)
-class ObservabilityIndices:
-    """Observability indices of a regressor with singular values s_1 >= ... >= s_L from N poses."""
-
-    O1: float  #: (s_1 ... s_L)^(1/L) / sqrt(N) (J.-H. Borm and C.-H. Menq, 1989): D-optimality
-    O2: float  #: s_L / s_1 (M. Driels and U. Pathre, 1990)
-    O3: float  #: s_L (A. Nahvi, J. Hollerbach and V. Hayward, 1994): E-optimality
-    O4: float  #: s_L^2 / s_1 (A. Nahvi and J. Hollerbach, 1996)
-    O5: float  #: 1 / sum(1 / s_i) (Y. Sun and J. Hollerbach, 2008): A-optimality
-
-
-def _observability_indices(singular_values: ArrayLike, poses: int) -> ObservabilityIndices:
-    """Compute the five indices from the positive singular values over what is identifiable, shape=(L,).
-
-    Raises:
-        InvalidValueError: there are no singular values, or they are not positive.
-    """
-    s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
-    if not s.size or not np.all(s > 0.0):
-        raise InvalidValueError("singular_values", s.tolist(), "positive numbers: those of identifiable combinations")
-    return ObservabilityIndices(
-        O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
-        O2=float(s[-1] / s[0]),
-        O3=float(s[-1]),
-        O4=float(s[-1] ** 2 / s[0]),
-        O5=float(1.0 / np.sum(1.0 / s)),
-    )
 
 
 def _direction_name(names: Sequence[str], direction: Array) -> str:
@@ -243,10 +214,15 @@ def _direction_name(names: Sequence[str], direction: Array) -> str:
     return first + "".join(sign + term for sign, term in terms[1:])
 
 
-def _beside(matrix: Array, nuisances: Array) -> Array:
-    """Return what is left of columns beside those that nuisance columns can stand for."""
-    sizes = np.linalg.norm(nuisances, axis=0)
-    left, values, _ = np.linalg.svd(nuisances[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
+def _beside(blocks: Array, nuisances: ArrayLike | None) -> Array:
+    """Return what is left of the rows of a regressor beside those that nuisances can stand for, shape=(n rows, k)."""
+    matrix = blocks.reshape(-1, blocks.shape[2])
+    others = np.asarray([] if nuisances is None else nuisances, dtype=float)
+    if not others.size:
+        return matrix
+    others = others.reshape(len(matrix), -1)
+    sizes = np.linalg.norm(others, axis=0)
+    left, values, _ = np.linalg.svd(others[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
     left = left[:, values > REGRESSOR_TOLERANCE * values.max(initial=0.0)]
     for _ in range(2):  # twice is enough (W. Kahan; B. Parlett, 1980)
         matrix = matrix - left @ (left.T @ matrix)

@@ -35,6 +35,17 @@ class LearnedModel(Protocol):
         ...
 
 
+def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array, seed: int) -> LearnedModel:
+    """Learn deviations du with the variances of their noise, shape=(n, commands), by "nn" or "gp" in a method's name.
+
+    Raises:
+        ConvergenceError: see :meth:`GaussianProcess.fit`.
+    """
+    if "nn" in method:
+        return NeuralNetwork.fit(inputs, deviations, seed)
+    return GaussianProcess.fit(inputs, deviations, variances)
+
+
 def learned_model_from_data(data: Mapping[str, Any]) -> LearnedModel:
     """Return the model that :meth:`LearnedModel.as_data` was called on."""
     readers: dict[str, Callable[[Mapping[str, Any]], LearnedModel]] = {

@@ -9,8 +9,9 @@ import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
-from pm3dof_pin.calibration.identification import PRIOR, UNKNOWN, Identification
+from pm3dof_pin.calibration.identification import PRIOR, Identification
 from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, chance_of_harm, held_out_errors
+from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.errors.error_map import error_map
@@ -88,10 +89,8 @@ def _warn_of_noise(calibration: Calibration) -> bool:
         Whether a change in the middle of the measurements explains it.
     """
     found, eta = calibration.identification, calibration.options.eta
-    trusted = np.setdiff1d(np.arange(len(found.settled)), found.outliers)
-    if found.noise_factor > _NOISY and (
-        change := change_in_the_middle(found.settled[trusted], found.poses[trusted], eta)
-    ):
+    shown, poses = found.settled[found.trusted], found.poses[found.trusted]
+    if found.noise_factor > _NOISY and (change := change_in_the_middle(shown, poses, eta)):
         logger.warning("residuals are %.3g times the noise: most likely %s", found.noise_factor, change)
         return True
     if found.noise_factor > _LOUD:
@@ -124,8 +123,7 @@ def _noise_in_words(calibration: Calibration) -> str:
     found = calibration.identification
     if found.noise_factor > _LOUD:
         return f"residuals are {found.noise_factor:.3g} times the noise"
-    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
-    squares, expected = found.normalized_residuals[trusted] ** 2, found.expected_squares[trusted]
+    squares, expected = found.normalized_residuals[found.trusted] ** 2, found.expected_squares[found.trusted]
     for what, columns in (("positions and distances", slice(0, 3)), ("orientations", slice(3, 6))):
         freedom = float(expected[:, columns].sum())
         size = float(np.sqrt(np.nansum(squares[:, columns]) / max(freedom, _ENOUGH)))
@@ -235,8 +233,7 @@ def _too_few(found: Identification) -> str:
 def _misfit(calibration: Calibration) -> float:
     """Return the tip error that the identified parameters leave of the measurements, median over the visits [m]."""
     found = calibration.identification
-    _, first = np.unique(found.settled.visit_numbers, return_index=True)
-    seen = seen_errors(found.settled, found.poses[first], calibration.options.eta)
+    seen = seen_errors(found.settled, found.poses[found.settled.first_rows], calibration.options.eta)
     return float(np.median(np.linalg.norm(seen.errors, axis=1)))
 
 

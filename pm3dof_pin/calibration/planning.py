@@ -33,8 +33,6 @@ from pm3dof_pin.calibration.elastic_term import ElasticTerm
 from pm3dof_pin.calibration.gaussian_process import typical_covariance, typical_variance
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
-    NamedUnknowns,
-    ObservabilityIndices,
     identifiability,
     stacked_regressor,
 )
@@ -44,7 +42,6 @@ from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
 from pm3dof_pin.errors.source_errors import ErrorSources
-from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
@@ -85,10 +82,33 @@ class Plan:
     predicted_tip_rms: float
     identifiability: Identifiability  #: what they identify
 
-    @property
-    def observability(self) -> ObservabilityIndices:
-        """Observability indices over what is identifiable."""
-        return self.identifiability.indices()
+
+@dataclass(frozen=True, eq=False)
+class PlannedPoses:
+    """Candidates, or test poses, and what a machine's errors do there."""
+
+    map: ErrorMap  #: the error map over them
+    #: tip-weighted motion of the tool by each unknown of the machine at one tolerance, shape=(n, 6, unknowns) [m]
+    effects: Array
+    #: commands, their ranges being -1 .. 1, then components of the wrenches that vary, over their greatest, shape=(n,
+    #: commands + k)
+    inputs: Array
+
+    @classmethod
+    def under(cls, sensitivity_map: ErrorMap, wrenches: Array | None) -> PlannedPoses:
+        """Put poses and wrenches on the tool, shape=(m, 6), together, these in turn where they are fewer or more."""
+        poses, weights = sensitivity_map.poses, tip_weights(sensitivity_map.eta)[:, None]
+        robot, errors = poses.robot, sensitivity_map.errors
+        own = None if wrenches is None else np.resize(wrenches, (len(poses), 6))
+        elastic = ElasticTerm.under(robot, own)
+        by_springs = elastic.derivatives(poses, np.zeros(len(elastic.names))) * elastic.sigmas * weights
+        lower, upper = coordinate_ranges(robot, robot.command_coordinates)
+        inputs = (poses.commands - 0.5 * (upper + lower)) / (0.5 * (upper - lower))
+        if wrenches is not None and own is not None:
+            greatest = np.abs(wrenches).max(axis=0)
+            inputs = np.hstack([inputs, own[:, greatest > 0.0] / greatest[greatest > 0.0]])
+        effects = np.concatenate([sensitivity_map.weighted * errors.tolerances, by_springs], axis=2)
+        return cls(sensitivity_map, effects, inputs)
 
 
 class PlanningProblem:
@@ -116,18 +136,13 @@ class PlanningProblem:
         sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.
 
     Attributes:
-        unknowns: the parameters, and the logarithms of the springs' stiffness where wrenches are given.
         prior: see the argument.
         instrument: what is measured.
+        unknowns: names of the parameters, and of the logarithms of the springs' stiffness where wrenches are given.
+        tolerances: of the unknowns, shape=(unknowns,).
+        sigmas: standard deviation of the unknowns before any measurement, in tolerances, shape=(unknowns,).
         regressor: what each candidate measures, scaled, shape=(candidates, rows of a pose, unknowns).
-        test_map: the error map over the test poses.
-        loads: components of the wrenches that vary, over their greatest, shape=(candidates, k).
-        test_loads: the same at the test poses.
-        unknown_sigmas: standard deviation of the unknowns before any measurement, in units of their tolerances.
-        effects: tip-weighted motion of the tool by each unknown at one tolerance, shape=(candidates, 6, unknowns) [m].
-        test_effects: the same at the test poses.
-        inputs: commands of the candidates, their ranges being -1 .. 1, shape=(candidates, number of commands).
-        test_inputs: the same of the test poses.
+        measured, tested: the candidates and the test poses, with what errors do there.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
@@ -156,53 +171,33 @@ class PlanningProblem:
         self.errors, self.candidates, self._sources = errors, candidates, sources
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
-        self.unknowns = NamedUnknowns(
-            (*errors.names, *elastic.names), np.concatenate([errors.tolerances, elastic.sigmas])
-        )
+        self.unknowns, self.tolerances = elastic.with_parameters(errors)
         self.regressor, self.nuisance_regressor, self.nuisances = stacked_regressor(
             errors, candidates, self.instrument, elastic
         )
         self._rows = np.concatenate([self.regressor, self.nuisance_regressor], axis=2)
-        self._map = error_map(errors, candidates, eta=eta)
-        tests = self.test_map = self._map if test_poses is None else error_map(errors, test_poses, eta=eta)
+        candidate_map = error_map(errors, candidates, eta=eta)
+        tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
+        self.measured, self.tested = (PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
         # base and tool are where the measurements have them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
-        alike = None if wrenches is None else np.resize(wrenches, (len(tests.poses), 6))
-        loaded = ElasticTerm.under(errors.robot, alike)
-        self.effects, self.test_effects = (
-            _machine_effects(seen, term) for seen, term in ((self._map, elastic), (tests, loaded))
-        )
-        by_datum = datum * tip_weights(eta)[:, None]
-        effects = np.concatenate([self.test_effects, by_datum], axis=2).reshape(-1, self._rows.shape[2])
+        effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)
+        effects = effects.reshape(-1, self._rows.shape[2])
         self._tip = effects.T @ effects / len(tests.poses)
         lower, upper = coordinate_ranges(errors.robot, errors.robot.command_coordinates)
         self._places = candidates.commands / (upper - lower) / np.sqrt(len(lower))
-        self.inputs, self.test_inputs = (
-            (poses.commands - 0.5 * (upper + lower)) / (0.5 * (upper - lower)) for poses in (candidates, tests.poses)
-        )
-        self.loads, self.test_loads = np.zeros((len(candidates), 0)), np.zeros((len(tests.poses), 0))
-        if wrenches is not None and alike is not None:
-            strongest = np.abs(wrenches).max(axis=0)
-            self.loads, self.test_loads = (
-                (w / np.maximum(strongest, 1e-300))[:, strongest > 0.0] for w in (wrenches, alike)
-            )
         self._min_distance = min_distance
         self.prior = prior
-        self.unknown_sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
-        self._prior = np.diag(np.concatenate([self.unknown_sigmas, self.nuisances.sigmas]) ** -2.0)
-
-    @property
-    def sensitivity_map(self) -> ErrorMap:
-        """The error map over the candidates."""
-        return self._map
+        self.sigmas = np.concatenate([np.full(len(errors), prior), np.ones(len(elastic.names))])
+        self._prior = np.diag(np.concatenate([self.sigmas, self.nuisances.sigmas]) ** -2.0)
 
     @cached_property
     def least_sensitive(self) -> Mask:
         """Which candidates are in the region least sensitive to errors, shape=(candidates,)."""
         if self._sources is None:
-            return self._map.least_sensitive(LEAST_SENSITIVE_PART)
-        budget = error_budget(self._sources, self.candidates, eta=self._map.eta)
-        return budget.least_sensitive(LEAST_SENSITIVE_PART)
+            return self.measured.map.least_sensitive()
+        budget = error_budget(self._sources, self.candidates, eta=self.measured.map.eta)
+        return budget.least_sensitive()
 
     def plan(self, count: int, strategy: Strategy, generator: np.random.Generator, *, restarts: int = 10) -> Plan:
         """Choose poses.
@@ -222,7 +217,7 @@ class PlanningProblem:
             chosen,
             self.candidates[chosen],
             self.predicted_tip_rms(chosen),
-            identifiability(self.unknowns, self.regressor[chosen], self.nuisance_regressor[chosen]),
+            identifiability(self.unknowns, self.tolerances, self.regressor[chosen], self.nuisance_regressor[chosen]),
         )
 
     def information(self, indices: ArrayLike) -> Array:
@@ -232,8 +227,8 @@ class PlanningProblem:
 
     def predicted_sigmas(self, indices: ArrayLike) -> dict[str, float]:
         """Return the standard deviation of each unknown after measuring some candidates, by name [m, rad, 1]."""
-        spread = np.sqrt(np.diag(np.linalg.inv(self.information(indices))))[: len(self.unknowns.names)]
-        return dict(zip(self.unknowns.names, (spread * self.unknowns.tolerances).tolist(), strict=True))
+        spread = np.sqrt(np.diag(np.linalg.inv(self.information(indices))))[: len(self.unknowns)]
+        return dict(zip(self.unknowns, (spread * self.tolerances).tolist(), strict=True))
 
     def predicted_tip_rms(self, indices: ArrayLike) -> float:
         """Return the tip error that is left after measuring some candidates, over the test poses [m].
@@ -241,30 +236,19 @@ class PlanningProblem:
         Without any it is that of a machine of which nothing but the prior is known.
         """
         # without any, base and tool are given
-        known = slice(None) if np.size(indices) else slice(len(self.unknowns.names))
+        known = slice(None) if np.size(indices) else slice(len(self.unknowns))
         return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
     def accuracy_curve(
         self, counts: Sequence[int], strategy: Strategy, seeds: Iterable[int], *, restarts: int = 1
     ) -> Array:
-        """Return the predicted tip error against the number of poses, shape=(number of counts, number of seeds) [m].
+        """Return the predicted tip error against the number of poses, shape=(counts, seeds) [m]; see :meth:`plan`."""
 
-        Args:
-            counts: numbers of poses.
-            strategy: see :meth:`plan`.
-            seeds: seeds of the random numbers.
-            restarts: see :meth:`plan`.
-        """
+        def predicted(count: int, seed: int) -> float:
+            return self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts))
+
         every = list(seeds)
-        return np.array(
-            [
-                [
-                    self.predicted_tip_rms(self._chosen(count, strategy, np.random.default_rng(seed), restarts))
-                    for seed in every
-                ]
-                for count in counts
-            ]
-        )
+        return np.array([[predicted(count, seed) for seed in every] for count in counts])
 
     def _chosen(self, count: int, strategy: Strategy, generator: np.random.Generator, restarts: int) -> Indices:
         chooser: dict[Strategy, Callable[[], Indices]] = {
@@ -293,17 +277,14 @@ class PlanningProblem:
             free = np.zeros(len(self.candidates), dtype=bool)
             free[allowed] = True
             for index in generator.permutation(allowed):
-                if len(chosen) == count:
-                    return np.array(chosen, dtype=np.intp)
-                if free[index]:
+                if len(chosen) < count and free[index]:
                     chosen.append(int(index))
                     free &= ~self._near(int(index))
             if len(chosen) == count:
                 return np.array(chosen, dtype=np.intp)
             most = max(most, len(chosen))
-        raise InvalidValueError(
-            "count", count, f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other"
-        )
+        expected = f"at most about {most} poses at least {self._min_distance:g} of the ranges from each other"
+        raise InvalidValueError("count", count, expected)
 
     def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:
         """Take the candidate that is farthest from those taken, and again, from one at random."""
@@ -317,9 +298,10 @@ class PlanningProblem:
 
     def _least_process_variance(self, count: int) -> Indices:
         """Take the candidate that lessens the variance of a Gaussian process over the test poses most, and again."""
-        drives = range(self.inputs.shape[1])
-        across = [typical_covariance(self.inputs, self.test_inputs, drive) for drive in drives]
-        own = [typical_variance(self.inputs) for _ in drives]
+        drives = range(self.candidates.commands.shape[1])
+        inputs, tests = (poses.inputs[:, : len(drives)] for poses in (self.measured, self.tested))
+        across = [typical_covariance(inputs, tests, drive) for drive in drives]
+        own = [typical_variance(inputs) for _ in drives]
         seen: list[list[Array]] = [[] for _ in drives]  # rows of the Cholesky factor, over the candidates
         chosen: list[int] = []
         taken = np.zeros(len(self.candidates), dtype=bool)
@@ -334,10 +316,10 @@ class PlanningProblem:
             chosen.append(best)
             taken |= self._near(best)
             for drive in drives:
-                column = typical_covariance(self.inputs, self.inputs[best][None], drive)[:, 0]
+                column = typical_covariance(inputs, inputs[best][None], drive)[:, 0]
                 column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
-                row = column / np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
-                step = across[drive][best] / np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
+                scale = np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
+                row, step = column / scale, across[drive][best] / scale
                 across[drive] = across[drive] - np.outer(row, step)
                 own[drive] = own[drive] - row**2
                 seen[drive].append(row)
@@ -388,13 +370,6 @@ class PlanningProblem:
             if not swapped:
                 break
         return chosen
-
-
-def _machine_effects(seen: ErrorMap, elastic: ElasticTerm) -> Array:
-    """Return the tip-weighted motion of the tool by each unknown of the machine at one tolerance."""
-    deflections = elastic.derivatives(seen.poses, np.zeros(len(elastic.names))) * elastic.sigmas
-    by_springs = deflections * tip_weights(seen.eta)[:, None]
-    return np.concatenate([seen.weighted * seen.errors.tolerances, by_springs], axis=2)
 
 
 def order_with_references(poses: Poses, every: int, seed: int) -> Indices:

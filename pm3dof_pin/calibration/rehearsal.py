@@ -15,17 +15,13 @@ first order lacks and temperatures are not rehearsed: a machine is hardly better
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import LEAST_POSES, Method
-from pm3dof_pin.calibration.gaussian_process import GaussianProcess
-from pm3dof_pin.calibration.learned_part import LearnedModel
-from pm3dof_pin.calibration.neural_network import NeuralNetwork
+from pm3dof_pin.calibration.learned_part import fitted_model
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.calibration.pseudo_error import control_inverse
-from pm3dof_pin.errors.error_map import ErrorMap
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Indices
@@ -35,20 +31,6 @@ WAVES = 0.05
 """Size of the drives' waves, of the rms deviation that the tolerances lead to."""
 
 _PERIODS = (0.1, 0.6)  # of the waves, of the range of a command
-
-
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """The candidates, or the test poses."""
-
-    map: ErrorMap
-    inputs: Array  # commands, then wrenches
-    effects: Array  # tip-weighted, of all unknowns of the machine at one tolerance, shape=(n, 6, unknowns)
-
-    @property
-    def control(self) -> Array:
-        """W C, shape=(n, 6, number of commands)."""
-        return np.asarray(self.map.sensitivities.commands * tip_weights(self.map.eta)[:, None])
 
 
 class Rehearsal:
@@ -64,10 +46,11 @@ class Rehearsal:
         if machines < 1:
             raise InvalidValueError("machines", machines, "at least 1")
         self.problem = problem
-        seen, judged = np.hstack([problem.inputs, problem.loads]), np.hstack([problem.test_inputs, problem.test_loads])
-        self._seen = _Side(problem.sensitivity_map, seen, problem.effects)
-        self._judged = _Side(problem.test_map, judged, problem.test_effects)
-        self._sigmas = problem.instrument.sigmas * tip_weights(problem.sensitivity_map.eta)
+        weights = tip_weights(problem.measured.map.eta)
+        self._sigmas = problem.instrument.sigmas * weights
+        self._control, self._test_control = (
+            poses.map.sensitivities.commands * weights[:, None] for poses in (problem.measured, problem.tested)
+        )
         self._machines = [self._draw(generator) for _ in range(machines)]
 
     def excess(self, chosen: Sequence[int] | Indices, method: Method, seed: int = 0) -> float:
@@ -80,48 +63,42 @@ class Rehearsal:
         if method != "lm" and len(indices) < LEAST_POSES:
             raise InvalidValueError("poses", len(indices), f"at least {LEAST_POSES} to learn from")
         squares = []
-        for measured, wanted in self._machines:
+        for measured, best in self._machines:
             found = self._answer(indices, method, measured[indices], seed)
-            left = np.einsum("nij,nj->ni", self._judged.control, found - wanted)
+            left = np.einsum("nij,nj->ni", self._test_control, found - best)
             squares.append(float(np.mean(np.sum(left**2, axis=1))))
         return float(np.sqrt(np.mean(squares)))
 
     def _draw(self, generator: np.random.Generator) -> tuple[Array, Array]:
         """Draw a machine: what is measured at all candidates, and the best deviations at the tests."""
-        errors = generator.standard_normal(len(self.problem.unknowns.names))
-        sides = (self._seen, self._judged)
-        poses = [np.einsum("nij,j->ni", side.effects, errors) for side in sides]
-        deviations = [_undone(side.control, pose) for side, pose in zip(sides, poses, strict=True)]
-        size = WAVES * np.sqrt(np.mean(deviations[0] ** 2, axis=0))
+        errors = generator.standard_normal(len(self.problem.unknowns))
+        sides = ((self.problem.measured, self._control), (self.problem.tested, self._test_control))
+        measured, tested = (np.einsum("nij,j->ni", poses.effects, errors) for poses, _ in sides)
+        size = WAVES * np.sqrt(np.mean(_undone(self._control, measured) ** 2, axis=0))
         drives = len(size)
         turns = np.pi / generator.uniform(*_PERIODS, drives)
         phases = generator.uniform(0.0, 2.0 * np.pi, drives)
-        for side, pose in zip(sides, poses, strict=True):
-            waves = np.sqrt(2.0) * size * np.sin(turns * side.inputs[:, :drives] + phases)
-            pose += np.einsum("nij,nj->ni", side.control, waves)
-        measured = poses[0] + generator.normal(size=poses[0].shape) * self._sigmas
-        return measured, _undone(self._judged.control, poses[1])
+        for (poses, control), errors in zip(sides, (measured, tested), strict=True):
+            waves = np.sqrt(2.0) * size * np.sin(turns * poses.inputs[:, :drives] + phases)
+            errors += np.einsum("nij,nj->ni", control, waves)
+        measured += generator.normal(size=measured.shape) * self._sigmas
+        return measured, _undone(self._test_control, tested)
 
     def _answer(self, indices: Indices, method: Method, measured: Array, seed: int) -> Array:
         """Return the deviations of the commands that the method finds for the test poses."""
-        control, inputs = self._seen.control[indices], self._seen.inputs[indices]
-        found = np.zeros((len(self._judged.inputs), control.shape[2]))
+        problem, control = self.problem, self._control[indices]
+        found = np.zeros((len(self._test_control), control.shape[2]))
         if "lm" in method:
-            rows = self.problem.regressor[indices].reshape(-1, len(self.problem.unknowns.names))
-            information = np.diag(self.problem.unknown_sigmas**-2.0) + rows.T @ rows
+            rows = problem.regressor[indices].reshape(-1, len(problem.unknowns))
+            information = np.diag(problem.sigmas**-2.0) + rows.T @ rows
             values = np.linalg.solve(information, rows.T @ (measured / self._sigmas).ravel())
-            measured = measured - np.einsum("nij,j->ni", self._seen.effects[indices], values)
-            found = _undone(self._judged.control, np.einsum("nij,j->ni", self._judged.effects, values))
+            measured = measured - np.einsum("nij,j->ni", problem.measured.effects[indices], values)
+            found = _undone(self._test_control, np.einsum("nij,j->ni", problem.tested.effects, values))
         if method == "lm":
             return found
-        deviations = _undone(control, measured)
-        model: LearnedModel
-        if "nn" in method:
-            model = NeuralNetwork.fit(inputs, deviations, seed)
-        else:
-            noise = np.sum((control_inverse(control) * self._sigmas) ** 2, axis=2)
-            model = GaussianProcess.fit(inputs, deviations, noise)
-        return found + model.deviations(self._judged.inputs)
+        variances = np.sum((control_inverse(control) * self._sigmas) ** 2, axis=2)
+        model = fitted_model(method, problem.measured.inputs[indices], _undone(control, measured), variances, seed)
+        return found + model.deviations(problem.tested.inputs)
 
 
 def _undone(control: Array, errors: Array) -> Array:

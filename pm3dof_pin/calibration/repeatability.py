@@ -8,7 +8,7 @@ import numpy as np
 import scipy.special
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.identification import tool_motions_by_drives
+from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.measuring.nuisances import datum_motions
@@ -38,8 +38,7 @@ def repeatability(calibration: Calibration) -> Repeatability | None:
     Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
     """
     found, eta = calibration.identification, calibration.options.eta
-    trusted = np.setdiff1d(np.arange(len(found.measurements)), found.outliers)
-    measured, settled = found.measurements[trusted], found.settled[trusted]
+    measured, settled = found.measurements[found.trusted], found.settled[found.trusted]
     visits = settled.visits
     numbers = visits.pose_numbers
     counts = np.bincount(numbers)
@@ -77,23 +76,22 @@ def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:
     """Return what times and directions of approach tell; nothing where there are none."""
     found = calibration.identification
     drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
-    first = len(found.joint_covariance) - len(found.nuisances)
     answers = []
     for kind in ("drift", "hysteresis"):
         columns = found.nuisances.columns(kind)
         if not columns.size:
             continue
         values = found.nuisance_values[columns]
-        covariance = found.joint_covariance[np.ix_(first + columns, first + columns)]
+        covariance = found.nuisance_covariance(kind)
         whole = np.concatenate([datum_motions(found.poses)[:, :, :6], drives], axis=2) if kind == "drift" else drives
         effects = whole * weights[:, None]
         tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
         sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
-        # what was learned beyond the knowledge beforehand, of as many parameters as were told
+        # what was learned beyond the knowledge beforehand, of as many parameters as were determined
         scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
         gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
-        told = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
+        determined = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
         statistic = float(values @ gained @ values)
-        sure = bool(scipy.special.gammaincc(0.5 * told, 0.5 * max(statistic, 0.0)) < _SURE)
+        sure = bool(scipy.special.gammaincc(0.5 * determined, 0.5 * max(statistic, 0.0)) < _SURE)
         answers.append(Systematic(kind, tip, sigma, sure))
     return answers

@@ -365,9 +365,7 @@ def _base_sigmas(found: Identification) -> tuple[Array, Array]:
     registration = found.measurements.registration
     if registration is None:
         raise InvalidValueError("measurements", "in the base's own axes", "those of an instrument with its own frame")
-    first = len(found.joint_covariance) - len(found.nuisances)
-    block = first + found.nuisances.columns("frame")
-    covariance = found.joint_covariance[np.ix_(block, block)]
+    covariance = found.nuisance_covariance("frame")
     turn = registration.rotation.T
     position, angle = (np.sqrt(np.diag(turn @ part @ turn.T)) for part in (covariance[:3, :3], covariance[3:, 3:]))
     return np.asarray(position), np.asarray(angle)

@@ -259,7 +259,7 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "predicted_tip_rms_m": plan.predicted_tip_rms,
         "tip_rms_before_m": problem.predicted_tip_rms([]),
         "predicted_tip_rms_by_strategy_m": predicted,
-        "parameters": len(problem.unknowns.names),
+        "parameters": len(problem.unknowns),
         "predicted_stiffness_sigma_of_logarithm": {
             name.removesuffix(".ln_k"): sigma
             for name, sigma in problem.predicted_sigmas(plan.indices).items()
@@ -271,7 +271,7 @@ def _result(problem: PlanningProblem, plan: Plan, minimum: int, predicted: dict[
         "better_known_than_tolerances": known.better_than_tolerance,
         "not_identifiable": known.unidentifiable,
         "least_number_of_poses": minimum,
-        "observability": plan.observability.__dict__,
+        "observability": known.observability.__dict__,
     }
 
 

@@ -19,6 +19,7 @@ from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _SAME = 1e-9  # [m, rad], commands that differ by less are one pose
+_COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "spheres", "readings")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,27 +88,22 @@ class Measurements:
         n = len(self.commands)
         if not self.lines:
             object.__setattr__(self, "lines", tuple(range(2, n + 2)))
-        shapes: dict[str, tuple[Array, tuple[int, ...]]] = {
-            "commands": (self.commands, (n, self.commands.shape[-1])),
-            "positions": (self.positions, (n, 3)),
-            "sigmas": (self.sigmas, (n, self.tool_columns + len(self.joints))),
-            "points": (self.points, (n, 3)),
-        }
-        if self.rotations is not None:
-            shapes["rotations"] = (self.rotations, (n, 3, 3))
-        shapes |= {name: (values, (n,)) for name, values in self.conditions.items()}
-        if self.times is not None:
-            shapes["times"] = (self.times, (n,))
-        if self.joints or self.readings is not None:
-            shapes["readings"] = (np.empty(0) if self.readings is None else self.readings, (n, len(self.joints)))
-        if self.approaches is not None:
-            shapes["approaches"] = (self.approaches, self.commands.shape)
-        for name, (array, shape) in shapes.items():
-            finite = np.isfinite(array) | (np.isposinf(array) if name == "sigmas" else False)
-            if array.shape != shape or not np.all(finite):
-                raise InvalidValueError(
-                    name, f"an array of shape {array.shape}", f"finite numbers of shape {shape}, one row a measurement"
-                )
+        readings = np.empty(0) if self.readings is None and self.joints else self.readings
+        shapes: list[tuple[str, Array | None, tuple[int, ...]]] = [
+            ("commands", self.commands, (n, self.commands.shape[-1])),
+            ("positions", self.positions, (n, 3)),
+            ("sigmas", np.where(np.isposinf(self.sigmas), 1.0, self.sigmas), (n, self.tool_columns + len(self.joints))),
+            ("points", self.points, (n, 3)),
+            ("rotations", self.rotations, (n, 3, 3)),
+            *((name, values, (n,)) for name, values in self.conditions.items()),
+            ("times", self.times, (n,)),
+            ("readings", readings, (n, len(self.joints))),
+            ("approaches", self.approaches, self.commands.shape),
+        ]
+        for name, array, shape in shapes:
+            if array is not None and (array.shape != shape or not np.isfinite(array).all()):
+                expected = f"finite numbers of shape {shape}, one row a measurement"
+                raise InvalidValueError(name, f"an array of shape {array.shape}", expected)
         if self.distances is not None and (
             self.origins is None or self.partners is None or self.origins.shape != (n, 3) or len(self.distances) != n
         ):
@@ -116,9 +112,8 @@ class Measurements:
             raise InvalidValueError("sigmas", float(self.sigmas.min()), "positive numbers")
         for name in ("target_sigma", "tool_point_sigma"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InvalidValueError(
-                    name, getattr(self, name), "a standard deviation in metres, 0 for exactly known"
-                )
+                expected = "a standard deviation in metres, 0 for exactly known"
+                raise InvalidValueError(name, getattr(self, name), expected)
 
     def __len__(self) -> int:
         return len(self.commands)
@@ -126,19 +121,13 @@ class Measurements:
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.intp] | Sequence[int] | slice) -> Measurements:
         """Return some of the rows."""
         chosen = np.arange(len(self))[rows]
-        distances = self._distances_of(chosen)
+        columns = {name: getattr(self, name) for name in _COLUMNS}
         return replace(
             self,
-            **distances,
-            commands=self.commands[chosen],
-            positions=self.positions[chosen],
-            rotations=None if self.rotations is None else self.rotations[chosen],
-            points=self.points[chosen],
+            **{name: values[chosen] for name, values in columns.items() if values is not None},
+            **self._distances_of(chosen),
             conditions={name: values[chosen] for name, values in self.conditions.items()},
             lines=tuple(self.lines[k] for k in chosen),
-            times=None if self.times is None else self.times[chosen],
-            approaches=None if self.approaches is None else self.approaches[chosen],
-            readings=None if self.readings is None else self.readings[chosen],
         )
 
     def _distances_of(self, chosen: Indices) -> dict[str, Any]:
@@ -155,9 +144,7 @@ class Measurements:
         return {
             "sigmas": sigmas,
             "distances": np.where(lost, np.nan, distances),
-            "origins": self.origins[chosen],
             "partners": np.where(lost, -1, partners),
-            "spheres": None if self.spheres is None else self.spheres[chosen],
         }
 
     @property
@@ -230,8 +217,13 @@ class Measurements:
 
     @property
     def visits(self) -> Measurements:
-        """Return the first row of each visit: commands and conditions of each."""
-        return self[np.unique(self.visit_numbers, return_index=True)[1]]
+        """The first row of each visit: commands and conditions of each."""
+        return self[self.first_rows]
+
+    @property
+    def first_rows(self) -> Indices:
+        """The first row of each visit, shape=(visits,)."""
+        return np.unique(self.visit_numbers, return_index=True)[1]
 
     @property
     def visit_numbers(self) -> Indices:
@@ -261,34 +253,33 @@ class Measurements:
         Raises:
             InvalidValueError: they were measured in the axes of the base, which leaves nothing to move.
         """
-        if self.registration is None:
-            raise InvalidValueError(
-                "measurements", "in the base's own axes", "those of an instrument with its own frame"
-            )
-        return self.registered_as(self.registration.moved(twist))
+        return self.registered_as(self._own_frame().moved(twist))
 
     def registered_as(self, registration: Registration) -> Measurements:
         """Return them in the axes of the base by another registration of the same instrument.
 
-        Args:
-            registration: the other one.
-
         Raises:
             InvalidValueError: they were measured in the axes of the base.
         """
-        if self.registration is None:
-            raise InvalidValueError(
-                "measurements", "in the base's own axes", "those of an instrument with its own frame"
-            )
-        turn = registration.rotation @ self.registration.rotation.T
-        shift = registration.translation - turn @ self.registration.translation
+        own = self._own_frame()
+        turn = registration.rotation @ own.rotation.T
+        shift = registration.translation - turn @ own.translation
+        return replace(self.in_axes(Registration(turn, shift, 0.0)), registration=registration)
+
+    def in_axes(self, registration: Registration) -> Measurements:
+        """Return them in other axes, as a registration brings these ones there."""
         return replace(
             self,
-            positions=self.positions @ turn.T + shift,
-            rotations=None if self.rotations is None else turn @ self.rotations,
-            origins=None if self.origins is None else self.origins @ turn.T + shift,
-            registration=registration,
+            positions=registration.positions(self.positions),
+            rotations=None if self.rotations is None else registration.rotations(self.rotations),
+            origins=None if self.origins is None else registration.positions(self.origins),
         )
+
+    def _own_frame(self) -> Registration:
+        if self.registration is None:
+            expected = "those of an instrument with its own frame"
+            raise InvalidValueError("measurements", "in the base's own axes", expected)
+        return self.registration
 
     def with_points(self, points: Array) -> Measurements:
         """Return them with the points seen elsewhere on the tool, shape=(n, 3) [m]."""
@@ -304,26 +295,32 @@ class Measurements:
         return replace(self, joints=joints, readings=readings, sigmas=np.concatenate([tool, sigmas], axis=1))
 
     def without_motions(self, poses: Poses, motions: Array) -> Measurements:
-        """Return what would have been seen had the tool not made small motions.
+        """Return what would have been seen had the tool not made some motions.
 
         Args:
             poses: of the machine, at the commands of the measurements.
             motions: [translation; rotation vector] of the tool at each row, then of the joints with encoders or not,
                 shape=(n, 6 or 6 + joints) [m, rad].
         """
-        joints, motions = motions[:, 6:], motions[:, :6]
-        offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
-        turns = np.swapaxes(rotation_matrix(motions[:, 3:]), 1, 2)
-        distances = self.distances
-        if distances is not None:
-            distances = distances - self._along_distances(poses, motions[:, :3] + np.cross(motions[:, 3:], offsets))
+        turns = rotation_matrix(motions[:, 3:6])
+        offsets = self._offsets(poses)
+        moved = motions[:, :3] + np.einsum("nij,nj->ni", turns, offsets) - offsets
+        readings, joints = self.readings, motions[:, 6:]
         return replace(
             self,
-            distances=distances,
-            readings=self.readings - joints if self.readings is not None and joints.size else self.readings,
-            positions=self.positions - motions[:, :3] - np.cross(motions[:, 3:], offsets),
-            rotations=None if self.rotations is None else turns @ self.rotations,
+            distances=None if self.distances is None else self.distances - self._along_distances(poses, moved),
+            readings=readings - joints if readings is not None and joints.size else readings,
+            positions=self.positions - moved,
+            rotations=None if self.rotations is None else np.swapaxes(turns, 1, 2) @ self.rotations,
         )
+
+    def points_on(self, poses: Poses) -> Array:
+        """Return where the points seen are on a machine at poses, one for each row, shape=(n, 3) [m]."""
+        return np.asarray(poses.positions + self._offsets(poses))
+
+    def _offsets(self, poses: Poses) -> Array:
+        """Return where the points seen are from the tool point, world axes, shape=(n, 3) [m]."""
+        return np.asarray(np.einsum("nij,nj->ni", poses.rotations, self.points))
 
     def residuals(self, poses: Poses) -> Array:
         """Return what was measured minus what a machine does, shape=(n, 3 or 6, and one for each encoder) [m, rad].
@@ -334,10 +331,9 @@ class Measurements:
         Args:
             poses: of the machine, at the commands of the measurements.
         """
-        offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
-        positions = self.positions - poses.positions - offsets
+        positions = self.positions - self.points_on(poses)
         if self.distances is not None:
-            size = np.linalg.norm(self._ways(poses), axis=1)
+            size = np.linalg.norm(self._spans(poses), axis=1)
             off = np.column_stack([self.distances - size, np.zeros((len(size), 2))])
             positions = np.where(np.isnan(self.distances)[:, None], positions, off)
         parts = [positions]
@@ -357,7 +353,7 @@ class Measurements:
             tool_motions: derivatives of the tool's pose, then of the joints with encoders where these move too,
                 shape=(n, 6 or 6 + joints, k).
         """
-        offsets = np.einsum("nij,nj->ni", poses.rotations, self.points)
+        offsets = self._offsets(poses)
         linear, angular = tool_motions[:, :3], tool_motions[:, 3:6]
         points = linear + np.cross(angular, offsets[:, :, None], axisa=1, axisb=1, axisc=1)
         if self.distances is not None:
@@ -369,15 +365,16 @@ class Measurements:
             parts.append(rotation_vector_rates(self.rotations @ np.swapaxes(poses.rotations, 1, 2)) @ angular)
         return np.concatenate([*parts, with_joints(tool_motions, len(self.joints))[:, 6:]], axis=1)
 
-    def _ways(self, poses: Poses) -> Array:
-        """Return the ways from where distances begin to the points seen, on a machine, shape=(n, 3) [m]."""
-        points = poses.positions + np.einsum("nij,nj->ni", poses.rotations, self.points)
+    def _spans(self, poses: Poses) -> Array:
+        """Return the vectors from where distances begin to the points seen, on a machine, shape=(n, 3) [m]."""
+        assert self.origins is not None
+        points = self.points_on(poses)
         return np.asarray(points - np.where(self._fixed, self.origins, points[self.partners]))
 
     def _along_distances(self, poses: Poses, motions: Array) -> Array:
         """Return how distances grow with motions of the points seen, shape=(n, ...) of (n, 3, ...)."""
-        ways = self._ways(poses)
-        directions = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), _SAME)
+        spans = self._spans(poses)
+        directions = spans / np.maximum(np.linalg.norm(spans, axis=1, keepdims=True), _SAME)
         fixed = self._fixed.reshape(-1, *[1] * (motions.ndim - 1))
         relative = motions - np.where(fixed, 0.0, motions[self.partners])
         return np.asarray(np.einsum("ni,ni...->n...", directions, relative))

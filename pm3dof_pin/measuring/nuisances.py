@@ -21,9 +21,9 @@ encoders      passive joints have encoders                           the zero of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,322 +33,160 @@ from pm3dof_pin.measuring.encoders import ENCODER_ZERO
 from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.typing import Array, Indices
 
-TARGET_SIGMA = 1e-3
-"""How well targets are known where nobody has measured them [m]."""
-
-FRAME_SCALE = (1e-3, 1e-3)
-"""Units in which an instrument's frame is counted [m, rad]."""
-
+_FRAME_SCALE = {"m": 1e-3, "rad": 1e-3}
 _FRAME_SIGMA = 1e3  # in these units: not known beforehand at all
-_DRIFT_SIGMA = (1e-4, 2e-4)  # from the first row to the last [m, rad]
-_HYSTERESIS_SIGMA = (1e-4, 2e-4)  # of a drive that slides, turns [m, rad]
-_AXES = ("x", "y", "z")
-_TWIST = ("tx", "ty", "tz", "rx", "ry", "rz")
+_DRIFT_SIGMA = {"m": 1e-4, "rad": 2e-4}  # from the first row to the last
+_HYSTERESIS_SIGMA = {"m": 1e-4, "rad": 2e-4}  # of a drive that slides, turns
+_TWIST = {"tx": "m", "ty": "m", "tz": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
 
-class Nuisance(Protocol):
-    """One kind of nuisance parameters."""
+@dataclass(frozen=True, eq=False)
+class _Nuisance(ABC):
+    """One kind of nuisance parameters. Rows of measurements that lack what it is about do not depend on it."""
 
-    @property
-    def kind(self) -> str:
-        """Return "frame", "targets" ..."""
-        ...
+    kind: str  #: "frame", "targets" ...
+    names: tuple[str, ...]  #: of the parameters, `kind.axis` as a rule
+    units: tuple[str, ...]  #: of each, "m" or "rad"
+    scales: Array  #: in which they are counted, shape=(k,) [m, rad]
+    sigma: float = 1.0  #: standard deviation beforehand, in these scales
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each, "m" or "rad"."""
-        ...
-
-    @property
-    def scales(self) -> Array:
-        """Scales in which they are counted, shape=(k,) [m, rad]."""
-        ...
-
-    @property
-    def sigmas(self) -> Array:
-        """Standard deviations beforehand, in these scales, shape=(k,)."""
-        ...
-
+    @abstractmethod
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k), or (n, 6 + joints, k).
 
         Poses are the machine's at each row; `drives` the motion of the tool, and of the joints with encoders, by the
         joints of the drives, shape=(n, 6 or 6 + joints, commands).
         """
-        ...
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
         """Return measurements without what parameters of some values, shape=(k,) [m, rad], did; see :meth:`motions`."""
-        ...
+        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
 
 
-@dataclass(frozen=True, eq=False)
-class _InstrumentFrame:
-    """Where the base is, beyond the registration: a twist in the base's axes."""
-
-    kind = "frame"
-    names = tuple(f"frame.{name}" for name in _TWIST)
-    units = ("m", "m", "m", "rad", "rad", "rad")
-    scales = frozen(np.repeat(FRAME_SCALE, 3))
-    sigmas = frozen(np.full(6, _FRAME_SIGMA))
+class _InstrumentFrame(_Nuisance):
+    """Where the base is, beyond the registration: a twist in the base's axes, with which everything moves."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`: everything moves with the base."""
         return _rigid_motions(poses)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
         return measurements.in_moved_base(values) if values.any() else measurements
 
 
 @dataclass(frozen=True, eq=False)
-class _PointOffsets:
-    """Where points sit on the tool, beyond what the measurements say, in the tool's axes."""
+class _PointOffsets(_Nuisance):
+    """Where points sit on the tool, beyond what the measurements say: a target elsewhere is the tool shifted."""
 
-    points: Array  #: the points, shape=(k, 3) [m]
-    sigma: float  #: how well they are known [m]
-    kind: str  #: "targets" or "tool_point"
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        labels = [f"target{k}" for k in range(1, len(self.points) + 1)] if self.kind == "targets" else [self.kind]
-        return tuple(f"{label}.{axis}" for label in labels for axis in _AXES)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return ("m",) * len(self.names)
-
-    @property
-    def scales(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.full(len(self.names), self.sigma)
-
-    @property
-    def sigmas(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.ones(len(self.names))
+    points: Array = field(kw_only=True)  #: in the tool's axes, shape=(points, 3) [m]
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`: a target elsewhere on the tool is the tool shifted."""
         motions = np.zeros((len(measurements), 6, len(self.points), 3))
         motions[:, :3] = poses.rotations[:, :, None, :] * self._members(measurements)[:, None, :, None]
         return motions.reshape(len(measurements), 6, -1)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
         return measurements.with_points(measurements.points + self._members(measurements) @ values.reshape(-1, 3))
 
     def _members(self, measurements: Measurements) -> Array:
-        """Tell which point a row sees, 1 or 0, shape=(n, k)."""
-        return np.array(
-            np.all(np.isclose(measurements.points[:, None], self.points, rtol=0.0, atol=1e-9), axis=2), float
-        )
+        """Tell which point a row sees, 1 or 0, shape=(n, points)."""
+        seen = np.isclose(measurements.points[:, None], self.points, rtol=0.0, atol=1e-9).all(axis=2)
+        return np.asarray(seen, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
-class _SphereCentres:
-    """Where the centres of touched spheres are, beyond where the machine as described has them."""
+class _SphereCentres(_Nuisance):
+    """Where centres of touched spheres are, beyond where the machine as described has them.
 
-    numbers: Indices  #: the spheres, shape=(k,)
-    kind = "spheres"
+    A centre elsewhere is the tool shifted the other way.
+    """
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return tuple(f"sphere{k}.{axis}" for k in self.numbers for axis in _AXES)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return ("m",) * len(self.names)
-
-    @property
-    def scales(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.full(len(self.names), FRAME_SCALE[0])
-
-    @property
-    def sigmas(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.full(len(self.names), _FRAME_SIGMA)
+    numbers: Indices = field(kw_only=True)  #: the spheres, shape=(spheres,)
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`: a centre elsewhere is the tool shifted the other way."""
         motions = np.zeros((len(measurements), 6, len(self.numbers), 3))
         motions[:, :3] = -np.eye(3)[:, None, :] * self._members(measurements)[:, None, :, None]
         return motions.reshape(len(measurements), 6, -1)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
         if measurements.origins is None:
             return measurements
         return measurements.with_origins(measurements.origins + self._members(measurements) @ values.reshape(-1, 3))
 
     def _members(self, measurements: Measurements) -> Array:
-        """Tell which sphere a row touches, 1 or 0, shape=(n, k)."""
+        """Tell which sphere a row touches, 1 or 0, shape=(n, spheres)."""
         if measurements.spheres is None:
             return np.zeros((len(measurements), len(self.numbers)))
         return np.asarray(measurements.spheres[:, None] == self.numbers, float)
 
 
 @dataclass(frozen=True, eq=False)
-class _Drift:
+class _Drift(_Nuisance):
     """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last."""
 
-    start: float  #: time of the first row [s]
-    duration: float  #: to the last [s]
-    drive_units: tuple[str, ...]  #: "m" or "rad" of each drive's joint
-    kind = "drift"
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        drives = [f"drift.u{k}" for k in range(1, len(self.drive_units) + 1)]
-        return (*(f"drift.{name}" for name in _TWIST), *drives)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return (*_InstrumentFrame.units, *self.drive_units)
-
-    @property
-    def scales(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.array([_DRIFT_SIGMA[unit == "rad"] for unit in self.units])
-
-    @property
-    def sigmas(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.ones(len(self.units))
+    start: float = field(kw_only=True)  #: time of the first row [s]
+    duration: float = field(kw_only=True)  #: to the last [s]
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`."""
         base = with_joints(_rigid_motions(poses), drives.shape[1] - 6)
-        return np.concatenate([base, drives], axis=2) * self._parts(measurements)[:, None, None]
-
-    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
-        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
-
-    def _parts(self, measurements: Measurements) -> Array:
-        """Return times from -1/2 to 1/2, so that what is identified is the machine in the middle."""
-        times = self.start if measurements.times is None else measurements.times
-        return np.broadcast_to((times - self.start) / self.duration - 0.5, len(measurements))
+        times = np.full(1, self.start) if measurements.times is None else measurements.times
+        # from -1/2 to 1/2, so that what is identified is the machine in the middle
+        parts = np.broadcast_to((times - self.start) / self.duration - 0.5, len(measurements))
+        return np.concatenate([base, drives], axis=2) * parts[:, None, None]
 
 
-@dataclass(frozen=True, eq=False)
-class _Hysteresis:
+class _Hysteresis(_Nuisance):
     """By how much each drive stands elsewhere when it comes from below, less when it comes from above."""
 
-    drive_units: tuple[str, ...]  #: "m" or "rad" of each drive's joint
-    kind = "hysteresis"
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return tuple(f"hysteresis.u{k}" for k in range(1, len(self.drive_units) + 1))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return self.drive_units
-
-    @property
-    def scales(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.array([_HYSTERESIS_SIGMA[unit == "rad"] for unit in self.units])
-
-    @property
-    def sigmas(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.ones(len(self.units))
-
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`."""
         if measurements.approaches is None:
             return np.zeros_like(drives)
         return np.asarray(0.5 * drives * measurements.approaches[:, None, :])
 
-    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
-        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
 
-
-@dataclass(frozen=True, eq=False)
-class _EncoderZeros:
-    """By how much each encoder shows more than its joint's coordinate."""
-
-    joints: tuple[str, ...]
-    units: tuple[str, ...]  #: "m" or "rad" of each
-    kind = "encoders"
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """See :class:`Nuisance`."""
-        return tuple(f"encoder.{joint}" for joint in self.joints)
-
-    @property
-    def scales(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.array([ENCODER_ZERO[unit] for unit in self.units])
-
-    @property
-    def sigmas(self) -> Array:
-        """See :class:`Nuisance`."""
-        return np.ones(len(self.units))
+class _EncoderZeros(_Nuisance):
+    """By how much each encoder shows more than its joint's coordinate: the joint seems to stand elsewhere."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """See :class:`Nuisance`: the joint seems to stand elsewhere."""
-        motions = np.zeros((len(poses), 6 + len(self.joints), len(self.joints)))
-        motions[:, 6:] = np.eye(len(self.joints))
-        return motions
-
-    def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """See :class:`Nuisance`."""
-        return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
+        return np.tile(np.eye(6 + len(self.names))[:, 6:], (len(poses), 1, 1))
 
 
 class Nuisances:
     """All nuisance parameters of some measurements, by kind, in one row. Not to be changed once made."""
 
-    def __init__(self, parts: tuple[Nuisance, ...] = ()) -> None:
-        self.parts = parts
-        self.names = tuple(name for part in parts for name in part.names)
-        self.units = tuple(unit for part in parts for unit in part.units)
-        self.scales = frozen(np.concatenate([np.zeros(0), *(part.scales for part in parts)]))
-        self.sigmas = frozen(np.concatenate([np.zeros(0), *(part.sigmas for part in parts)]))
+    def __init__(self, parts: Iterable[_Nuisance] = ()) -> None:
+        self.parts = tuple(parts)
+        self.names = tuple(name for part in self.parts for name in part.names)
+        self.units = tuple(unit for part in self.parts for unit in part.units)
+        self.scales = frozen(np.concatenate([np.zeros(0), *(part.scales for part in self.parts)]))
+        self.sigmas = frozen(np.array([part.sigma for part in self.parts for _ in part.names], dtype=float))
 
     @classmethod
     def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
         """Return what measurements depend on, as they say themselves; drives have units "m" or "rad" each."""
-        parts: list[Nuisance] = []
+        parts: list[_Nuisance] = []
+        drives = {f"u{k}": unit for k, unit in enumerate(drive_units, start=1)}
         if measurements.registration is not None:
-            parts.append(_InstrumentFrame())
+            parts.append(_InstrumentFrame("frame", *_named("frame", _TWIST, _FRAME_SCALE), _FRAME_SIGMA))
         points = measurements.points[np.unique(measurements.target_numbers, return_index=True)[1]]
         off = points.any(axis=1)
-        for kind, chosen, sigma in (
-            ("targets", points[off], measurements.target_sigma),
-            ("tool_point", points[~off], measurements.tool_point_sigma),
-        ):
-            if len(chosen) and sigma > 0.0:
-                parts.append(_PointOffsets(frozen(chosen), sigma, kind))
+        labels = [f"target{k}" for k in range(1, int(off.sum()) + 1)]
+        if labels and (sigma := measurements.target_sigma) > 0.0:
+            parts.append(_PointOffsets("targets", *_positions(labels, sigma), points=frozen(points[off])))
+        if not off.all() and (sigma := measurements.tool_point_sigma) > 0.0:
+            parts.append(_PointOffsets("tool_point", *_positions(["tool_point"], sigma), points=frozen(points[~off])))
         if measurements.spheres is not None:
-            parts.append(_SphereCentres(np.setdiff1d(measurements.spheres, [-1])))
+            numbers = np.setdiff1d(measurements.spheres, [-1])
+            named = _positions([f"sphere{k}" for k in numbers], _FRAME_SCALE["m"])
+            parts.append(_SphereCentres("spheres", *named, _FRAME_SIGMA, numbers=numbers))
         times = measurements.times
         if times is not None and np.ptp(times) > 0.0:
-            parts.append(_Drift(float(times.min()), float(np.ptp(times)), drive_units))
+            named = _named("drift", {**_TWIST, **drives}, _DRIFT_SIGMA)
+            parts.append(_Drift("drift", *named, start=float(times.min()), duration=float(np.ptp(times))))
         if measurements.approaches is not None and measurements.approaches.any():
-            parts.append(_Hysteresis(drive_units))
+            parts.append(_Hysteresis("hysteresis", *_named("hysteresis", drives, _HYSTERESIS_SIGMA)))
         if measurements.joints:
-            parts.append(_EncoderZeros(tuple(measurements.joints), tuple(measurements.joints.values())))
-        return cls(tuple(parts))
+            parts.append(_EncoderZeros("encoders", *_named("encoder", measurements.joints, ENCODER_ZERO)))
+        return cls(parts)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -374,7 +212,7 @@ class Nuisances:
         return found
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """Return the motion of tool and encoders by all parameters, shape=(n, 6 + joints, k); see :class:`Nuisance`."""
+        """Return the motion of tool and encoders by all parameters, shape=(n, 6 + joints, k)."""
         blocks = [
             np.zeros((len(measurements), 6, 0)),
             *(part.motions(measurements, poses, drives) for part in self.parts),
@@ -382,11 +220,29 @@ class Nuisances:
         return np.concatenate([with_joints(block, len(measurements.joints)) for block in blocks], axis=2)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """Return measurements without what all of it did; see :meth:`Nuisance.removed`."""
+        """Return measurements without what all of it did, parameters having some values, shape=(k,) [m, rad]."""
         ends = np.cumsum([len(part.names) for part in self.parts])
         for part, own in zip(self.parts, np.split(values, ends[:-1]) if self.parts else (), strict=True):
             measurements = part.removed(measurements, poses, drives, own)
         return measurements
+
+
+_Named = tuple[tuple[str, ...], tuple[str, ...], Array]
+
+
+def _named(prefix: str, units: Mapping[str, str], scales: Mapping[str, float]) -> _Named:
+    """Return names, units and scales of parameters, whose unit decides their scale."""
+    return (
+        tuple(f"{prefix}.{name}" for name in units),
+        (*units.values(),),
+        np.array([scales[u] for u in units.values()]),
+    )
+
+
+def _positions(labels: Iterable[str], scale: float) -> _Named:
+    """Return names, units and scales of the coordinates of points."""
+    names = tuple(f"{label}.{axis}" for label in labels for axis in "xyz")
+    return names, ("m",) * len(names), np.full(len(names), scale)
 
 
 def _rigid_motions(poses: Poses) -> Array:

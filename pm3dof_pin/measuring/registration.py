@@ -125,7 +125,7 @@ def fitted_sphere(points: Array, radii: Array) -> Array:
     rows = np.column_stack([2.0 * seen, -np.ones(len(seen))])
     centre = np.linalg.lstsq(rows, np.sum(seen**2, axis=1) - radii**2, rcond=None)[0][:3]
     for _ in range(_MAX_ROUNDS):
-        ways = seen - centre
-        sizes = np.maximum(np.linalg.norm(ways, axis=1), np.finfo(float).tiny)
-        centre = centre + np.linalg.lstsq(ways / sizes[:, None], sizes - radii, rcond=None)[0]
+        spans = seen - centre
+        sizes = np.maximum(np.linalg.norm(spans, axis=1), np.finfo(float).tiny)
+        centre = centre + np.linalg.lstsq(spans / sizes[:, None], sizes - radii, rcond=None)[0]
     return np.asarray(centre + middle)

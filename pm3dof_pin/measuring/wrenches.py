@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pm3dof_pin.errors.pose_error import rotation_matrix
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
@@ -40,14 +39,7 @@ def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: in
 
 def without_deflections(measurements: Measurements, poses: Poses, displacements: Array) -> Measurements:
     """Return measurements less displacements [translation; rotation vector] of unloaded poses, without wrenches."""
-    turns = rotation_matrix(displacements[:, 3:])
-    offsets = np.einsum("nij,nj->ni", poses.rotations, measurements.points)
-    moved = displacements[:, :3] + np.einsum("nij,nj->ni", turns, offsets) - offsets
-    rotations = measurements.rotations
     return replace(
-        measurements,
-        distances=measurements.without_motions(poses, displacements).distances,
-        positions=measurements.positions - moved,
-        rotations=None if rotations is None else np.swapaxes(turns, 1, 2) @ rotations,
+        measurements.without_motions(poses, displacements),
         conditions={name: values for name, values in measurements.conditions.items() if not is_wrench(name)},
     )

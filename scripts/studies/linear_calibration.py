@@ -15,15 +15,8 @@ import numpy as np
 import pm3dof_pin as pm
 from pm3dof_pin.calibration.caution import Gain
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.identification import (
-    PRIOR,
-    Identification,
-    _kinds,
-    _Linearised,
-    _result,
-    prior_from_data,
-    tool_motions_by_drives,
-)
+from pm3dof_pin.calibration.identification import PRIOR, Identification, prior_from_data
+from pm3dof_pin.calibration.linearisation import Linearisation, tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
 from pm3dof_pin.calibration.rms_interval import excess_interval, rms_interval
 from pm3dof_pin.calibration.scatter import Scatter, scatter_of
@@ -66,43 +59,44 @@ class Station:
         return tool_motions_by_drives(self.poses)
 
 
-class _AtTheDescription(_Linearised):
-    """Measurements' residuals against the machine as described, linear in all parameters.
+def _at_the_description(
+    station: Station, measurements: Measurements, prior: float, known: np.ndarray | None
+) -> Linearisation:
+    """Return measurements' residuals against the machine as described, linear in all parameters.
 
     In those of the measuring about known values, as they are measured from far away.
     """
+    errors, numbers, count = station.errors, measurements.pose_numbers, len(station.errors)
+    poses, drives = station.poses[numbers], station.by_drives[numbers]
+    nuisances = Nuisances.of(measurements, tuple(command.unit for command in errors.robot.commands))
+    known = np.zeros(len(nuisances)) if known is None else known
+    settled = nuisances.removed(measurements, poses, drives, known)
+    others = nuisances.motions(measurements, poses, drives)
+    derivatives = settled.derivatives(poses, np.concatenate([station.motions[numbers, :, :count], others], axis=2))
+    units = np.concatenate([errors.tolerances, nuisances.scales])
+    return Linearisation(
+        measurements,
+        settled,
+        errors,
+        ElasticTerm.of(errors.robot, measurements),
+        nuisances,
+        prior,
+        poses,
+        np.concatenate([np.zeros(count), known / nuisances.scales]),
+        settled.residuals(poses),
+        derivatives / measurements.sigmas[:, :, None] * units,
+    )
 
-    def __init__(self, station: Station, measurements: Measurements, prior: float, known: np.ndarray | None) -> None:
-        numbers, count = measurements.pose_numbers, len(station.errors)
-        self.measurements, self.errors, self.prior = measurements, station.errors, prior
-        self.poses = station.poses[numbers]
-        self.elastic = ElasticTerm.of(station.errors.robot, measurements)
-        self.nuisances = Nuisances.of(measurements, tuple(c.unit for c in station.errors.robot.commands))
-        self.units = np.concatenate([station.errors.tolerances, self.nuisances.scales])
-        self.ends = np.array([count, count])
-        known = np.zeros(len(self.nuisances)) if known is None else known
-        drives = station.by_drives[numbers]
-        self.settled = self.nuisances.removed(measurements, self.poses, drives, known)
-        others = self.nuisances.motions(measurements, self.poses, drives)
-        motions = np.concatenate([station.motions[numbers, :, :count], others], axis=2)
-        self.residuals = self.settled.residuals(self.poses)
-        self.rows = self.settled.derivatives(self.poses, motions) / measurements.sigmas[:, :, None] * self.units
-        self._wanted = self.residuals / measurements.sigmas + self.rows[:, :, count:] @ (known / self.nuisances.scales)
-        self._sigmas = np.concatenate([np.full(count, prior), self.nuisances.sigmas])
-        self._precisions = 1.0 / self._sigmas**2
-        self.kinds = _kinds(measurements)
-        self.dimensions = measurements.seen @ self.kinds
 
-    def identified(self, prior_error: float) -> Identification:
-        """Solve it."""
-        return _result(self, self.robust("tukey", None), "tukey", prior_error, 1)
+def _solved(problem: Linearisation, prior_error: float) -> Identification:
+    return Identification.of(problem, problem.robust("tukey", None), "tukey", prior_error, 1)
 
 
 def identified(station: Station, measurements: Measurements) -> Identification:
     """Identify parameters from measurements at the poses of a station."""
     prior, error, known = PRIOR, 0.0, None
     for _ in range(_ROUNDS):
-        found = _AtTheDescription(station, measurements, prior, known).identified(error)
+        found = _solved(_at_the_description(station, measurements, prior, known), error)
         frame, known = found.nuisances.columns("frame"), found.nuisance_values.copy()
         if frame.size:
             measurements = measurements.in_moved_base(known[frame])
@@ -164,15 +158,15 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     found, units = correction.found, [command.unit for command in station.errors.robot.commands]
     measurements, numbers, count = found.measurements, found.measurements.pose_numbers, len(station.poses)
     folds = np.random.default_rng(0).permutation(np.arange(count) % _FOLDS)
-    whole = _AtTheDescription(station, measurements, found.prior, found.nuisance_values)
+    whole = _at_the_description(station, measurements, found.prior, found.nuisance_values)
     seen = seen_errors(whole.settled, station.poses)
     weights = np.tile(np.diag(1.0 / tip_weights(TIP_LENGTH)), (len(measurements), 1, 1))
     by_tool = whole.settled.derivatives(whole.poses, weights) / measurements.sigmas[:, :, None]
     missed, uncertain = np.zeros((count, 6)), np.zeros((count, 6, 6))
     for fold in range(_FOLDS):
         shown, hidden = folds[numbers] != fold, folds[numbers] == fold
-        again = _part(whole, shown).identified(found.prior_error)
-        left = whole._wanted[hidden] - whole.rows[hidden] @ again.scaled_values
+        again = _solved(whole[shown], found.prior_error)
+        left = whole[hidden].left_over(again.scaled_values)
         pulls = np.zeros((count, 6))
         np.add.at(pulls, numbers[hidden], np.einsum("nij,ni->nj", by_tool[hidden], left))
         own = folds == fold
@@ -187,14 +181,3 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
     spread = correction.covariances(station) + sure.covariances(station.control)
     interval = excess_interval(correction.standard_effects(station), sure, station.control)
     return scatter, np.einsum("nij,njk,nik->ni", gains, spread, gains), interval or (np.nan, np.nan)
-
-
-def _part(whole: _AtTheDescription, shown: np.ndarray) -> _AtTheDescription:
-    """Return the problem of some of the measurements."""
-    part = object.__new__(_AtTheDescription)
-    part.__dict__.update(whole.__dict__)
-    for name in ("measurements", "settled", "poses", "residuals", "rows", "_wanted", "dimensions"):
-        setattr(part, name, getattr(whole, name)[shown])
-    for name in ("_blocks", "_pulls", "_used"):
-        part.__dict__.pop(name, None)
-    return part

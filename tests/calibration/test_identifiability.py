@@ -7,11 +7,12 @@ import pinocchio as pin
 import pytest
 
 from pm3dof_pin.calibration.identifiability import (
-    _observability_indices,
+    Identifiability,
+    ObservabilityIndices,
     _rank_growth,
-    _scaled_regressor,
     identifiability,
     minimum_poses,
+    stacked_regressor,
 )
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.exceptions import InvalidValueError
@@ -20,13 +21,21 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 
 
+def _regressor(errors: GeometricErrors, poses: Poses, instrument: Instrument | None = None) -> np.ndarray:
+    return stacked_regressor(errors, poses, instrument)[0]
+
+
+def _of_poses(errors: GeometricErrors, poses: Poses) -> Identifiability:
+    return identifiability(errors.names, errors.tolerances, _regressor(errors, poses))
+
+
 def test_the_tripods_40_parameters_and_its_nine_poses(redundant_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """A leg has nine parameters and adds one equation a pose; the 13 of the middle are known after five poses."""
-    regressor = _scaled_regressor(redundant_errors, tripod_nominal[:40])
+    regressor = _regressor(redundant_errors, tripod_nominal[:40])
     growth = _rank_growth(regressor)
     np.testing.assert_array_equal(growth[:12], [6, 12, 18, 24, 28, 31, 34, 37, 40, 40, 40, 40])
     assert minimum_poses(regressor) == 9
-    result = identifiability(redundant_errors, regressor)
+    result = identifiability(redundant_errors.names, redundant_errors.tolerances, regressor)
     assert result.rank == 40
     assert result.decision.gap > 1e6
     assert result.unidentifiable == ("platform_x_joint.rx",)
@@ -35,15 +44,17 @@ def test_the_tripods_40_parameters_and_its_nine_poses(redundant_errors: Geometri
 
 
 def test_positions_alone_say_less(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    regressor = _scaled_regressor(tripod_errors, tripod_nominal[:60], Instrument("position"))
+    regressor = _regressor(tripod_errors, tripod_nominal[:60], Instrument("position"))
     assert regressor.shape[1] == 3
-    result = identifiability(tripod_errors, regressor)
+    result = identifiability(tripod_errors.names, tripod_errors.tolerances, regressor)
     assert result.rank < 40
     assert minimum_poses(regressor) > 9
 
 
 def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
-    result = identifiability(tripod_errors, _scaled_regressor(tripod_errors, tripod_nominal[:5]))
+    result = identifiability(
+        tripod_errors.names, tripod_errors.tolerances, _regressor(tripod_errors, tripod_nominal[:5])
+    )
     assert result.rank == 28
     assert len(result.base) == 28
     assert len(result.unidentifiable) == 12
@@ -52,7 +63,7 @@ def test_too_few_poses_are_seen(tripod_errors: GeometricErrors, tripod_nominal: 
 def test_unidentifiable_directions_do_nothing(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     """Four poses leave 16 combinations open; moving along them, closed loops give the same poses."""
     poses = tripod_nominal[:4]
-    result = identifiability(tripod_errors, _scaled_regressor(tripod_errors, poses))
+    result = _of_poses(tripod_errors, poses)
     hidden = result.directions[:, result.rank :]
     values = 0.01 * tripod_errors.tolerances * (hidden @ np.random.default_rng(0).standard_normal(hidden.shape[1]))
     moved = tripod_errors.apply(values).forward(poses.commands, guess=poses.q)
@@ -77,7 +88,8 @@ def test_a_serial_arm_has_4r_2p_6_parameters(joints: str) -> None:
     """B. Mooring, Z. Roth and M. Driels, Fundamentals of Manipulator Calibration (1991); L. Everett and T.-W. Hsu."""
     arm = _chain(joints)
     poses = arm.forward(np.random.default_rng(0).uniform(-2.0, 2.0, (30, len(joints))))
-    result = identifiability(GeometricErrors(arm), _scaled_regressor(GeometricErrors(arm), poses))
+    errors = GeometricErrors(arm)
+    result = _of_poses(errors, poses)
     assert result.rank == 4 * joints.count("R") + 2 * joints.count("P") + 6
     assert result.decision.gap > 1e6
 
@@ -85,14 +97,14 @@ def test_a_serial_arm_has_4r_2p_6_parameters(joints: str) -> None:
 def test_a_real_arm_with_six_joints_has_30_parameters(serial_arm: Robot) -> None:
     errors = GeometricErrors(serial_arm)
     poses = serial_arm.forward(np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6)))
-    result = identifiability(errors, _scaled_regressor(errors, poses))
+    result = _of_poses(errors, poses)
     assert len(errors) == 42
     assert result.rank == 30
-    assert minimum_poses(_scaled_regressor(errors, poses)) == 5
+    assert minimum_poses(_regressor(errors, poses)) == 5
     for name, parts in result.relations.items():  # the base parameters do what the others do
         one = errors.tolerances[errors.names.index(name)]
         stand_in = errors.values({base: part * one for base, part in parts.items()})
-        rows = _scaled_regressor(errors, poses[:3]).reshape(-1, len(errors)) / errors.tolerances
+        rows = _regressor(errors, poses[:3]).reshape(-1, len(errors)) / errors.tolerances
         np.testing.assert_allclose(rows @ stand_in, rows[:, errors.names.index(name)] * one, atol=1e-9)
 
 
@@ -124,29 +136,29 @@ def test_closed_chains_have_as_many_parameters_as_their_joints_leave(mechanism: 
         commands = home.commands + rng.uniform(-reach, reach, (40, home.commands.shape[1]))
         poses = far.forward(commands, guess=home.q[0], on_failure="nan")
         poses = poses[poses.solved]
-        values = identifiability(
-            GeometricErrors(far), _scaled_regressor(GeometricErrors(far), poses)
-        ).decision.singular_values
+        displaced = GeometricErrors(far)
+        result = _of_poses(displaced, poses)
+        values = result.decision.singular_values
         assert values[expected - 1] > 1e3 * values[expected]
 
 
 def test_observability_indices_by_hand() -> None:
-    indices = _observability_indices([8.0, 4.0, 2.0], 4)
+    indices = ObservabilityIndices.of([8.0, 4.0, 2.0], 4)
     assert pytest.approx(4.0 / 2.0) == indices.O1
     assert pytest.approx(0.25) == indices.O2
     assert pytest.approx(2.0) == indices.O3
     assert pytest.approx(0.5) == indices.O4
     assert pytest.approx(1.0 / (0.125 + 0.25 + 0.5)) == indices.O5
     with pytest.raises(InvalidValueError):
-        _observability_indices([1.0, 0.0], 1)
+        ObservabilityIndices.of([1.0, 0.0], 1)
 
 
 def test_names_of_directions_and_shapes(tripod_errors: GeometricErrors) -> None:
     few = tripod_errors.select(["O_e.tx", "O_e.ty", "O_e.tz"])
-    result = identifiability(few, np.array([[[1.0, 1.0, 0.0]], [[2.0, 2.0, 0.0]]]))
+    result = identifiability(few.names, few.tolerances, np.array([[[1.0, 1.0, 0.0]], [[2.0, 2.0, 0.0]]]))
     assert set(result.unidentifiable) in ({"O_e.tx - O_e.ty", "O_e.tz"}, {"O_e.ty - O_e.tx", "O_e.tz"})
     with pytest.raises(InvalidValueError, match="shape"):
-        identifiability(few, np.ones((2, 1, 1)))
+        identifiability(few.names, few.tolerances, np.ones((2, 1, 1)))
 
 
 def test_the_noise_of_targets() -> None:

@@ -12,7 +12,8 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
-from pm3dof_pin.calibration.identification import PRIOR, Identification, _Linearised, identify, prior_from_data
+from pm3dof_pin.calibration.identification import PRIOR, Identification, identify, prior_from_data
+from pm3dof_pin.calibration.linearisation import Linearisation
 from pm3dof_pin.calibration.planning import PlanningProblem
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
@@ -183,7 +184,7 @@ def test_residuals_of_few_measurements_are_less_than_the_noise() -> None:
     problem = SimpleNamespace(dimensions=np.full((count, 2), dimension), _used=np.array([used, 0.0]))
     left = (count * dimension - used) / (count * dimension)
     squares = np.stack([left * noise, 4.0 * noise], axis=1)
-    np.testing.assert_allclose(_Linearised.noise_factors(problem, squares), [3.0, 6.0], rtol=1e-9)  # type: ignore[arg-type]
+    np.testing.assert_allclose(Linearisation.noise_factors(problem, squares), [3.0, 6.0], rtol=1e-9)  # type: ignore[arg-type]
 
 
 def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
@@ -192,10 +193,10 @@ def test_parameters_use_up_the_trace_of_the_hat_matrix() -> None:
     design = rows.reshape(-1, 4)
     hat = design @ np.linalg.inv(design.T @ design + np.diag(sigmas**-2)) @ design.T
     kinds = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, _sigmas=sigmas)
-    problem._blocks = _Linearised._blocks.func(problem)  # type: ignore[attr-defined]
+    problem = SimpleNamespace(prior=PRIOR, rows=rows, kinds=kinds, sigmas=sigmas)
+    problem._blocks = Linearisation._blocks.func(problem)  # type: ignore[attr-defined]
     used = np.diag(hat).reshape(15, 3).sum(axis=0) @ kinds
-    np.testing.assert_allclose(_Linearised._used.func(problem), used, rtol=1e-12)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(Linearisation._used.func(problem), used, rtol=1e-12)  # type: ignore[attr-defined]
 
 
 class _Thirty:
@@ -275,10 +276,9 @@ def test_a_direction_is_told_down_to_rounding(weak: float, told: bool) -> None:
         rows=np.diag(np.sqrt([1.0, weak]))[None],
         units=np.ones(2),
         prior=np.inf,
-        _sigmas=np.full(2, np.inf),
-        _precisions=np.zeros(2),
+        sigmas=np.full(2, np.inf),
     )
-    covariance = _Linearised.covariance(problem, np.ones((1, 2)), 1.0)  # type: ignore[arg-type]
+    covariance = Linearisation.covariance(problem, np.ones((1, 2)), 1.0)  # type: ignore[arg-type]
     assert covariance[0, 0] == pytest.approx(1.0, rel=1e-12)
     assert covariance[1, 1] == (pytest.approx(1.0 / weak, rel=1e-9) if told else np.inf)
 

@@ -103,12 +103,12 @@ def test_plans_keep_their_distance_and_limits(small: PlanningProblem) -> None:
         distances = np.sqrt(np.mean((shares[:, None] - shares) ** 2, axis=2)) + np.eye(15)
         assert distances.min() >= 0.05
         assert plan.identifiability.rank == 40
-        assert plan.observability.O1 > 0.0
+        assert plan.identifiability.observability.O1 > 0.0
 
 
 def test_the_chapters_rule_stays_in_its_region(small: PlanningProblem) -> None:
     plan = small.plan(12, "least-sensitive", np.random.default_rng(0))
-    assert small.sensitivity_map.least_sensitive(0.2)[plan.indices].all()
+    assert small.measured.map.least_sensitive(0.2)[plan.indices].all()
 
 
 def test_the_same_seed_gives_the_same_plan(small: PlanningProblem) -> None:

@@ -107,7 +107,7 @@ def test_the_plan_counts_them(tripod_errors: GeometricErrors, tripod_nominal: Po
         ranks.append(int(np.sum(values > 1e-6 * values[0])))
         instrument = Instrument("position", SIGMA, SIGMA, encoders=tuple(joints))
         rows, others, nuisances = stacked_regressor(tripod_errors, nominal, instrument)
-        assert identifiability(tripod_errors, rows, others).rank == ranks[-1]
+        assert identifiability(tripod_errors.names, tripod_errors.tolerances, rows, others).rank == ranks[-1]
         assert len(nuisances) == len(joints)
     assert ranks[1] > ranks[0]
     with pytest.raises(InvalidValueError, match="expected a passive joint"):

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
-from pm3dof_pin.calibration.identification import identify, tool_motions_by_drives
+from pm3dof_pin.calibration.identification import identify
+from pm3dof_pin.calibration.linearisation import tool_motions_by_drives
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -101,7 +102,7 @@ def test_the_ranks_of_other_robots(name: str) -> None:
     poses = reachable_poses(errors.robot, 12, np.random.default_rng(3))
     for own_frame in (False, True):
         by_errors, others, _ = stacked_regressor(errors, poses, Instrument(own_frame=own_frame))
-        rank = identifiability(errors, by_errors, others).rank
+        rank = identifiability(errors.names, errors.tolerances, by_errors, others).rank
         assert rank == _numerical_rank(errors, poses, free_frame=own_frame)
 
 

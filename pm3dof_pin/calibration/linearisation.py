@@ -1,0 +1,284 @@
+"""Measurements as linear functions of all parameters, about where these are, and the robust fit of such a problem.
+
+Holland and Welsch's reweighting (1977): first with Huber's weights, which have one minimum, then from there with
+Tukey's, which leave gross outliers no say. Their scales are those of Huber's fit (V. Yohai's MM-estimates, 1987), so
+that each reweighting lowers one sum. Positions, angles and encoders have each a scale of their own: drives that miss
+move some robots' tools along and turn none of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import scipy.linalg
+import scipy.special
+
+from pm3dof_pin.calibration.elastic_term import ElasticTerm
+from pm3dof_pin.calibration.identifiability import REGRESSOR_TOLERANCE
+from pm3dof_pin.errors.command_correction import command_jacobians, command_scales
+from pm3dof_pin.errors.error_parameters import GeometricErrors
+from pm3dof_pin.errors.sensitivity import sensitivities
+from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.measuring.measurements import Measurements, with_joints
+from pm3dof_pin.measuring.nuisances import Nuisances
+from pm3dof_pin.typing import Array, Indices, Mask
+
+Loss = Literal["squares", "huber", "tukey"]
+
+UNKNOWN = 1e3
+"""Standard deviation beforehand, in a parameter's scale, that says nothing."""
+
+_DAMPING = 1e-4  # (1 / 100 tolerances)^2: further than that no linearisation reaches, should nothing else hold a step
+_REWEIGHTINGS = 200
+_SETTLED = 1e-6  # change of weights
+_HUBER = 0.95  # part of good measurements with full weight
+_TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
+_FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
+_LEAST_FREEDOM = 0.2  # of the measurements
+_SMOOTH = 2.0  # times the noise: effects that grow over the workspace to as much do not stand out of it
+_LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities that a mean is taken over
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """Solution of one robust linear problem."""
+
+    x: Array  #: all parameters, in units of their scales
+    weights: Array  #: of each measurement, 0 to 1, shape=(n,)
+    noise_factors: Array  #: of each kind of coordinate, shape=(kinds,)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Residuals as linear functions of all parameters: p, the logarithms of stiffness, nuisance parameters.
+
+    Parameters are counted in their scales, residuals in the sigmas of the measurements.
+    """
+
+    measurements: Measurements
+    settled: Measurements  #: without what the nuisance parameters explain
+    errors: GeometricErrors
+    elastic: ElasticTerm
+    nuisances: Nuisances
+    prior: float  #: standard deviation of p beforehand, in its scales; infinite for none
+    poses: Poses  #: the machine's, for each row
+    start: Array  #: the parameters there, shape=(parameters,)
+    residuals: Array  #: what is measured minus what the machine does, shape=(n, rows) [m, rad]
+    rows: Array  #: derivatives of what is seen by the parameters, scaled, shape=(n, rows, parameters)
+
+    @classmethod
+    def at(
+        cls,
+        measurements: Measurements,
+        errors: GeometricErrors,
+        elastic: ElasticTerm,
+        nuisances: Nuisances,
+        prior: float,
+        poses: Poses,
+        start: Array,
+    ) -> Linearisation:
+        """Linearise measurements about parameters `start`, and the machine's poses there."""
+        units = np.concatenate([errors.tolerances, elastic.sigmas, nuisances.scales])
+        ends = np.cumsum([len(errors), len(elastic.names)])
+        values, logarithms, measuring = np.split(start * units, ends)
+        # each pose is computed once
+        numbers = measurements.pose_numbers
+        first = np.unique(numbers, return_index=True)[1]
+        found = sensitivities(errors, poses[first], values, joints=tuple(measurements.joints))
+        drives = tool_motions_by_drives(poses[first], found.commands)[numbers]
+        loaded, by_stiffness = elastic.deflected(poses, logarithms)
+        settled = nuisances.removed(measurements, loaded, drives, measuring)
+        by_stiffness = with_joints(by_stiffness, len(measurements.joints))
+        motions = [found.errors[numbers], by_stiffness, nuisances.motions(measurements, loaded, drives)]
+        derivatives = settled.derivatives(loaded, np.concatenate(motions, axis=2))
+        rows = derivatives / measurements.sigmas[:, :, None] * units
+        residuals = settled.residuals(loaded)
+        return cls(measurements, settled, errors, elastic, nuisances, prior, poses, start, residuals, rows)
+
+    def __getitem__(self, rows: Indices | Mask) -> Linearisation:
+        """Return the problem of some rows."""
+        parts = {name: getattr(self, name)[rows] for name in ("measurements", "settled", "poses", "residuals", "rows")}
+        return replace(self, **parts)
+
+    @cached_property
+    def units(self) -> Array:
+        """The scales of the parameters, shape=(parameters,) [m, rad, 1]."""
+        return np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
+
+    @cached_property
+    def sigmas(self) -> Array:
+        """Standard deviations of the parameters beforehand, in their scales, shape=(parameters,)."""
+        machine = np.full(len(self.errors), self.prior), np.ones(len(self.elastic.names))
+        return np.concatenate([*machine, self.nuisances.sigmas])
+
+    @cached_property
+    def kinds(self) -> Array:
+        """Which columns of residuals are positions, which angles, and which each encoder's, shape=(rows, kinds)."""
+        tool = np.repeat(np.arange(self.measurements.tool_columns // 3), 3)
+        labels = np.concatenate([tool, len(tool) + np.arange(len(self.measurements.joints))])
+        return np.asarray(labels[:, None] == np.unique(labels), dtype=float)
+
+    @cached_property
+    def dimensions(self) -> Array:
+        """How many coordinates of each kind were measured, shape=(n, kinds)."""
+        return np.asarray(self.measurements.seen @ self.kinds)
+
+    def left_over(self, x: Array) -> Array:
+        """Return the residuals at parameters x, in sigmas, shape=(n, rows)."""
+        return np.asarray(self._targets - self.rows @ x)
+
+    @cached_property
+    def _targets(self) -> Array:
+        return np.asarray(self.residuals / self.measurements.sigmas + self.rows @ self.start)
+
+    def robust(self, loss: Loss, start: RobustFit | None) -> RobustFit:
+        """Solve it by reweighting, from the start or from a fit nearby, whose scale then stands."""
+        weights, factors = np.ones(len(self.rows)), np.ones(self.kinds.shape[1])
+        if start is not None:
+            weights, factors = start.weights, start.noise_factors
+        x, dimensions = self._solve(weights, factors), self.dimensions.sum(axis=1)
+        kinds = {"squares": ("squares",), "huber": ("huber",), "tukey": ("huber", "tukey")}[loss]
+        for kind in kinds if start is None else kinds[-1:]:
+            for _ in range(_REWEIGHTINGS):
+                last, last_factors = weights, factors
+                squares = self.squares(x)
+                if start is None and kind != "tukey":
+                    factors = self.noise_factors(squares)
+                weights = _weights(squares @ factors**-2.0, dimensions, kind)
+                x = self._solve(weights, factors)
+                if max(np.abs(weights - last).max(), np.abs(factors - last_factors).max()) < _SETTLED:
+                    break
+        return RobustFit(x, weights, factors)
+
+    def squares(self, x: Array) -> Array:
+        """Return |r_k|^2 of each kind of coordinate, shape=(n, kinds)."""
+        return np.asarray(self.left_over(x) ** 2 @ self.kinds)
+
+    def noise_factors(self, squares: Array) -> Array:
+        """Return how much residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
+        factors = np.ones(len(self._used))
+        for kind, (used, own) in enumerate(zip(self._used, self.dimensions.T, strict=True)):
+            if (seen := own > 0).any():
+                median = np.median(squares[seen, kind] / _chi_square_quantile(0.5, own[seen]))
+                freedom = max(_LEAST_FREEDOM, 1.0 - used / own.sum())
+                factors[kind] = max(1.0, np.sqrt(median / freedom))
+        return factors
+
+    def certainties(self, fit: RobustFit, loss: Loss) -> Array:
+        """Return a fit's weights over the variance of the noise, on average as for good rows, shape=(n, rows)."""
+        usual = _usual_weights(self.dimensions.sum(axis=1), loss)
+        return np.asarray((fit.weights / usual)[:, None] / (self.kinds @ fit.noise_factors) ** 2)
+
+    def outliers(self, fit: RobustFit) -> Indices:
+        """Return the rows whose residuals are no noise, shape=(k,)."""
+        bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(self.rows), self.dimensions.sum(axis=1))
+        return np.flatnonzero(self.squares(fit.x) @ fit.noise_factors**-2.0 > bound)
+
+    def covariance(self, certainties: Array, prior_error: float) -> Array:
+        """Return the covariance of all parameters; infinite for those that a singular information leaves open.
+
+        With the information I and the knowledge L beforehand it is C = (I + L)^-1 = C I C + C L C, the second what
+        nobody has measured; the prior's error is that of the parameters' part of it.
+        """
+        scaled = (np.sqrt(certainties)[:, :, None] * self.rows).reshape(-1, len(self.units))
+        information = scaled.T @ scaled
+        unit = np.outer(self.units, self.units)
+        if np.isfinite(self.prior):
+            covariance = np.linalg.inv(information + np.diag(1.0 / self.sigmas**2))
+            unmeasured = covariance[:, : len(self.errors)] / self.prior
+            wider = (1.0 + prior_error) ** 2 - 1.0
+            return np.asarray((covariance + wider * unmeasured @ unmeasured.T) * unit)
+        # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
+        known_before = np.where(self.sigmas < UNKNOWN, 1.0 / self.sigmas**2, 0.0)
+        values, axes = np.linalg.eigh(information + np.diag(known_before))
+        known = values > (REGRESSOR_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
+        covariance = (axes[:, known] / values[known]) @ axes[:, known].T * unit
+        unknown = np.flatnonzero(np.abs(axes[:, ~known]).max(axis=1, initial=0.0) > 1e-6)
+        covariance[unknown, unknown] = np.inf
+        return np.asarray(covariance)
+
+    def hidden_shifts(self, certainties: Array, factors: Array, covariance: Array) -> Array:
+        """Return what shifts parameters and no residual shows, root sum of squares, shape=(number of parameters,).
+
+        A coordinate of what is measured, of each target, may be off by :data:`_SMOOTH` times its noise, alike
+        everywhere or in proportion to a command (one standard deviation over the measured ones).
+        """
+        commands = self.measurements.commands
+        spread = commands.std(axis=0)
+        moving = spread > 0.0
+        varying = (commands - commands.mean(axis=0))[:, moving] / spread[moving]
+        effects = _SMOOTH * np.column_stack([np.ones(len(commands)), varying])
+        certain = (certainties * factors)[:, :, None] * self.rows
+        numbers, pulls = self.measurements.target_numbers, []
+        for number in np.unique(numbers):
+            own = numbers == number
+            pulls.append(np.einsum("nb,ncq->bcq", effects[own], certain[own]).reshape(-1, len(self.units)))
+        known = np.where(np.isfinite(covariance), covariance, 0.0)[: len(self.errors)]
+        shifts = (np.concatenate(pulls) / self.units) @ known.T
+        return np.asarray(np.sqrt(np.sum(shifts**2, axis=0)))
+
+    @cached_property
+    def _used(self) -> Array:
+        """How many degrees of freedom the parameters take from each kind of coordinate."""
+        sigmas = np.minimum(self.sigmas, UNKNOWN)
+        if np.isinf(self.prior):
+            u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
+            leverages = u**2 @ (s > REGRESSOR_TOLERANCE * s.max(initial=0.0))
+            return np.asarray(leverages.reshape(self.rows.shape[:2]).sum(axis=0) @ self.kinds)
+        blocks = self._blocks.sum(axis=0) * np.outer(sigmas, sigmas)
+        return np.asarray(np.einsum("kij,ji->k", blocks, np.linalg.inv(blocks.sum(axis=0) + np.eye(len(sigmas)))))
+
+    def _solve(self, weights: Array, factors: Array) -> Array:
+        if np.isfinite(self.prior):
+            # with a prior the normal equations are well conditioned, and many times quicker to weight again
+            shares = weights[:, None] / factors**2
+            information = np.tensordot(shares, self._blocks, 2) + np.diag(1.0 / self.sigmas**2)
+            return np.asarray(scipy.linalg.solve(information, np.einsum("nk,njk->j", shares, self._pulls)))
+        scale, count = np.sqrt(weights)[:, None] / (self.kinds @ factors), self.rows.shape[2]
+        known_before = self.sigmas < UNKNOWN
+        regularised = np.diag(np.where(known_before, 1.0 / self.sigmas, np.sqrt(_DAMPING)))
+        matrix = np.concatenate([(scale[:, :, None] * self.rows).reshape(-1, count), regularised])
+        right = np.concatenate([(scale * self._targets).ravel(), regularised @ np.where(known_before, 0.0, self.start)])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=REGRESSOR_TOLERANCE)[0])
+
+    @cached_property
+    def _blocks(self) -> Array:
+        """Information of each kind of coordinate of a measurement, shape=(n, kinds, parameters, parameters)."""
+        parts = [self.rows[:, own] for own in self.kinds.T > 0.0]
+        return np.stack([np.swapaxes(part, 1, 2) @ part for part in parts], axis=1)
+
+    @cached_property
+    def _pulls(self) -> Array:
+        return np.asarray(np.swapaxes(self.rows * self._targets[:, :, None], 1, 2) @ self.kinds)
+
+
+def tool_motions_by_drives(poses: Poses, commands: Array | None = None) -> Array:
+    """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands)."""
+    by_commands = command_jacobians(poses) if commands is None else commands
+    return np.asarray(by_commands * np.abs(command_scales(poses)))
+
+
+def _weights(squares: Array, dimensions: Indices, loss: str) -> Array:
+    """Return the weights of squared normalised residuals, shape=(n,)."""
+    if loss == "squares":
+        return np.ones_like(squares)
+    bend = _chi_square_quantile(_HUBER, dimensions)
+    if loss == "huber":
+        return np.asarray(np.sqrt(bend / np.maximum(squares, bend)))
+    return np.asarray(np.clip(1.0 - squares / (_TUKEY**2 * bend), 0.0, None) ** 2)
+
+
+def _usual_weights(dimensions: Indices, loss: str) -> Array:
+    """Return the weights that good measurements have on average: all of their information is worth as much more."""
+    kinds, which = np.unique(dimensions, return_inverse=True)
+    usual = [
+        np.mean(_weights(_chi_square_quantile(_LEVELS, kind), np.full(_LEVELS.shape, kind), loss)) for kind in kinds
+    ]
+    return np.asarray(usual)[which]
+
+
+def _chi_square_quantile(probability: float | Array, dimensions: Indices) -> Array:
+    return np.asarray(2.0 * scipy.special.gammaincinv(0.5 * np.maximum(dimensions, 1), probability))
