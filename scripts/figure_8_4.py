@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.section import section_outline, stiffness_section
+from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.chapter.tilt_grids import RectangularGrid
+from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import FORMATS, save_pictures
 from pm3dof_pin.kinematics.robot import load
@@ -21,9 +23,10 @@ TILT = (-math.radians(45.0), math.radians(45.0))  # beyond the boundary of the s
 def main(out: Path = RESULTS, engine: str = "program", points: int = 181, formats: Sequence[str] = ("png",)) -> None:
     tripod, grid = Tripod.load(), RectangularGrid(TILT, TILT, (points, points))
     robot = load("pm3dof") if engine == "pinocchio" else None
-    figure = section_map(
-        stiffness_section(tripod, grid, robot=robot), "stiffness_global", section_outline(tripod, grid, robot=robot)
-    )
+    section, variable = stiffness_section(tripod, grid, robot=robot).dataset(), "stiffness_global"
+    within = partial(tripod_space(tripod).within, levels=tripod.middle_height)
+    exact = None if robot else section_values(tripod, tripod.middle_height, variable)
+    figure = section_map(section, variable, within=within, exact=exact)
     print(*save_pictures(figure, out / "figure_8_4", formats), sep="\n")
 
 

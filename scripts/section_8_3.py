@@ -19,7 +19,8 @@ from pm3dof_pin.errors.error_map import section_grid
 from pm3dof_pin.errors.pose_error import energy, pose_difference, tip_error
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import FORMATS, save_pictures
-from pm3dof_pin.maps.error_section import error_outline, error_section
+from pm3dof_pin.maps.error_section import error_section, errors_over
+from pm3dof_pin.maps.limit_space import limits_over
 from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.simulation.worlds import World
@@ -40,7 +41,9 @@ def main(
     grid = section_grid(errors.robot, points=points)
     assert grid is not None
     section, _ = error_section(errors, grid)
-    figure = section_map(section, "tip_rms", error_outline(errors, grid, section))
+    broken = limits_over(errors.robot, grid.dims, grid.fixed)
+    exact = errors_over(errors, grid, "tip_rms")
+    figure = section_map(section, "tip_rms", within=lambda points: broken(points) == 0, exact=exact)
     print(*save_pictures(figure, out / "section_8_3_error_map", formats), sep="\n")
     print(write_csv(section, out / "section_8_3_error_map.csv"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,8 +16,7 @@ from studies.universal_joint import universal_joint_figure
 
 import pm3dof_pin.chapter.quantities  # noqa: F401  more quantities
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
-from pm3dof_pin.chapter.section import section_outline, stiffness_section
-from pm3dof_pin.chapter.tilt_grids import RectangularGrid
+from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.cli.stiffness_map import PICTURES
@@ -31,7 +31,7 @@ from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
 from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
-from pm3dof_pin.maps.error_section import error_outline, error_section
+from pm3dof_pin.maps.error_section import error_section, errors_over
 from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
 from pm3dof_pin.maps.limit_space import limits_over, robot_space
 from pm3dof_pin.maps.quantities import MappedRobot
@@ -41,7 +41,7 @@ from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace
 
 def _draw(app: Sphinx) -> None:
     folder = Path(app.srcdir) / "pictures" / "computed"
-    tripod, grid = Tripod.load(), RectangularGrid()
+    tripod = Tripod.load()
     save_figure(schematic_figure(tripod), folder / "figure_8_1_schematic.png")
     save_figure(passive_leg_radius_figure(tripod), folder / "passive_leg_radius.png")
     robot = load("pm3dof")
@@ -57,11 +57,13 @@ def _draw(app: Sphinx) -> None:
     save_figure(universal_joint_figure(both, tripod.middle_height), folder / "universal_joint.png")
     save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
     save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
-    reachable, printed = workspace(tripod_space(tripod), 61, 180), PrintedRanges(printed_ranges(tripod))
+    space = tripod_space(tripod)
+    reachable, printed = workspace(space, 61, 180), PrintedRanges(printed_ranges(tripod))
     save_figure(workspace_figure(reachable, printed), folder / "figure_8_2_workspace.png")
-    section, outline = stiffness_section(tripod, grid), section_outline(tripod, grid)
+    section, within = stiffness_section(tripod).dataset(), partial(space.within, levels=tripod.middle_height)
     for name, quantity in PICTURES.items():
-        save_figure(section_map(section, quantity, outline), folder / name)
+        exact = section_values(tripod, tripod.middle_height, quantity)
+        save_figure(section_map(section, quantity, within=within, exact=exact), folder / name)
 
 
 def _draw_atlas(robot: Robot, folder: Path) -> None:
@@ -80,9 +82,11 @@ def _draw_errors(folder: Path) -> None:
     errors = GeometricErrors.load("pm3dof")
     grid = section_grid(errors.robot, points=61)
     section, mapped = error_section(errors, grid)
-    outline = error_outline(errors, grid, section)
+    broken = limits_over(errors.robot, grid.dims, grid.fixed)
     for name in ("tip_rms", "uncompensable_rms"):
-        save_figure(section_map(section, name, outline), folder / f"error_map_{name}.png")
+        exact = errors_over(errors, grid, name)
+        figure = section_map(section, name, within=lambda points: broken(points) == 0, exact=exact)
+        save_figure(figure, folder / f"error_map_{name}.png")
     save_figure(error_ranking(mapped.ranking()), folder / "error_ranking.png")
 
 

@@ -122,7 +122,8 @@ def error_map(
     from pm3dof_pin.errors.error_map import section_grid
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.maps.error_budget_map import whole_workspace_grid
-    from pm3dof_pin.maps.error_section import error_outline, error_section
+    from pm3dof_pin.maps.error_section import error_section, errors_over
+    from pm3dof_pin.maps.limit_space import limits_over
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
@@ -158,9 +159,11 @@ def error_map(
             if pictures and len(grid.dims) == 2:
                 from pm3dof_pin.figures.section_map import section_map
 
-                outline = error_outline(errors, grid, section)
+                broken = limits_over(errors.robot, grid.dims, grid.fixed)
                 for done, (name, variable) in enumerate(PICTURES.items(), start=3):
-                    files += save(section_map(section, variable, outline), out / name, formats)
+                    exact = errors_over(errors, grid, variable, eta=eta, distribution=distribution)
+                    figure = section_map(section, variable, within=lambda points: broken(points) == 0, exact=exact)
+                    files += save(figure, out / name, formats)
                     progress(done, steps)
         ranking = mapped.ranking()
         files.append(_write_ranking(ranking, out / "error_ranking.csv"))

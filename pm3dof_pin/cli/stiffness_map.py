@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -210,7 +211,7 @@ def _map_of_chapter(
     as_json: bool,
     engine: Engine,
 ) -> None:
-    from pm3dof_pin.chapter.section import section_arrays
+    from pm3dof_pin.chapter.section import section_values, stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
     from pm3dof_pin.maps.storage import write_csv, write_netcdf
@@ -220,19 +221,20 @@ def _map_of_chapter(
     grid = RectangularGrid(theta_x_range=(-angle, angle), theta_y_range=(-angle, angle), shape=(points, points))
     names = list(PICTURES) if pictures else []
     with progress_bar("stiffness map") as progress:
-        section = section_arrays(tripod, grid, height, robot=machine)
+        section = stiffness_section(tripod, grid, height, robot=machine)
         inside = int((section.data_vars["broken_limits"].values == 0).sum())
         z_e = float(section.coords["z_e"].values)
         _require_poses(f"at z_e = {z_e:g} m", inside, drawn=pictures, tripod=tripod)
         files = [write_netcdf(section, out / "stiffness_map.nc"), write_csv(section, out / "stiffness_map.csv")]
         progress(2, 2 + len(names))
         if names:
-            from pm3dof_pin.chapter.section import section_outline
+            from pm3dof_pin.chapter.workspace import tripod_space
             from pm3dof_pin.figures.section_map import section_map
 
-            dataset, outline = section.dataset(), section_outline(tripod, grid, height, robot=machine)
+            dataset, within = section.dataset(), partial(tripod_space(tripod).within, levels=z_e)
             for done, name in enumerate(names, start=3):
-                files += save(section_map(dataset, PICTURES[name], outline), out / name, formats)
+                exact = None if machine else section_values(tripod, z_e, PICTURES[name])
+                files += save(section_map(dataset, PICTURES[name], within=within, exact=exact), out / name, formats)
                 progress(done, 2 + len(names))
         remove_former(out, JOB_PICTURES, files)
     rows, statistics = table_8_3(tripod, robot=machine), _ranges(section)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.color_scale import TAILS, ColorScale, color_scale
@@ -20,12 +18,13 @@ from pm3dof_pin.figures.labels import (
     display_unit,
     drawn,
     entry_words,
+    fixed_coordinates,
     in_brackets,
     in_words,
     typeset,
 )
-from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_edges, edge_handles, outlined_mesh
-from pm3dof_pin.figures.style import COLORMAP, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_map, edge_handles, outlined_mesh
+from pm3dof_pin.figures.style import COLORMAP, ONE_COLUMN, TWO_COLUMNS, house_style, new_figure, round_ticks
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.maps.limit_space import limits_over
 from pm3dof_pin.typing import Array, Mask
@@ -40,7 +39,6 @@ LimitsOver: TypeAlias = "Callable[[Sequence[str], Mapping[str, float]], Callable
 """From coordinates and values of others to the limits, :func:`~pm3dof_pin.maps.limit_space.limits_over` of a robot."""
 
 SECTIONS = 4
-_STEPS = [1, 2, 5, 10]
 _LONGEST_LABEL = 48  # letters beside the bar of colours
 
 
@@ -55,7 +53,7 @@ class _Outlines:
     def mesh(self, plane: xr.DataArray, flags: xr.DataArray, inside: Mask) -> OutlinedMesh:
         """Return the triangles of a plane."""
         dims = tuple(map(str, plane.dims))
-        fixed = {str(c): float(plane[c]) for c in plane.coords if plane[c].ndim == 0 and "units" in plane[c].attrs}
+        fixed = {name: value for name, (value, _) in fixed_coordinates(plane).items()}
         key = (dims, *fixed.items(), inside.tobytes())
         if key not in self.found:
             within: Within | None = None
@@ -219,23 +217,11 @@ def _draw_plane(
 ) -> None:
     across, up = map(str, plane.dims)
     units = [str(plane[dim].attrs["units"]) for dim in (across, up)]
-    if len(mesh.triangles):
-        columns = [drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True)]
-        axes.tricontourf(
-            Triangulation(*columns, mesh.triangles),
-            values,
-            levels=scale.levels,
-            norm=scale.norm(),
-            cmap=COLORMAP,
-            extend=scale.extend,
-        )
-    draw_edges(axes, mesh, units, linewidth=0.8)
-    stands = [name for name in map(str, plane.coords) if plane[name].ndim == 0 and "units" in plane[name].attrs]
-    words = [in_words(name, float(plane[name]), plane[name].attrs["units"], 3) for name in stands]
+    draw_map(axes, mesh, values, scale, units, linewidth=0.8)
+    words = [in_words(name, *at, 3) for name, at in fixed_coordinates(plane).items()]
     axes.set_title(words[-1] if words else "")
     if equal and units[0] == units[1]:
         axes.set_aspect("equal")
-    axes.xaxis.set_major_locator(MaxNLocator(5 if units[0] == "rad" or not equal else 3, steps=_STEPS))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
+    round_ticks(axes, across=5 if units[0] == "rad" or not equal else 3)
     axes.set_xlabel(axis_label(across, units[0]))
     axes.set_ylabel(axis_label(up, units[1]))

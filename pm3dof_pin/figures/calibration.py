@@ -8,14 +8,13 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
-from matplotlib.tri import Triangulation
 
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
-from pm3dof_pin.figures.labels import axis_label, drawn, parameter_words
-from pm3dof_pin.figures.outlined_mesh import draw_edges, outlined_mesh
+from pm3dof_pin.figures.labels import axis_label, parameter_words
+from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh
 from pm3dof_pin.figures.style import (
     COLORMAP,
     INK,
@@ -130,16 +129,7 @@ def workspace_picture(errors: WorkspaceErrors) -> Figure:
         for axes, title, field, mesh in zip(
             row, ("as described", "corrected, expected", "best commands (floor)"), fields, meshes, strict=False
         ):
-            first, second = (drawn(c, unit) for c, unit in zip(mesh.points.T, errors.units, strict=True))
-            axes.tricontourf(
-                Triangulation(first, second, mesh.triangles),
-                _MICROMETRES * mesh.values(field),
-                levels=scale.levels,
-                norm=scale.norm(),
-                cmap=COLORMAP,
-                extend=scale.extend,
-            )
-            draw_edges(axes, mesh, errors.units)
+            draw_map(axes, mesh, _MICROMETRES * mesh.values(field), scale, errors.units)
             axes.set_title(title)
             axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
             axes.set_xlabel(axis_label(errors.names[0], errors.units[0]))

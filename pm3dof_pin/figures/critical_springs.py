@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.path import Path
 
-from pm3dof_pin.figures.labels import axis_label, drawn, entry_words, in_words, part_words
+from pm3dof_pin.figures.labels import axis_label, drawn, entry_words, fixed_coordinates, in_words, part_words
 from pm3dof_pin.figures.outlined_mesh import Within, draw_edges, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import TWO_COLUMNS, house_style, new_figure, spring_colors
 from pm3dof_pin.maps.workspace_evaluation import CRITICAL, SHARES, TIE
@@ -71,11 +71,7 @@ def critical_springs(section: xr.Dataset, within: Within | None = None) -> Figur
             panel.set_ylabel(axis_label(second, units[second]))
         handles = [Patch(color=colors[number], label=part_words(names[number - 1])) for number in leading]
         figure.legend(handles=[*handles, *edge_handles([mesh])], loc="lower center", ncols=6)
-        stands = [
-            in_words(str(c), float(section[c]), section[c].attrs["units"])
-            for c in section.coords
-            if section[c].ndim == 0 and "units" in section[c].attrs
-        ]
+        stands = [in_words(name, *at) for name, at in fixed_coordinates(section).items()]
         place = f" at {', '.join(stands)}" if stands else ""
         machine = section.attrs["machine"]
         figure.suptitle(

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.typing import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _PREFIXES = {
     "m": ((0.1, 1.0, "m"), (1e-3, 1e-3, "mm"), (1e-7, 1e-6, "µm"), (0.0, 1e-9, "nm")),
@@ -60,6 +64,16 @@ def in_words(name: str, value: float, unit: str, digits: int = 4) -> str:
     if unit == "rad":
         return f"{symbol(name)} = {np.degrees(value) + 0.0:.1f} deg".replace("-", "\N{MINUS SIGN}")
     return f"{symbol(name)} = {value + 0.0:.{digits}f} {unit}".replace("-", "\N{MINUS SIGN}")
+
+
+def fixed_coordinates(dataset: xr.Dataset | xr.DataArray) -> dict[str, tuple[float, str]]:
+    """Return value and unit of each coordinate of a map that does not vary."""
+    coordinates = {str(name): dataset[name] for name in dataset.coords}
+    return {
+        name: (float(coordinate), str(coordinate.attrs["units"]))
+        for name, coordinate in coordinates.items()
+        if coordinate.ndim == 0 and "units" in coordinate.attrs
+    }
 
 
 def display_unit(values: ArrayLike, unit: str) -> tuple[float, str]:

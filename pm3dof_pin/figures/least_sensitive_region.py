@@ -9,13 +9,12 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.tri import Triangulation
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.atlas import LimitsOver
 from pm3dof_pin.figures.color_scale import ColorScale, color_scale
-from pm3dof_pin.figures.labels import axis_label, drawn, in_words, plain
-from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_edges, edge_handles, outlined_mesh
+from pm3dof_pin.figures.labels import axis_label, fixed_coordinates, in_words, plain
+from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, draw_map, edge_handles, outlined_mesh
 from pm3dof_pin.figures.style import (
     COLORMAP,
     ONE_COLUMN,
@@ -109,21 +108,15 @@ def _slices(dataset: xr.Dataset, dims: list[str]) -> list[tuple[str, xr.Dataset]
 def _mesh(part: xr.Dataset, dims: list[str], field: Array, limits: LimitsOver | None) -> OutlinedMesh:
     within: Within | None = None
     if limits is not None:
-        fixed = {str(c): float(part[c]) for c in part.coords if part[c].ndim == 0 and "units" in part[c].attrs}
-        broken = limits(dims, fixed)
+        broken = limits(dims, {name: value for name, (value, _) in fixed_coordinates(part).items()})
         within = lambda points: broken(points) == 0  # noqa: E731
     return outlined_mesh(part[dims[0]].values, part[dims[1]].values, np.isfinite(field), within)
 
 
 def _draw(place: Any, mesh: OutlinedMesh, units: list[str], values: Array, scale: ColorScale, bound: float) -> None:
-    if not len(mesh.triangles):
-        return
-    first, second = (drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True))
-    triangulation = Triangulation(first, second, mesh.triangles)
-    place.tricontourf(triangulation, values, levels=scale.levels, norm=scale.norm(), cmap=COLORMAP, extend=scale.extend)
-    if values.min() <= bound:
+    triangulation = draw_map(place, mesh, values, scale, units)
+    if triangulation is not None and values.min() <= bound:
         lowest = min(values.min(), bound) - 1.0
         inside = place.tricontourf(triangulation, values, levels=[lowest, bound], colors="none", hatches=[_HATCH])
         inside.set(edgecolor="white", linewidth=0.0)  # the hatches have the colour of edges
         place.tricontour(triangulation, values, levels=[bound], colors="white", linewidths=1.2)
-    draw_edges(place, mesh, units)

@@ -15,11 +15,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from pm3dof_pin.figures.color_scale import ColorScale
 from pm3dof_pin.figures.labels import drawn
-from pm3dof_pin.figures.style import END_LINE, LIMIT_LINE
+from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, collected
 from pm3dof_pin.typing import Array, Mask
 
 Within: TypeAlias = Callable[[Array], Mask]
@@ -71,12 +73,26 @@ class OutlinedMesh:
         return np.asarray(_interpolator(self.axes, filled)(places))
 
 
+def draw_map(
+    axes: Axes, mesh: OutlinedMesh, values: Array, scale: ColorScale, units: Sequence[str], **changes: Any
+) -> Triangulation | None:
+    """Fill a map with the colours of values at its points, and draw its edges; return its triangles, if it has any."""
+    triangulation = None
+    if len(mesh.triangles):
+        columns = [drawn(column, unit) for column, unit in zip(mesh.points.T, units, strict=True)]
+        triangulation = Triangulation(*columns, mesh.triangles)
+        axes.tricontourf(
+            triangulation, values, levels=scale.levels, norm=scale.norm(), cmap=COLORMAP, extend=scale.extend
+        )
+    draw_edges(axes, mesh, units, **changes)
+    return triangulation
+
+
 def draw_edges(axes: Axes, mesh: OutlinedMesh, units: Sequence[str], **changes: Any) -> None:
     """Draw where limits end a map, and where the grid ends it, in styles that may be changed."""
     for lines, style in ((mesh.limit_lines, LIMIT_LINE), (joined(mesh.end_lines), END_LINE)):
         pieces = [np.column_stack([drawn(c, u) for c, u in zip(line.T, units, strict=True)]) for line in lines]
-        collected = {f"{name}s": value for name, value in (style | changes).items()}
-        axes.add_collection(LineCollection(pieces, clip_on=False, **collected), autolim=False)
+        axes.add_collection(LineCollection(pieces, clip_on=False, **collected(style | changes)), autolim=False)
     for fix, values, unit in ((axes.set_xlim, mesh.axes[0], units[0]), (axes.set_ylim, mesh.axes[1], units[1])):
         low, high = drawn(values[[0, -1]], unit)
         fix(low - _MARGIN * (high - low), high + _MARGIN * (high - low))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.path import Path
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from matplotlib.tri import Triangulation
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
@@ -26,6 +25,7 @@ from pm3dof_pin.figures.labels import (
     display_unit,
     drawn,
     entry_words,
+    fixed_coordinates,
     in_brackets,
     in_words,
     plain,
@@ -33,7 +33,16 @@ from pm3dof_pin.figures.labels import (
 )
 from pm3dof_pin.figures.outlined_mesh import OutlinedMesh, Within, joined, outlined_mesh
 from pm3dof_pin.figures.space import divided_triangles, towards_viewer
-from pm3dof_pin.figures.style import COLORMAP, END_LINE, LIMIT_LINE, TWO_COLUMNS, house_style, new_figure
+from pm3dof_pin.figures.style import (
+    COLORMAP,
+    END_LINE,
+    LIMIT_LINE,
+    TWO_COLUMNS,
+    collected,
+    house_style,
+    new_figure,
+    round_ticks,
+)
 from pm3dof_pin.maps.labels import BROKEN_LIMITS, unit_of_entry
 from pm3dof_pin.typing import Array
 
@@ -54,7 +63,6 @@ _LINES = 9  # lines of the grid that are drawn on the surface, along each of its
 def section_map(
     section: xr.Dataset,
     variable: str,
-    outline: xr.Dataset | None = None,
     *,
     entry: str | None = None,
     within: Within | None = None,
@@ -63,15 +71,14 @@ def section_map(
     """Draw one variable of a section as a surface and as filled contours, as wide as two columns of a journal.
 
     Shown are the values at the poses of the section and along its outline, with flat triangles between them. The
-    outline is a dataset along a closed line (`at_grid_end` where no limit makes it); or it is found by the limits
-    `within`; without both, the map ends at the last poses. `exact` gives the variable at any points within the limits,
-    shape=(n, 2) to (n,); without it values between poses are interpolated, and those at the outline extrapolated.
-    `entry` is the label along the variable's own dimension; of a matrix an entry of the diagonal.
+    outline is found by the limits `within`; without them, the map ends at the last poses. `exact` gives the variable at
+    any points within the limits, shape=(n, 2) to (n,); without it values between poses are interpolated, and those at
+    the outline extrapolated. `entry` is the label along the variable's own dimension; of a matrix one of the diagonal.
 
     Raises:
         InvalidValueError: no such variable, other dimensions, or fewer than three values to draw.
     """
-    sheet = _sheet(section, variable, outline, entry, within, exact)
+    sheet = _sheet(section, variable, entry, within, exact)
     with house_style():
         height = _HEIGHT + _LINE * sheet.title.count("\n")
         figure = new_figure(TWO_COLUMNS, height)
@@ -122,7 +129,6 @@ class _Sheet:
 def _sheet(
     section: xr.Dataset,
     name: str,
-    outline: xr.Dataset | None,
     entry: str | None,
     within: Within | None,
     exact: Callable[[Array], Array] | None,
@@ -139,47 +145,34 @@ def _sheet(
     if np.isfinite(values).sum() < 3:
         raise InvalidValueError(name, f"{np.isfinite(values).sum()} values", "at least three poses to draw")
     factor, unit = display_unit(values, unit_of_entry(attributes["units"], entry or ""))
-    across = [str(c) for c in section.coords if section[c].dims == variable.dims] or [str(dim) for dim in variable.dims]
+    across = [str(dim) for dim in variable.dims]
     units = [str(section[coordinate].attrs["units"]) for coordinate in across]
-    grid = _points(section, variable, across, factor)
-    limit_lines: list[Array] = []
-    end_lines: list[Array] = []
-    if within is not None and outline is None:
-        excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
-        axes = [section[coordinate].values for coordinate in across]
-        mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
-        places, corners, heights = mesh.points, mesh.triangles, mesh.values(values)
-        if exact is not None:
-            places, corners, heights = _evaluated(mesh, heights, exact)
-        heights = heights / factor
-        points = np.column_stack([*(drawn(c, u) for c, u in zip(places.T, units, strict=True)), heights])
-        triangles = corners.astype(np.int32)
-        keys = {place.tobytes(): value for place, value in zip(places, heights, strict=True)}
-        for lines, found in ((limit_lines, mesh.limit_lines), (end_lines, mesh.end_lines)):
-            for line in joined(found):
-                columns = [drawn(c, u) for c, u in zip(line.T, units, strict=True)]
-                lines.append(np.column_stack([*columns, [keys[place.tobytes()] for place in line]]))
-    else:
-        edge = None if outline is None else _points(outline, outline[name], across, factor)
-        points, triangles = _triangulated(grid, edge, units[0] == units[1])
-        if edge is not None and outline is not None:
-            cut = outline["at_grid_end"].values if "at_grid_end" in outline else np.zeros(len(edge), dtype=bool)
-            limit_lines, end_lines = _pieces(edge, cut)
+    axes = [section[coordinate].values for coordinate in across]
+    excluded = section[BROKEN_LIMITS].transpose(*variable.dims).values != 0
+    mesh = outlined_mesh(axes[0], axes[1], np.isfinite(values), within, excluded)
+    places, triangles, heights = mesh.points, mesh.triangles, mesh.values(values)
+    if exact is not None:
+        places, triangles, heights = _evaluated(mesh, heights, exact)
+    height_at = {place.tobytes(): height / factor for place, height in zip(places, heights, strict=True)}
+
+    def shown(points: Array, heights: Array) -> Array:
+        return np.stack([*(drawn(points[..., k], unit) for k, unit in enumerate(units)), heights], axis=-1)
+
+    limit_lines, end_lines = (
+        [shown(line, np.array([height_at[place.tobytes()] for place in line])) for line in joined(lines)]
+        for lines in (mesh.limit_lines, mesh.end_lines)
+    )
     what = typeset(attributes["long_name"].split(",")[0])
-    stands = [
-        in_words(str(c), float(section[c]), section[c].attrs["units"])
-        for c in section.coords
-        if section[c].ndim == 0 and "units" in section[c].attrs
-    ]
+    stands = [in_words(name, *at) for name, at in fixed_coordinates(section).items()]
     machine = f"{plain(section.attrs['machine'])}, {section.attrs['model']} model"
     words = f"{what}{f', {entry_words(entry)}' if entry else ''}"
     title = f"{words[0].upper()}{words[1:]}: {machine}"
     section_of = f"section {', '.join(stands)}"
     separator = ", " if len(title) + len(section_of) < _LONGEST_TITLE else "\n"
     return _Sheet(
-        grid,
-        points,
-        triangles,
+        shown(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), values / factor),
+        shown(places, heights / factor),
+        triangles.astype(np.int32),
         limit_lines,
         end_lines,
         axes=(axis_label(across[0], units[0]), axis_label(across[1], units[1])),
@@ -205,52 +198,6 @@ def _evaluated(
     ab, bc, ca = count + numbers.reshape(-1, 3).T
     parts = [np.stack(part, axis=-1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return np.concatenate([mesh.points, middles]), np.concatenate(parts), np.concatenate([known, between])
-
-
-def _pieces(edge: Array, cut: NDArray[np.bool_]) -> tuple[list[Array], list[Array]]:
-    """Divide a closed line into those pieces that a limit makes and those that the end of the grid makes."""
-    changes = np.flatnonzero(cut != np.roll(cut, 1))
-    if not changes.size:
-        closed = np.concatenate([edge, edge[:1]])
-        return ([], [closed]) if cut.all() else ([closed], [])
-    pieces: tuple[list[Array], list[Array]] = ([], [])
-    for start, stop in zip(changes, [*changes[1:], changes[0] + len(edge)], strict=True):
-        pieces[int(cut[start])].append(edge[np.arange(start, stop + 1) % len(edge)])
-    return pieces
-
-
-def _points(dataset: xr.Dataset, values: xr.DataArray, across: Sequence[str], factor: float) -> Array:
-    """(first, second coordinate as drawn, value / factor) over the dimensions of the values."""
-    coordinates = [
-        drawn(dataset[name].broadcast_like(values).transpose(*values.dims).values, dataset[name].attrs["units"])
-        for name in across
-    ]
-    finite = np.where(np.isfinite(values.values), values.values, np.nan)
-    return np.stack([*coordinates, finite / factor], axis=-1)
-
-
-def _triangulated(grid: Array, edge: Array | None, same_unit: bool) -> tuple[Array, NDArray[np.int32]]:
-    """All points to draw and the triangles between them, without those outside the map."""
-    inside = grid[np.isfinite(grid[..., 2])]
-    points = inside if edge is None else np.concatenate([edge, inside])
-    size = np.maximum(np.ptp(points[:, :2], axis=0), 1e-300)
-    size = size.max() if same_unit else size
-    # grids may have a point twice, as the polar one has its centre, and triangles need distinct corners
-    _, first = np.unique(np.round(points[:, :2] / size, 8), axis=0, return_index=True)
-    points = points[np.sort(first)]
-    triangles = Triangulation(*(points[:, :2] / size).T).triangles
-    corners = points[triangles][..., :2]
-    if edge is not None:
-        kept = Path(edge[:, :2]).contains_points(corners.mean(axis=1))
-    else:
-        sides = np.linalg.norm((corners - np.roll(corners, 1, axis=1)) / size, axis=-1)
-        kept = sides.max(axis=1) < 1.01 * _longest_diagonal(grid[..., :2] / size)
-    return points, triangles[kept]
-
-
-def _longest_diagonal(places: Array) -> float:
-    forward, backward = places[1:, 1:] - places[:-1, :-1], places[1:, :-1] - places[:-1, 1:]
-    return float(np.linalg.norm([forward, backward], axis=-1).max())
 
 
 def _draw_surface(axes: Any, sheet: _Sheet) -> None:
@@ -283,13 +230,12 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
     for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
         raised = [np.column_stack([line[:, :2], heights(line[:, 2])]) for line in lines]
         if raised:
-            axes.add_collection3d(Line3DCollection(raised, **_collected(style)))
+            axes.add_collection3d(Line3DCollection(raised, **collected(style)))
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_xlabel(sheet.axes[0], labelpad=-3)
     axes.set_ylabel(sheet.axes[1], labelpad=-3)
     axes.set_zlabel(sheet.label, labelpad=4)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    round_ticks(axes)
     axes.zaxis.set_major_locator(MaxNLocator(6))
     if scale.logarithmic:
         axes.zaxis.set_major_locator(FixedLocator([math.log10(tick) for tick in scale.ticks]))
@@ -303,11 +249,6 @@ def _draw_surface(axes: Any, sheet: _Sheet) -> None:
         axis.set_major_locator(FixedLocator([t for t in ticks if abs(t - near) > 0.06 * (high - low)]))
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_box_aspect(_BOX, zoom=0.84)
-
-
-def _collected(style: dict[str, Any]) -> dict[str, Any]:
-    """Return the style of a line as that of a collection of lines."""
-    return {f"{name}s": value for name, value in style.items()}
 
 
 def _grid_segments(grid: Array) -> Array:
@@ -335,15 +276,14 @@ def _draw_contours(axes: Any, sheet: _Sheet) -> Any:
     )
     axes.tricontour(triangulation, values, levels=scale.levels, colors="white", linewidths=0.3, alpha=0.7)
     for lines, style in ((sheet.limit_lines, LIMIT_LINE), (sheet.end_lines, END_LINE)):
-        axes.add_collection(LineCollection([line[:, :2] for line in lines], **_collected(style)), autolim=False)
+        axes.add_collection(LineCollection([line[:, :2] for line in lines], **collected(style)), autolim=False)
     if scale.note:
         axes.set_title(scale.note, fontsize=7.0, style="italic", pad=3.0)
     axes.set(xlabel=sheet.axes[0], ylabel=sheet.axes[1], aspect="equal" if sheet.same_unit else "auto")
     margin = 0.025 * np.ptp(sheet.extent, axis=1)
     low, high = sheet.extent[:, 0] - margin, sheet.extent[:, 1] + margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    round_ticks(axes)
     return filled
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pm3dof_pin.figures.labels import plain
 from pm3dof_pin.files import write_atomically
@@ -86,6 +87,17 @@ def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
 def spring_colors(count: int) -> list[str]:
     """Return a colour for each of some springs."""
     return list(itertools.islice(itertools.cycle(_OTHER_COLORS), count))
+
+
+def collected(style: dict[str, Any]) -> dict[str, Any]:
+    """Return the style of a line as that of a collection of lines."""
+    return {f"{name}s": value for name, value in style.items()}
+
+
+def round_ticks(axes: Any, across: int = 5, up: int = 5) -> None:
+    """Put so many ticks at most along both axes, at round numbers."""
+    for axis, count in ((axes.xaxis, across), (axes.yaxis, up)):
+        axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.figures.labels import axis_label, drawn, plain, symbol
 from pm3dof_pin.figures.space import flat_quadrilaterals, towards_viewer
-from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure
+from pm3dof_pin.figures.style import INK, ONE_COLUMN, TWO_COLUMNS, house_style, limit_styles, new_figure, round_ticks
 from pm3dof_pin.maps.boundary_faces import BoundaryFaces, boundary_faces
 from pm3dof_pin.maps.limit_space import Flags
 from pm3dof_pin.maps.workspace import Workspace
@@ -162,8 +162,7 @@ def _draw_solid(axes: Any, sheet: _Sheet, solid: BoundaryFaces) -> None:
     axes.set_xlabel(sheet.labels[0], labelpad=-2)
     axes.set_ylabel(sheet.labels[1], labelpad=-2)
     axes.set_zlabel(sheet.labels[2], labelpad=5)
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    round_ticks(axes)
     axes.tick_params(axis="z", pad=3)
     axes.tick_params(axis="x", pad=-1)
     axes.tick_params(axis="y", pad=-1)
@@ -204,8 +203,7 @@ def _draw_outlines(axes: Any, sheet: _Sheet) -> None:
         axes.add_patch(_rectangle(sheet.printed[0], sheet.printed[1]))
     axes.set(xlabel=sheet.labels[0], ylabel=sheet.labels[1], aspect="equal" if sheet.same_unit else "auto")
     axes.set(xlim=sheet.limits[0], ylim=sheet.limits[1])
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    round_ticks(axes)
 
 
 def _draw_profile(axes: Any, sheet: _Sheet) -> None:

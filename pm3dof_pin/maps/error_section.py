@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from pm3dof_pin.errors.error_map import ErrorMap, error_map
 from pm3dof_pin.errors.error_parameters import Distribution, GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.kinematics.grid import Grid
-from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits
-from pm3dof_pin.typing import Engine
+from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits, spread
+from pm3dof_pin.maps.limit_space import coordinates_over
+from pm3dof_pin.typing import Array, Engine
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,8 +24,6 @@ QUANTITIES = {
     "position_rms": ("m", "position error, root mean square"),
     "orientation_rms": ("rad", "orientation error, root mean square"),
 }
-
-_DIRECTIONS = 240  # of rays that find the boundary
 
 
 def error_section(
@@ -63,35 +61,23 @@ def error_section(
     ), result
 
 
-def error_outline(errors: GeometricErrors, grid: Grid, section: xr.Dataset) -> xr.Dataset | None:
-    """Compute the errors at points along the edge of a section over two coordinates, so that a picture ends smoothly.
+def errors_over(
+    errors: GeometricErrors,
+    grid: Grid,
+    variable: str,
+    *,
+    eta: float = TIP_LENGTH,
+    distribution: Distribution = "normal",
+) -> Callable[[Array], Array]:
+    """Return one of :data:`QUANTITIES` at points of a grid's coordinates, shape=(n, m) to (n,), between its poses.
 
-    None if the edge is not one line that can be seen from the middle of the grid.
+    For the arguments see :func:`error_section`; NaN beyond the limits.
     """
-    import xarray as xr
+    complete = coordinates_over(errors.robot, grid.dims, grid.fixed)
 
-    from pm3dof_pin.maps.limit_space import robot_space
-    from pm3dof_pin.maps.workspace_section import workspace_section
+    def at(points: Array) -> Array:
+        poses = errors.robot.solve(complete(points), on_failure="nan")
+        found = error_map(errors, poses[poses.within_limits], eta=eta, distribution=distribution)
+        return spread(getattr(found, variable), poses.within_limits)
 
-    robot, names = errors.robot, grid.dims
-    edge = workspace_section(robot_space(robot, names, grid.fixed), directions=_DIRECTIONS)
-    ends = np.array([[values[0], values[-1]] for values in grid.axes.values()])
-    rays = edge.points - edge.space.centre
-    if not edge.star_shaped or np.any(edge.space.centre <= ends[:, 0]) or np.any(edge.space.centre >= ends[:, 1]):
-        return None
-    to_ends = np.where(rays > 0.0, ends[:, 1], ends[:, 0]) - edge.space.centre
-    shares = np.divide(to_ends, rays, out=np.full_like(rays, np.inf), where=rays != 0.0).min(axis=1)
-    # a little inside, where the limits hold to rounding
-    points = edge.space.centre + rays * np.minimum(1.0 - 1e-9, shares)[:, None]
-    values = np.tile([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates], (_DIRECTIONS, 1))
-    columns = [[c.name for c in robot.coordinates].index(name) for name in names]
-    values[:, columns] = points
-    poses = robot.solve(values, on_failure="nan")
-    if not poses.solved.all():
-        return None
-    attributes = section.attrs
-    result = error_map(errors, poses, eta=attributes["eta_m_per_rad"], distribution=attributes["distribution"])
-    variables = {name: ("point", getattr(result, name), section[name].attrs) for name in QUANTITIES}
-    variables["at_grid_end"] = ("point", shares < 1.0, {"long_name": "the grid ends here, and no limit"})
-    coordinates = {name: ("point", column, section[name].attrs) for name, column in zip(names, points.T, strict=True)}
-    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+    return at

@@ -20,6 +20,7 @@ from pm3dof_pin.maps.labels import (
     flag_type,
     limit_names,
 )
+from pm3dof_pin.maps.limit_space import coordinates_over
 from pm3dof_pin.maps.quantities import Evaluation, MappedRobot, select_quantities
 from pm3dof_pin.typing import Array, Engine, Mask
 
@@ -62,23 +63,19 @@ def quantities_over(
 ) -> Callable[[Array], dict[str, Array]]:
     """Return quantities at points of a grid's coordinates, shape=(n, m), between its poses; NaN beyond the limits."""
     selected = select_quantities(quantities, mapped)
-    robot, names = mapped.robot, [coordinate.name for coordinate in mapped.robot.coordinates]
+    complete = coordinates_over(mapped.robot, grid.dims, grid.fixed)
 
     @lru_cache(maxsize=1)  # the pictures of one map have the same points
     def at(data: bytes) -> dict[str, Array]:
         points = np.frombuffer(data).reshape(-1, len(grid.dims))
-        targets = np.tile(robot.home_coordinates, (len(points), 1))
-        placed: dict[str, float | Array] = {**grid.fixed, **dict(zip(grid.dims, points.T, strict=True))}
-        for name, values in placed.items():
-            targets[:, names.index(name)] = values
-        poses = robot.solve(targets, on_failure="nan", engine=engine)
+        poses = mapped.robot.solve(complete(points), on_failure="nan", engine=engine)
         evaluation = Evaluation(mapped, poses[poses.within_limits], engine=engine)
-        return {entry.name: _spread(entry.compute(evaluation), poses.within_limits) for entry in selected}
+        return {entry.name: spread(entry.compute(evaluation), poses.within_limits) for entry in selected}
 
     return lambda points: at(np.ascontiguousarray(points, dtype=float).tobytes())
 
 
-def _spread(values: Array, within: Mask) -> Array:
+def spread(values: Array, within: Mask) -> Array:
     """Put values of the poses within the limits in their places, NaN elsewhere."""
     field = np.full((*within.shape, *values.shape[1:]), np.nan)
     field[within] = values
@@ -109,7 +106,7 @@ def grid_dataset(grid: Grid, poses: Poses, variables: Mapping[str, Variable], ti
     robot, names = poses.robot, limit_names(poses.robot)
     fields = {}
     for name, (own_dims, values, variable_attributes) in variables.items():
-        fields[name] = ((*grid.dims, *own_dims), _spread(values, poses.within_limits), variable_attributes)
+        fields[name] = ((*grid.dims, *own_dims), spread(values, poses.within_limits), variable_attributes)
     attributes = flag_attributes(names, "limits that the pose breaks")
     flags = (grid.dims, poses.broken_limits.astype(flag_type(names)), attributes)
     coordinates = {

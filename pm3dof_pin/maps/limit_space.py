@@ -125,22 +125,34 @@ def limits_over(
     robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None, *, engine: Engine = "program"
 ) -> Callable[[Array], Flags]:
     """Return a robot's limits over some coordinates, see :attr:`LimitSpace.broken_limits`; others at home or fixed."""
+    complete = coordinates_over(robot, names, fixed)
+
+    def broken(values: Array) -> Flags:
+        rows = values.reshape(-1, len(names))
+        flags = np.empty(len(rows), dtype=np.uint32)
+        for first in range(0, len(rows), _BATCH):
+            part = slice(first, first + _BATCH)
+            flags[part] = robot.solve(complete(rows[part]), on_failure="nan", engine=engine).broken_limits
+        return flags.reshape(values.shape[:-1])
+
+    return broken
+
+
+def coordinates_over(
+    robot: Robot, names: Sequence[str], fixed: Mapping[str, float] | None = None
+) -> Callable[[Array], Array]:
+    """Return what makes all coordinates, shape=(n, number of them), of some, shape=(n, m); others at home or fixed."""
     places = [robot.coordinates.index(robot.coordinate(name)) for name in names]
     home = np.array(robot.home_coordinates)
     for name, value in (fixed or {}).items():
         home[robot.coordinates.index(robot.coordinate(name))] = value
 
-    def broken(values: Array) -> Flags:
-        rows = values.reshape(-1, len(places))
-        flags = np.empty(len(rows), dtype=np.uint32)
-        for first in range(0, len(rows), _BATCH):
-            part = slice(first, first + _BATCH)
-            targets = np.tile(home, (len(rows[part]), 1))
-            targets[:, places] = rows[part]
-            flags[part] = robot.solve(targets, on_failure="nan", engine=engine).broken_limits
-        return flags.reshape(values.shape[:-1])
+    def complete(values: Array) -> Array:
+        rows = np.tile(home, (len(values), 1))
+        rows[:, places] = values
+        return rows
 
-    return broken
+    return complete
 
 
 def _default_names(robot: Robot) -> tuple[str, ...]:

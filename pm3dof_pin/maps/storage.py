@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,17 +61,16 @@ def _write_variable(file: Any, dataset: Map, name: str) -> None:
     stored[...] = values
 
 
-def write_csv(dataset: Map, path: Path | str, *, coordinates: Sequence[str] | None = None) -> Path:
+def write_csv(dataset: Map, path: Path | str) -> Path:
     """Write a map as CSV: one row a pose, angles in degrees, the unit at the end of each heading; return the path.
 
     Limits are written as words; what is excluded by one is an empty cell. A variable with dimensions of its own has a
-    column for each entry. The coordinates are by default all that have a unit.
+    column for each entry. Coordinates without a unit, which are labels, have none.
 
     Raises:
         OutputError: the file cannot be written; nothing is left of it.
     """
-    names = [str(name) for name, coordinate in dataset.coords.items() if "units" in coordinate.attrs]
-    columns = dict(_columns(dataset, names if coordinates is None else coordinates))
+    columns = dict(_columns(dataset))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -79,8 +78,9 @@ def write_csv(dataset: Map, path: Path | str, *, coordinates: Sequence[str] | No
     return write_text_atomically(path, text.getvalue())
 
 
-def _columns(dataset: Map, coordinates: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+def _columns(dataset: Map) -> Iterator[tuple[str, list[str]]]:
     """Heading and cells of each column."""
+    coordinates = [str(name) for name, coordinate in dataset.coords.items() if "units" in coordinate.attrs]
     variables: list[Labelled] = list(dataset.data_vars.values())
     template = min(variables, key=lambda variable: len(variable.dims))
     for name in (*coordinates, *map(str, dataset.data_vars)):

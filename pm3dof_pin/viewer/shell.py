@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.maps.limit_space import coordinates_over, robot_space
 from pm3dof_pin.maps.quantities import MappedRobot
-from pm3dof_pin.maps.workspace_section import WorkspaceSection
+from pm3dof_pin.maps.workspace import level_range
+from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_sections
 from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer import colours, objects
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
@@ -101,10 +103,6 @@ def workspace_shell(
             or no sections in a row are one closed line around their centre.
         UnreachablePoseError: no pose is within the limits.
     """
-    from pm3dof_pin.maps.limit_space import robot_space
-    from pm3dof_pin.maps.workspace import level_range
-    from pm3dof_pin.maps.workspace_section import workspace_sections
-
     mapped = MappedRobot(robot)
     chosen = ScalarQuantity.find(mapped, quantity)
     limits = robot_space(robot)
@@ -165,9 +163,7 @@ def _boundary_poses(robot: Robot, sections: Sequence[WorkspaceSection]) -> Poses
     lines = [np.column_stack([section.points, np.full(len(section.points), section.level)]) for section in sections]
     ends = [[*space.centre, section.level] for section in (sections[0], sections[-1])]
     changed = np.concatenate([*lines, ends])
-    coordinates = np.tile(robot.home_coordinates, (len(changed), 1))
-    coordinates[:, [robot.coordinates.index(robot.coordinate(name)) for name in space.names]] = changed
-    return robot.solve(coordinates)
+    return robot.solve(coordinates_over(robot, space.names)(changed))
 
 
 def draw_tool(scene: Scene, path: str, placement: ArrayLike, length: float, size: float) -> None:

@@ -61,7 +61,7 @@ def test_table_8_3(tripod: Tripod, mechanism: Robot, calls: dict[str, int]) -> N
 
 def test_the_maps_of_figures_8_3_and_8_4(tripod: Tripod, mechanism: Robot, calls: dict[str, int]) -> None:
     grid = RectangularGrid(shape=(9, 9))
-    closed, asked = (stiffness_section(tripod, grid, robot=robot) for robot in (None, mechanism))
+    closed, asked = (stiffness_section(tripod, grid, robot=robot).dataset() for robot in (None, mechanism))
     for name in closed.data_vars:
         np.testing.assert_allclose(asked[name].values, closed[name].values, rtol=1e-10)
     assert sum(calls.values()) > 0

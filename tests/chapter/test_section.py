@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 import xarray as xr
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.limits import limit_flags
-from pm3dof_pin.chapter.section import section_outline, stiffness_section
-from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid
-from pm3dof_pin.chapter.workspace import tripod_space
+from pm3dof_pin.chapter.section import section_values, stiffness_section
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.workspace_section import workspace_section
 
 MOTION = ("stiffness_theta_x", "stiffness_theta_y", "stiffness_t_z")
 CONSTRAINED = ("stiffness_t_x", "stiffness_t_y", "stiffness_theta_z")
 
 
-@pytest.fixture(scope="module", params=[RectangularGrid(), PolarGrid()], ids=["rectangular", "polar"])
-def section(request: pytest.FixtureRequest, tripod: Tripod) -> xr.Dataset:
-    return stiffness_section(tripod, request.param)
+@pytest.fixture(scope="module")
+def section(tripod: Tripod) -> xr.Dataset:
+    return stiffness_section(tripod).dataset()
 
 
 def _tilts(section: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +102,11 @@ def test_mask_and_gaps_against_pinocchio(mechanism: Robot, section: xr.Dataset) 
 
 
 def test_motion_axes_are_stiffest_at_or_near_the_centre(tripod: Tripod, section: xr.Dataset) -> None:
-    centre = stiffness_section(tripod, PointGrid(np.zeros((1, 2))))
+    centre = {
+        name: section_values(tripod, tripod.middle_height, name)(np.zeros((1, 2)))
+        for name in section.data_vars
+        if name != "broken_limits"
+    }
     for name in MOTION:
         assert float(section[name].max()) < 1.06 * centre[name].item()
     for name in ("stiffness_t_z", "stiffness_global"):
@@ -135,32 +133,15 @@ def test_global_map_has_the_shape_of_a_motion_axis(section: xr.Dataset) -> None:
     assert correlation > 0.99
 
 
-def test_mirror_symmetry(tripod: Tripod) -> None:
-    section = stiffness_section(tripod)
+def test_mirror_symmetry(section: xr.Dataset) -> None:
     mirrored = section.isel(theta_y=slice(None, None, -1))
     for name in (*MOTION, *CONSTRAINED, "stiffness_global", "broken_limits"):
         np.testing.assert_allclose(section[name].values, mirrored[name].values, rtol=1e-12)
 
 
-def test_default_section_is_that_of_the_table(tripod: Tripod) -> None:
-    section = stiffness_section(tripod)
+def test_default_section_is_that_of_the_table(section: xr.Dataset) -> None:
     assert section.sizes == {"theta_x": 81, "theta_y": 81}
     assert float(section.z_e) == pytest.approx(0.487333, abs=5e-7)
-
-
-def test_kept_values(tripod: Tripod) -> None:
-    kept, cut = stiffness_section(tripod, excluded="keep"), stiffness_section(tripod)
-    assert np.all(np.isfinite(kept.stiffness_theta_x.values))
-    assert kept.broken_limits.identical(cut.broken_limits)
-    assert kept.where(kept.broken_limits == 0).drop_vars("broken_limits").equals(cut.drop_vars("broken_limits"))
-
-
-def test_several_heights_are_several_sections(tripod: Tripod) -> None:
-    heights = [0.43, 0.487, 0.55]
-    several = stiffness_section(tripod, PolarGrid(), heights)
-    assert several.stiffness_t_z.dims == ("z_e", "radius", "azimuth")
-    for k, z_e in enumerate(heights):
-        assert several.isel(z_e=k).equals(stiffness_section(tripod, PolarGrid(), z_e))
 
 
 def test_the_dataset_explains_itself(section: xr.Dataset) -> None:
@@ -180,38 +161,7 @@ def test_the_dataset_explains_itself(section: xr.Dataset) -> None:
     assert words == {"reach": 1, "stroke": 2, "universal": 4, "spherical": 8, "tilt": 16, "height": 32}
 
 
-@pytest.mark.parametrize("z_e", [np.nan, [0.5, np.inf], 0.379, [[0.5]]])
-def test_bad_heights(tripod: Tripod, z_e: object) -> None:
+@pytest.mark.parametrize("z_e", [np.nan, np.inf, 0.379, [0.5]])
+def test_bad_heights(tripod: Tripod, z_e: float) -> None:
     with pytest.raises(InvalidValueError, match="z_e"):
-        stiffness_section(tripod, PolarGrid(), z_e)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("grid", [RectangularGrid(), PolarGrid()])
-def test_outline_runs_along_the_limits_or_the_edge_of_the_grid(
-    tripod: Tripod, grid: RectangularGrid | PolarGrid
-) -> None:
-    outline = section_outline(tripod, grid)
-    assert outline is not None
-    assert np.all(outline.broken_limits == 0)
-    assert np.all(np.isfinite(outline.stiffness_theta_x))
-    radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
-    azimuth = 2.0 * np.pi * np.arange(720) / 720
-    beyond = np.stack([(radius + 2e-10) * np.cos(azimuth), (radius + 2e-10) * np.sin(azimuth)], axis=-1)
-    stopped = limit_flags(tripod, np.column_stack([beyond, np.full(720, tripod.middle_height)])) != 0
-    np.testing.assert_array_equal(~stopped, np.isclose(radius, grid.edge_radius(azimuth), atol=1e-12))
-    assert stopped.sum() > 600
-
-
-def test_outline_goes_with_its_height(tripod: Tripod) -> None:
-    outline = section_outline(tripod, PolarGrid(), 0.55, 90)
-    assert outline is not None
-    radius = np.hypot(outline.theta_x.values, outline.theta_y.values)
-    np.testing.assert_allclose(radius, workspace_section(tripod_space(tripod), 0.55, 90).radii, atol=1e-15)
-    assert float(outline.z_e) == 0.55
-
-
-def test_no_outline(tripod: Tripod) -> None:
-    assert section_outline(tripod, RectangularGrid((0.1, 0.2))) is None
-    assert section_outline(tripod, z_e=0.7) is None
-    hollow = Tripod(dataclasses.replace(tripod.parameters, spherical_limit=0.1, spherical_axis_inclination=-1.0))
-    assert section_outline(hollow) is None
+        stiffness_section(tripod, z_e=z_e)

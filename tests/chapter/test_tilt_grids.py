@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.limits import limit_flags
-from pm3dof_pin.chapter.tilt_grids import PointGrid, PolarGrid, RectangularGrid, TiltGrid
+from pm3dof_pin.chapter.tilt_grids import PolarGrid, RectangularGrid
 from pm3dof_pin.exceptions import InvalidValueError
 
 
@@ -31,36 +31,6 @@ def test_the_default_grid() -> None:
     assert poses.shape == (81, 81, 3)
     np.testing.assert_allclose(np.degrees(poses[:, 7, 0]), np.arange(-40.0, 41.0), atol=1e-12)
     np.testing.assert_allclose(np.degrees(poses[7, :, 1]), np.arange(-40.0, 41.0), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "grid", [RectangularGrid(shape=(5, 4)), PolarGrid(0.5, 3, 9), PointGrid(np.array([[0.1, 0.2], [0.3, 0.4]]))]
-)
-@pytest.mark.parametrize("z_e", [0.45, [0.45, 0.5, 0.55]])
-def test_poses_stand_at_their_coordinates(grid: TiltGrid, z_e: float | list[float]) -> None:
-    poses = grid.poses(z_e)
-    coordinates = grid.coordinates()
-    sizes = dict(zip(grid.dims, poses.shape[np.ndim(z_e) : -1], strict=True))
-    for name, place in (("theta_x", 0), ("theta_y", 1)):
-        coordinate = coordinates[name]
-        assert coordinate.unit == "rad"
-        shape = [sizes[dim] if dim in coordinate.dims else 1 for dim in grid.dims]
-        np.testing.assert_array_equal(
-            poses[..., place], np.broadcast_to(coordinate.values.reshape(shape), poses.shape[:-1])
-        )
-    np.testing.assert_array_equal(np.moveaxis(poses[..., 2], 0, -1)[..., -1], np.atleast_1d(z_e)[-1])
-
-
-def test_edges() -> None:
-    azimuths = np.linspace(0.0, 2.0 * np.pi, 97)
-    grid = RectangularGrid((-0.3, 0.5), (-0.2, 0.4))
-    radius = grid.edge_radius(azimuths)
-    x, y = radius * np.cos(azimuths), radius * np.sin(azimuths)
-    assert np.all((x > -0.3 - 1e-12) & (x < 0.5 + 1e-12) & (y > -0.2 - 1e-12) & (y < 0.4 + 1e-12))
-    on_a_side = np.minimum.reduce([np.abs(x + 0.3), np.abs(x - 0.5), np.abs(y + 0.2), np.abs(y - 0.4)])
-    np.testing.assert_allclose(on_a_side, 0.0, atol=1e-12)
-    np.testing.assert_array_equal(PolarGrid().edge_radius(azimuths), math.radians(45.0))
-    assert np.all(RectangularGrid((0.1, 0.5), (-0.2, 0.4)).edge_radius(azimuths) < 0.0)
 
 
 @pytest.mark.parametrize(
@@ -87,12 +57,7 @@ def test_no_polar_grid(arguments: dict[str, object]) -> None:
         PolarGrid(**arguments)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("tilts", [np.zeros(2), np.zeros((3, 3)), np.array([[0.0, np.nan]])])
-def test_no_points(tilts: np.ndarray) -> None:
-    with pytest.raises(InvalidValueError, match="tilts"):
-        PointGrid(tilts)
-
-
-def test_no_height() -> None:
+@pytest.mark.parametrize("z_e", [math.inf, [0.5, 0.6]])
+def test_no_height(z_e: float) -> None:
     with pytest.raises(InvalidValueError, match="z_e"):
-        RectangularGrid().poses([0.5, math.inf])
+        RectangularGrid().poses(z_e)

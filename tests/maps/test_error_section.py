@@ -22,7 +22,8 @@ from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.maps.error_section import QUANTITIES, error_outline, error_section
+from pm3dof_pin.maps.error_section import QUANTITIES, error_section, errors_over
+from pm3dof_pin.maps.limit_space import limits_over
 
 Run = Callable[..., Any]
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -85,17 +86,15 @@ def test_uniform_tolerances_are_narrower(tripod_errors: GeometricErrors, grid: G
 
 def test_pictures(tripod_errors: GeometricErrors, grid: Grid, tmp_path: Path) -> None:
     section, mapped = error_section(tripod_errors, grid, eta=0.2)
-    outline = error_outline(tripod_errors, grid, section)
-    assert outline is not None
-    inner = np.abs(section.theta_x.values).max()
-    assert np.abs(outline.theta_x.values).max() <= inner
-    radii = np.hypot(outline.theta_x, outline.theta_y)
-    beyond = tripod_errors.robot.solve(
-        np.column_stack([1.01 * outline.theta_x, 1.01 * outline.theta_y, np.full(240, 0.5)])
+    exact, broken = (
+        errors_over(tripod_errors, grid, "tip_rms", eta=0.2),
+        limits_over(tripod_errors.robot, grid.dims, grid.fixed),
     )
-    assert not beyond.within_limits[radii.values < 0.99 * inner].any()
-    np.testing.assert_array_less(section.tip_rms.min() - 1e-9, outline.tip_rms)
-    assert save_figure(section_map(section, "tip_rms", outline), tmp_path / "a.png").stat().st_size > 10_000
+    tilts = np.radians([[10.0, -7.0], [3.0, 12.0], [60.0, 0.0]])
+    expected = error_map(tripod_errors, tripod_errors.robot.solve(np.column_stack([tilts[:2], [0.5, 0.5]])), eta=0.2)
+    np.testing.assert_allclose(exact(tilts), [*expected.tip_rms, np.nan], rtol=1e-12)
+    figure = section_map(section, "tip_rms", within=lambda points: broken(points) == 0, exact=exact)
+    assert save_figure(figure, tmp_path / "a.png").stat().st_size > 10_000
     assert save_figure(error_ranking(mapped.ranking()), tmp_path / "b.png").stat().st_size > 10_000
     with pytest.raises(InvalidValueError):
         error_ranking([])
