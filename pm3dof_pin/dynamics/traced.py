@@ -9,29 +9,25 @@ are left to LAPACK.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
-from pm3dof_pin.elastic.compiled import elastic_parameters, elastic_structure
+from pm3dof_pin.elastic.compiled import elastic_structure
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.traced import elastic_tree, spring_root
-from pm3dof_pin.exceptions import ConvergenceError, ProgramError
-from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE
+from pm3dof_pin.elastic.traced import elastic_tree, spring_parameters, spring_root
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry, masses
 from pm3dof_pin.programs.closed_motions import closed_motions
-from pm3dof_pin.programs.elimination import Doubt, product, samples, total
-from pm3dof_pin.programs.graph import Graph, less, select, sqrt
-from pm3dof_pin.programs.llvm import Compiled
-from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.elimination import DROPPED, Doubt, product, samples
+from pm3dof_pin.programs.graph import Graph, select, sqrt
+from pm3dof_pin.programs.loops import closed
 from pm3dof_pin.programs.masses import Masses
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.projection import projected
-from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, length_unit
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects
@@ -82,7 +78,7 @@ def _inertia(tree: Tree, model: pin.Model, doubt: Doubt) -> Objects:
 
 def _vibrations(tree: Tree, model: pin.Model, elastic: ElasticModel, doubt: Doubt) -> Objects:
     """Record Z'^T M Z' of :mod:`pm3dof_pin.dynamics.modes`, its lower triangle row by row [s^2]."""
-    unit = length_unit(elastic.mechanism.characteristic_length)
+    unit = elastic.mechanism.length_unit
     driven, passive = elastic.spring_indices.tolist(), elastic.passive_indices.tolist()
     motions = closed_motions(tree, driven, passive, unit, doubt)
     root = spring_root(tree.graph, elastic, tree)
@@ -134,16 +130,14 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
     frame = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name
 
     def trace() -> Program:
-        poses = _samples(elastic.rigid)
-        verify(elastic.mechanism, elastic.embed(poses))
-        graph, doubt = Graph(), Doubt()
-        positions = np.array([graph.input(f"q[{k}]", poses[:, k]) for k in range(poses.shape[1])], dtype=object)
-        tree = elastic_tree(graph, elastic, positions, poses, frame)
+        doubt, tree = Doubt(), elastic_tree(Graph(), elastic, frame)
         return _finished("vibrations", tree, _vibrations(tree, model, elastic, doubt), doubt)
 
     key = repr(("vibrations", masses.mass_pattern(model), *elastic_structure(elastic, frame)))
     compiled = cache.known(key, trace)
-    entries, sound = _evaluated(compiled, lambda names: elastic_parameters(elastic, names), model, q, threads)
+    numbers = masses.mass_numbers(model) | spring_parameters(elastic)
+    parameters = geometry.values(elastic.mechanism, compiled.program.parameters, numbers)
+    entries, sound = compiled.with_doubt(q, parameters, threads)
     size = math.isqrt(2 * entries.shape[1])
     matrices = np.zeros((len(q), size, size))
     matrices[:, *np.tril_indices(size)] = entries
@@ -166,7 +160,7 @@ def of_drives(
     """
 
     def trace() -> Program:
-        poses = _samples(robot)
+        poses = samples_near_home(robot)
         verify(robot, poses)
         doubt, tree = Doubt(), Tree(Graph(), robot, poses)
         record = {"holding_forces": _holding, "mass_matrix": _inertia}[name]
@@ -174,35 +168,12 @@ def of_drives(
 
     own = (robot.actuated_indices.tolist(), robot.characteristic_length, masses.mass_pattern(model))
     key = repr((name, *own, geometry.structure(robot), geometry.pattern(robot)))
-    return _evaluated(cache.known(key, trace), lambda names: geometry.values(robot, names), model, q, threads)
-
-
-def _samples(robot: Robot) -> Matrix:
-    try:
-        return samples_near(robot, robot.home.q)
-    except ConvergenceError as error:
-        raise ProgramError(str(error)) from error
+    compiled = cache.known(key, trace)
+    parameters = geometry.values(robot, compiled.program.parameters, masses.mass_numbers(model))
+    return compiled.with_doubt(q, parameters, threads)
 
 
 def _finished(name: str, tree: Tree, values: Objects, doubt: Doubt) -> Program:
     """Return the program of some values and of `sound`, 1 where the loops are closed and nothing is in doubt."""
-    finite = total([entry * entry for entry in values.ravel()])
-    sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
-    tolerance = 0.5 * ASSEMBLED_TOLERANCE * length_unit(tree.mechanism.characteristic_length)
-    for index in range(len(tree.mechanism.closures)):
-        sound = sound & less(closure_equations(tree, index).residual, tolerance)
+    sound = doubt.is_none(values) & closed(tree)
     return tree.graph.program(name, {"values": values, "sound": select(sound, 1.0, 0.0)})
-
-
-def _evaluated(
-    compiled: Compiled,
-    others: Callable[[tuple[str, ...]], Array],
-    model: pin.Model,
-    q: Matrix,
-    threads: int | None,
-) -> tuple[Array, Mask]:
-    """Run a program whose parameters are masses and others."""
-    found = masses.mass_numbers(model)
-    names = tuple(name for name in compiled.program.parameters if name not in found)
-    found |= dict(zip(names, others(names), strict=True))
-    return compiled.with_doubt(q, geometry.chosen(found, compiled.program.parameters), threads)

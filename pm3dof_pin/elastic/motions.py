@@ -23,9 +23,8 @@ import scipy.linalg
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE, RankDecision
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE, RankDecision
+from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
 from pm3dof_pin.typing import Matrix
 
 
@@ -61,8 +60,7 @@ def elastic_motions(model: ElasticModel, configuration: Configuration) -> Elasti
         InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
     """
     mechanism = model.mechanism
-    if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
-        raise InvalidValueError("configuration", configuration, "one whose loops are closed")
+    require_assembled(configuration)
     scale, rows = mechanism.velocity_scale, mechanism.closure_scale
     closures = configuration.constraint_jacobian * scale / rows[:, None]
     passive, springs = model.passive_indices, model.spring_indices

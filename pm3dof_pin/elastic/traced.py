@@ -24,37 +24,30 @@ import numpy as np
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, tool_coordinates
 from pm3dof_pin.elastic.elastic_model import ElasticModel, SpringBlock
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs.elimination import (
     Doubt,
     Elimination,
     eliminate,
-    matrix_of,
+    identity,
     product,
     solve_upper,
     total,
     zeros,
 )
-from pm3dof_pin.programs.graph import Graph, Scalar, absolute, is_zero, minimum, sqrt
+from pm3dof_pin.programs.graph import Graph, Scalar, Truth, absolute, is_zero, sqrt
 from pm3dof_pin.programs.projection import compressed, projected, rank, triangular
-from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, length_unit, response, widened
+from pm3dof_pin.programs.tool_motion import Branch, Reading, branches, joint_columns, response, widened
 from pm3dof_pin.programs.tree import Tree
+from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Objects
 
 _LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the doubt's pivots
 
 
-@dataclass(frozen=True, eq=False)
-class Root:
-    """The root X of a compliance or stiffness X X^T."""
-
-    columns: Objects  #: X, shape=(6, n)
-    pivot: Scalar  #: the least pivot, that of the frame's own triangle included; small where a rank is in doubt
-    dropped: Scalar  #: the largest entry dropped as zero
-
-
 def _component_rows(rotation: Objects) -> Objects:
     """Return the rates of x, y, z, rx, ry, rz, R = Rx Ry Rz, as functions of the twist, shape=(6, 6)."""
-    rows = matrix_of(np.eye(6).tolist(), 6)
+    rows = identity(6)
     cosine = sqrt(rotation[1, 2] * rotation[1, 2] + rotation[2, 2] * rotation[2, 2])
     inverse = 1.0 / cosine
     cx, sx = rotation[2, 2] * inverse, -rotation[1, 2] * inverse
@@ -65,21 +58,31 @@ def _component_rows(rotation: Objects) -> Objects:
     return rows
 
 
-def elastic_tree(graph: Graph, model: ElasticModel, positions: Objects, poses: np.ndarray, frame: str) -> Tree:
-    """Record the tree of an elastic mechanism, virtual joints at zero, at traced q with its values at the samples."""
-    embedded = zeros(1, model.mechanism.model.nq)[0]
-    embedded[model.rigid_indices] = positions
-    return Tree(graph, model.mechanism, model.embed(poses), (frame,), positions=embedded)
+def elastic_tree(graph: Graph, model: ElasticModel, frame: str) -> Tree:
+    """Record the tree of an elastic mechanism at q of the rigid one, its virtual joints at zero.
+
+    Raises:
+        ProgramError: there are no samples, or traced Jacobians are not Pinocchio's.
+    """
+    samples = samples_near_home(model.rigid)
+    verify(model.mechanism, model.embed(samples))
+    q = zeros(1, model.mechanism.model.nq)[0]
+    q[model.rigid_indices] = [graph.input(f"q[{k}]", column) for k, column in enumerate(samples.T)]
+    return Tree(graph, model.mechanism, model.embed(samples), (frame,), positions=q)
 
 
 class Roots:
-    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for; those are `used`."""
+    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for.
+
+    Attributes:
+        is_sound: whether nothing is in doubt of those that were asked for.
+    """
 
     def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
-        self.used: list[Root] = []
+        self.is_sound: Truth = np.True_
         self._model, self._tree, self._frame = model, tree, frame
         self._spring_root = spring_root(graph, model, tree)
-        self._unit = length_unit(model.mechanism.characteristic_length)
+        self._unit = model.mechanism.length_unit
 
     @cached_property
     def compliance(self) -> Objects:
@@ -100,7 +103,7 @@ class Roots:
         if rows is None:
             raise RigidDirectionError("the springs of a branch do not give in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self._noted(Root(rows.T, doubt.pivot, doubt.dropped))
+        return self._noted(rows.T, doubt)
 
     def coordinate_stiffness(self, components: Sequence[ToolComponent] = ()) -> Objects:
         """X with X X^T the stiffness of components of the twist, or of the declared coordinates, shape=(p, n).
@@ -115,9 +118,7 @@ class Roots:
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt, without_rigid=True)
         assert rows is not None
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
-        return self._noted(
-            Root(product(rows, self._coordinate_twists(components, doubt)).T, doubt.pivot, doubt.dropped)
-        )
+        return self._noted(product(rows, self._coordinate_twists(components, doubt)).T, doubt)
 
     def _coordinate_twists(self, chosen: Sequence[ToolComponent], doubt: Doubt) -> Objects:
         """Return the frame's twists at unit rates of the motions, all springs at rest, shape=(6, p)."""
@@ -125,7 +126,7 @@ class Roots:
         coordinates = tool_coordinates(chosen) or self._model.rigid.declared_coordinates
         given = {c.joint: mechanism.single_joint(c.joint).v_index for c in coordinates if c.joint is not None}
         passive = [k for k in self._model.rigid_velocity_indices if k not in given.values()]
-        twist = matrix_of(np.eye(6).tolist(), 6)
+        twist = identity(6)
         components = twist if chosen else _component_rows(self._tree.frame(self._frame).rotation)
         readings = [Reading(components[TOOL_COMPONENTS.index(c.tool)], c.unit == "m") for c in coordinates if c.tool]
         twists = response(
@@ -150,16 +151,17 @@ class Roots:
             triangle, strains, order = _condensed_as_one(held, self._spring_root, doubt)
         else:
             triangle, strains, order = _condensed(held, self._spring_root, doubt, like=has_like_springs(self._model))
-        inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
+        inverse = solve_upper(triangle, identity(6))
         columns = product(inverse, strains)
         columns = columns[np.argsort(order)]
         columns[:3] = columns[:3] * self._unit
         size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
-        return self._noted(Root(columns, minimum(doubt.pivot, 6.0 / size), doubt.dropped))
+        doubt.note_pivot(6.0 / size)
+        return self._noted(columns, doubt)
 
-    def _noted(self, root: Root) -> Objects:
-        self.used.append(root)
-        return root.columns
+    def _noted(self, root: Objects, doubt: Doubt) -> Objects:
+        self.is_sound = self.is_sound & doubt.is_none(root)
+        return root
 
 
 def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Doubt) -> list[Branch]:
@@ -213,7 +215,7 @@ def spring_parameters(model: ElasticModel) -> dict[str, float]:
     """Return the numbers of the springs that are parameters of programs, by name."""
     root, _ = model.compliance_root
     slides = np.array([_slides(model, int(index)) for index in model.spring_indices])
-    scaled = root / np.where(slides, length_unit(model.mechanism.characteristic_length), 1.0)[:, None]
+    scaled = root / np.where(slides, model.mechanism.length_unit, 1.0)[:, None]
     values: dict[str, float] = {}
     start = 0
     for block in model.blocks:
@@ -291,7 +293,7 @@ def _condensed(
     rows = [_branch_rows(branch, doubt) for branch in held]
     if like and (whitened := _whitened(rows, doubt)) is not None:
         triangle, order = _triangle(eliminate(whitened, range(6), Doubt()))
-        return triangle, matrix_of(np.eye(6).tolist(), 6), order
+        return triangle, identity(6), order
     strains, motions = _diagonal([r.strain for r in rows]), _diagonal([r.motion for r in rows])
     twists = np.vstack([zeros(0, 6), *(r.twist for r in rows)])
     result = eliminate(np.hstack([twists, strains, motions]), range(6), doubt)

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.errors.error_parameters import GeometricErrors, moved_by
-from pm3dof_pin.exceptions import ConvergenceError, ProgramError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import cache, geometry
-from pm3dof_pin.programs.elimination import Doubt, total
-from pm3dof_pin.programs.graph import Graph, Scalar, less, select
+from pm3dof_pin.programs.elimination import Doubt
+from pm3dof_pin.programs.graph import Graph, select
 from pm3dof_pin.programs.joints import Placement, Screw
 from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.programs.tool_motion import DROPPED, PIVOT, Column, joint_columns, length_unit, response
+from pm3dof_pin.programs.tool_motion import Column, joint_columns, response
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
@@ -99,10 +98,7 @@ def _traced(
     at_zero: bool,
     name: str = "sensitivities",
 ) -> Program:
-    try:
-        poses = samples_near(robot, robot.home.q)
-    except ConvergenceError as error:
-        raise ProgramError(str(error)) from error
+    poses = samples_near_home(robot)
     verify(robot, poses)
     places = [parameter.place for parameter in errors.parameters]
     graph, tool = Graph(), robot.model.frames[robot.tool_frame_id].name
@@ -114,10 +110,8 @@ def _traced(
     ]
     doubt = Doubt()
     motions = response(tree, tool, passive, [*sources, *joint_columns(tree, driven, tool)], doubt)
-    finite = total([entry * entry for entry in motions.ravel()])
     outputs = reduce(Motions(graph, motions[:, : len(sources)], motions[:, len(sources) :], doubt))
-    sound = less(PIVOT, doubt.pivot) & less(doubt.dropped, DROPPED) & less(-1.0, finite)
-    return graph.program(name, {**outputs, "sound": select(sound, 1.0, 0.0)})
+    return graph.program(name, {**outputs, "sound": select(doubt.is_none(motions), 1.0, 0.0)})
 
 
 def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Array, *, at_zero: bool) -> Column:
@@ -157,11 +151,8 @@ def _name(number: int, entry: int) -> str:
 def _parameters(
     robot: Robot, program: Program, local_twists: Matrix, numbers: Mapping[str, float] | None = None
 ) -> Array:
-    named: dict[str, Scalar] = {_name(k, i): twist for (i, k), twist in np.ndenumerate(local_twists)}
-    named |= numbers or {}
-    others = [name for name in program.parameters if name not in named]
-    found = named | dict(zip(others, geometry.values(robot, others), strict=True))
-    return np.array([found[name] for name in program.parameters])
+    twists = {_name(k, i): float(twist) for (i, k), twist in np.ndenumerate(local_twists)}
+    return geometry.values(robot, program.parameters, twists | dict(numbers or {}))
 
 
 def _key(name: str, robot: Robot, errors: GeometricErrors, at_zero: bool) -> str:
@@ -170,7 +161,7 @@ def _key(name: str, robot: Robot, errors: GeometricErrors, at_zero: bool) -> str
     return repr(
         (
             *(name, at_zero, parameters, robot.actuated_indices.tolist()),
-            length_unit(robot.characteristic_length),
+            robot.length_unit,
             *(geometry.structure(robot), geometry.pattern(robot, places)),
         )
     )

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.cache import compiled, stored
 from pm3dof_pin.programs.checks import checks_program
-from pm3dof_pin.programs.closing import Task, TracedProgram, closing_program, damped_closing_program
+from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_program
 from pm3dof_pin.programs.llvm import Compiled, Iteration
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
@@ -64,8 +64,8 @@ class ProgramSource:
 
     @cached_property
     def samples(self) -> Matrix:
-        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.samples.samples_near`."""
-        return samples_near(self._robot, self._robot.home.q)
+        """Closed configurations near home, see :func:`~pm3dof_pin.kinematics.samples.samples_near_home`."""
+        return samples_near_home(self._robot)
 
     def serves(self, robot: Robot) -> bool:
         """Tell whether a variant of the robot has the same structure."""
@@ -76,7 +76,6 @@ class ProgramSource:
 
         Raises:
             ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
-            ConvergenceError: no closed configurations were found near home.
         """
         trace = damped_closing_program if damped else closing_program
         return self._bound(
@@ -92,12 +91,12 @@ class ProgramSource:
         """
         return self._bound(robot, "checks", lambda dense: checks_program(self._robot, self.samples, dense=dense))
 
-    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], TracedProgram]) -> BoundProgram:
+    def _bound(self, robot: Robot, name: str, trace: Callable[[bool], Program]) -> BoundProgram:
         numbers, dense = self._geometry_of(robot)
 
         def traced() -> Program:
             verify(self._robot, self.samples, dense=dense)
-            return trace(dense).program
+            return trace(dense)
 
         if (name, dense) not in self._known:
             self._known[name, dense] = compiled(stored(f"{name} {dense} {self._content}", traced))

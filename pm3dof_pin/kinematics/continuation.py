@@ -79,7 +79,6 @@ class Continuation:
 
     Raises:
         ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
-        ConvergenceError: no closed configurations were found near home.
     """
 
     def __init__(self, robot: Robot, coordinates: Sequence[Coordinate]) -> None:

@@ -15,15 +15,11 @@ import numpy as np
 
 from pm3dof_pin.arrays import frozen, require_kind
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
-from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
 from pm3dof_pin.typing import Matrix, Vector
 
 RANK_TOLERANCE = 1e-6
 """Singular values below this times their reference count as zero."""
-
-ASSEMBLED_TOLERANCE = 1e-6
-"""Closure residual up to which degrees of freedom mean something [characteristic lengths, or rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +59,7 @@ class DegreesOfFreedom:
     def __init__(self, configuration: Configuration) -> None:
         require_kind("configuration", configuration, Configuration, "Poses.configuration")
         mechanism = configuration.mechanism
-        if configuration.closure_residual > ASSEMBLED_TOLERANCE * mechanism.characteristic_length:
-            raise InvalidValueError("configuration", configuration, "one whose loops are closed")
+        require_assembled(configuration)
         self.scale = mechanism.velocity_scale
         self.twist_scale = np.repeat([mechanism.characteristic_length, 1.0], 3)
         self._configuration = configuration

@@ -217,7 +217,7 @@ class Robot(Mechanism):
 
         try:
             outputs = program_source(self).checks(self).named(rows)
-        except (ProgramError, ConvergenceError) as error:
+        except ProgramError as error:
             _logger.info("%s: placed without programs: %s", self.name, error)
             return Poses(self, positions)
         missing = np.isnan(rows).any(axis=1)
@@ -495,7 +495,7 @@ class Robot(Mechanism):
         if coordinates not in self._solvers:
             try:
                 self._solvers[coordinates] = Continuation(self, coordinates)
-            except (ProgramError, ConvergenceError) as error:
+            except ProgramError as error:
                 _logger.info("%s: solved without programs: %s", self.name, error)
                 self._solvers[coordinates] = str(error)
         return self._solvers[coordinates]

@@ -6,19 +6,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
-from pm3dof_pin.exceptions import ConvergenceError, ProgramError
-from pm3dof_pin.kinematics.degrees_of_freedom import ASSEMBLED_TOLERANCE, RANK_TOLERANCE
+from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.mobility import Mobility
 from pm3dof_pin.kinematics.pose_values import evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.kinematics.singularity import singularity_distances
+from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
 from pm3dof_pin.programs import cache, geometry
 from pm3dof_pin.programs.closed_motions import constraint_rows
-from pm3dof_pin.programs.graph import Graph, Scalar, maximum
+from pm3dof_pin.programs.graph import Graph
 from pm3dof_pin.programs.llvm import Compiled
-from pm3dof_pin.programs.loops import closure_equations
+from pm3dof_pin.programs.loops import closure_residual
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
@@ -97,20 +97,14 @@ def _compiled(robot: Robot) -> Compiled:
     """Return the program of the scaled Jacobians of closures and tool, and of the closure error."""
 
     def trace() -> Program:
-        try:
-            poses = samples_near(robot, robot.home.q)
-        except ConvergenceError as error:
-            raise ProgramError(str(error)) from error
+        poses = samples_near_home(robot)
         verify(robot, poses)
         tree, unit = Tree(Graph(), robot, poses), robot.characteristic_length
-        residual: Scalar = 0.0
-        for index in range(len(robot.closures)):
-            residual = maximum(residual, closure_equations(tree, index).residual)
         jacobian = tree.jacobian(robot.model.frames[robot.tool_frame_id].name)
         jacobian[:3] = jacobian[:3] * (1.0 / unit)
         jacobian[:, tree.slides] = jacobian[:, tree.slides] * unit
         tool = jacobian[[TOOL_COMPONENTS.index(name) for name in robot.tool_motions]]
-        outputs = {"closures": constraint_rows(tree, unit), "tool": tool, "residual": residual}
+        outputs = {"closures": constraint_rows(tree, unit), "tool": tool, "residual": closure_residual(tree)}
         return tree.graph.program("jacobians", outputs)
 
     own = ("jacobians", robot.tool_motions, robot.characteristic_length)

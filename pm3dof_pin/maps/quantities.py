@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -30,12 +31,12 @@ from pm3dof_pin.elastic.quantities import (
     free_stiffness,
     spring_shares,
 )
-from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, PM3DofError
+from pm3dof_pin.exceptions import InvalidValueError, PM3DofError, ProgramError
 from pm3dof_pin.kinematics.mobility import Mobility, generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.pose_values import BatchOptions
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 from pm3dof_pin.kinematics.singularity import singularity_distances
 from pm3dof_pin.kinematics.singularity_measures import singularity_measures
 from pm3dof_pin.typing import Array, Engine
@@ -72,12 +73,10 @@ class MappedRobot:
     def usual_poses(self) -> Poses:
         """Home; or, if that is singular, closed configurations near it."""
         home = self.robot.home.q
-        if self._free_motions_at(home) is not None:
-            return self.robot.at(home[None])
-        try:
-            return self.robot.at(samples_near(self.robot, home))
-        except ConvergenceError:
-            return self.robot.at(home[None])
+        if self._free_motions_at(home) is None:
+            with suppress(ProgramError):
+                return self.robot.at(samples_near_home(self.robot))
+        return self.robot.at(home[None])
 
     @cached_property
     def usual_mobility(self) -> Mobility:

@@ -11,11 +11,15 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, require_kind
+from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
 LIMIT_TOLERANCE = 1e-9
 """Excess over a limit that still counts as inside, for rounding [m, rad]."""
+
+ASSEMBLED_TOLERANCE = 1e-6
+"""Closure residual up to which a configuration counts as assembled [characteristic lengths, or rad]."""
 
 
 @dataclass(frozen=True)
@@ -196,6 +200,12 @@ class Configuration:
 
     def _jacobian(self, frame_id: int) -> Matrix:
         return frozen(self._mechanism.loop_kinematics.frame_jacobian(self._q, frame_id, pin.LOCAL_WORLD_ALIGNED))
+
+
+def require_assembled(configuration: Configuration) -> None:
+    """Raise InvalidValueError unless the loops are closed."""
+    if configuration.closure_residual > ASSEMBLED_TOLERANCE * configuration.mechanism.characteristic_length:
+        raise InvalidValueError("configuration", configuration, "one whose loops are closed")
 
 
 def mechanism_of(configuration: Configuration) -> Mechanism:

@@ -238,6 +238,11 @@ class Mechanism:
             path = self._source if self.files is None else self.files.path
             raise DescriptionError(path, f"link '{name}', with what is fixed to it: inertia", problem)
 
+    @cached_property
+    def length_unit(self) -> float:
+        """The power of two next to the characteristic length [m]: numbers in this unit are scaled without rounding."""
+        return float(2.0 ** np.round(np.log2(self.characteristic_length)))
+
     @property
     def tool_frame_id(self) -> int:
         """Pinocchio's index of the tool frame; DescriptionError where the mechanism has none."""

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs.closing import TracedProgram
-from pm3dof_pin.programs.graph import Graph, Scalar, Truth, is_zero, less, maximum, select, sqrt
-from pm3dof_pin.programs.loops import closure_equations, swing
+from pm3dof_pin.programs.graph import Graph, Scalar, Truth, less, select, sqrt
+from pm3dof_pin.programs.loops import closure_residual, swing
+from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 
 
-def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
+def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record the checks of a configuration, at closed samples, shape=(s, nq), see :class:`Tree`.
 
     Inputs are q. Outputs: `residual`, the largest closure error [m, rad]; `broken`, the sum of 2^(k + 1) over the
@@ -28,10 +28,6 @@ def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = Fa
     """
     graph = Graph()
     tree = Tree(graph, mechanism, samples, dense=dense)
-    residual: Scalar = 0.0
-    for index in range(len(mechanism.closures)):
-        closure_residual = closure_equations(tree, index).residual
-        residual = closure_residual if is_zero(residual) else maximum(residual, closure_residual)
     broken: Scalar = 0.0
     for bit, group in enumerate(mechanism.limit_groups, 1):
         conditions = [condition for name in group.joints for condition in _beyond_range(tree, name)]
@@ -41,12 +37,12 @@ def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = Fa
             for condition in conditions[1:]:
                 is_broken = is_broken | condition
             broken = broken + select(is_broken, 2.0**bit, 0.0)
-    outputs: dict[str, Any] = {"residual": residual, "broken": broken}
+    outputs: dict[str, Any] = {"residual": closure_residual(tree), "broken": broken}
     if mechanism.tool_frame is not None:
         tool = tree.frame(mechanism.tool_frame)
         rows = [[*tool.rotation[i], tool.translation[i]] for i in range(3)]
         outputs["transform"] = [*rows, [0.0, 0.0, 0.0, 1.0]]
-    return TracedProgram(graph.program("checks", outputs), tree.geometry.constants)
+    return graph.program("checks", outputs)
 
 
 def _beyond_range(tree: Tree, name: str) -> list[Truth]:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import Doubt, eliminate, matrix_of, samples, solve_upper, zeros
+from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, matrix_of, samples, solve_upper, zeros
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.loops import closure_equations
 from pm3dof_pin.programs.projection import rank
-from pm3dof_pin.programs.tool_motion import DROPPED
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
 

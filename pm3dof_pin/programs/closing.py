@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pm3dof_pin.description.coordinates import ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
@@ -29,7 +30,7 @@ from pm3dof_pin.programs.graph import (
     sqrt,
 )
 from pm3dof_pin.programs.joints import cross, objects
-from pm3dof_pin.programs.loops import Equations, closure_equations, largest, tool_equations
+from pm3dof_pin.programs.loops import Equations, closure_equations, largest, largest_residual, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
@@ -51,29 +52,17 @@ _REGULAR = 1.0 - 2.0**-10
 
 _MOST_BITS = 30  # of the mode, so that the regularity keeps seven digits beside it
 
-PLACEMENT = (*(f"p{k}" for k in range(3)), *(f"R{i}{j}" for i in range(3) for j in range(3)))
-"""Components of a task that gives the tool's whole placement."""
-
 
 @dataclass(frozen=True)
 class Task:
     """What is given when loops are closed."""
 
     joints: tuple[str, ...] = ()  #: joints held at given coordinates, each with one degree of freedom
-    #: components of the tool's pose that are brought to targets: some of x, y, z, rx, ry, rz with R = Rx(rx) Ry(ry)
-    #: Rz(rz), or :data:`PLACEMENT`
-    tool: tuple[str, ...] = ()
+    #: components of the tool's placement that are brought to targets, R = Rx(rx) Ry(ry) Rz(rz)
+    tool: tuple[ToolComponent, ...] = ()
 
 
-@dataclass(frozen=True)
-class TracedProgram:
-    """A program with the entries of the geometry that are constants in it."""
-
-    program: Program  #: the straight line
-    constants: Mapping[str, float]  #: values by name, to be compared with those of the mechanism it is used for
-
-
-def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> TracedProgram:
+def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record one Newton step.
 
     Closures, and the tool's equations, that determine their joints are solved one after the other; those that do not,
@@ -114,14 +103,12 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
         "q": tree.step(velocities),
         "margin": regularity - 2.0 * mode,
         "jump": jump + longest,
-        "residual": _residual(equations),
+        "residual": largest_residual(equations),
     }
-    return TracedProgram(tree.graph.program("closing", outputs), tree.geometry.constants)
+    return tree.graph.program("closing", outputs)
 
 
-def damped_closing_program(
-    mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False
-) -> TracedProgram:
+def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record one damped step, for far starts and singular configurations.
 
     Levenberg-Marquardt on all equations that share joints, as in :func:`~pm3dof_pin.kinematics.assembly.assemble`: the
@@ -153,9 +140,9 @@ def damped_closing_program(
         "best": [select(is_worse, old, new) for old, new in zip(best, tree.q, strict=True)],
         "damping": size,
         "cost": minimum(cost, error),
-        "residual": _residual(equations),
+        "residual": largest_residual(equations),
     }
-    return TracedProgram(tree.graph.program("damped_closing", outputs), tree.geometry.constants)
+    return tree.graph.program("damped_closing", outputs)
 
 
 class _Given(NamedTuple):
@@ -186,15 +173,7 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
     equations = [closure_equations(tree, index) for index in range(len(mechanism.closures))]
     if task.tool:
         equations.append(tool_equations(tree, task.tool, _targets(graph, mechanism, task, rows)))
-    scale = 2.0 ** round(np.log2(mechanism.characteristic_length))  # a power of two: scaling is free of rounding
-    return _Given(tree, equations, scale, set(tree.slides), {joint.v_index for joint in held}, further)
-
-
-def _residual(equations: list[Equations]) -> Scalar:
-    residual: Scalar = 0.0
-    for equation in equations:
-        residual = equation.residual if is_zero(residual) else maximum(residual, equation.residual)
-    return residual
+    return _Given(tree, equations, mechanism.length_unit, set(tree.slides), {joint.v_index for joint in held}, further)
 
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
@@ -211,9 +190,9 @@ def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64
 
 
 def tool_components(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64], components: Iterable[str]
+    rotation: NDArray[np.float64], translation: NDArray[np.float64], components: Iterable[ToolComponent]
 ) -> NDArray[np.float64]:
-    """Return components of tool placements, by names of :class:`Task`, shape=(..., number of components) [m, rad]."""
+    """Return components of tool placements, shape=(..., number of components) [m, rad]."""
     R = rotation
     values = {
         "x": translation[..., 0],
@@ -222,8 +201,6 @@ def tool_components(
         "rx": np.arctan2(-R[..., 1, 2], R[..., 2, 2]),
         "ry": np.arctan2(R[..., 0, 2], np.hypot(R[..., 1, 2], R[..., 2, 2])),
         "rz": np.arctan2(-R[..., 0, 1], R[..., 0, 0]),
-        **{f"p{k}": translation[..., k] for k in range(3)},
-        **{f"R{i}{j}": R[..., i, j] for i in range(3) for j in range(3)},
     }
     return np.stack([values[name] for name in components], axis=-1)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import ProgramError
-from pm3dof_pin.programs.graph import Number, Scalar, absolute, is_zero, less, maximum, minimum, select, sqrt
+from pm3dof_pin.programs.graph import Number, Scalar, Truth, absolute, is_zero, less, maximum, minimum, select, sqrt
 from pm3dof_pin.typing import Objects
 
 Array = NDArray[np.float64]
@@ -25,6 +25,12 @@ ZERO = 1e-9
 """Columns shorter than this times the longest at all sample poses are dropped."""
 
 _SHARE = 0.1  # of the best pivot's relative length, which is enough for a pivot that keeps more zeros
+
+PIVOT = 1e-5
+"""Pivots below this leave a rank in doubt."""
+
+DROPPED = 1e-9
+"""Entries dropped as zero that are larger than this leave a rank in doubt."""
 
 
 class Doubt:
@@ -43,6 +49,11 @@ class Doubt:
         for entry in entries:
             if not is_zero(entry):
                 self.dropped = maximum(self.dropped, absolute(entry))
+
+    def is_none(self, values: Objects) -> Truth:
+        """Return whether nothing is in doubt, and values that depend on the choices are numbers."""
+        finite = less(-1.0, total([entry * entry for entry in values.ravel()]))
+        return less(PIVOT, self.pivot) & less(self.dropped, DROPPED) & finite
 
 
 @dataclass(frozen=True)
@@ -226,6 +237,13 @@ def zeros(rows: int, columns: int) -> Objects:
     """Return a matrix of zeros."""
     matrix = np.empty((rows, columns), dtype=object)
     matrix[:] = 0.0
+    return matrix
+
+
+def identity(size: int) -> Objects:
+    """Return the unit matrix."""
+    matrix = zeros(size, size)
+    np.fill_diagonal(matrix, 1.0)
     return matrix
 
 

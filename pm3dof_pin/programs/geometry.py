@@ -11,7 +11,7 @@ moves a point a metre away by 1e-15 m.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -23,7 +23,7 @@ from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.mechanism.configuration import LIMIT_TOLERANCE
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.graph import Graph, Number
-from pm3dof_pin.typing import Objects
+from pm3dof_pin.typing import Objects, Vector
 
 _ROUNDING = 1e-15
 _CONSTANTS = (0.0, 1.0, -1.0)
@@ -56,7 +56,7 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
         _add_placement(found, model.names[index], model.jointPlacements[index])
         _add_joint(found, model.names[index], model.joints[index])
     for name in dict.fromkeys([*frame_names(mechanism), *frames]):
-        _add_placement(found, _frame_key(name), model.frames[mechanism.frame_id(name)].placement)
+        _add_placement(found, f"frame/{name}", model.frames[mechanism.frame_id(name)].placement)
     for k, (lower, upper) in enumerate(zip(mechanism.lower_limits, mechanism.upper_limits, strict=True)):
         found[f"limit/{k}/lower"] = float(lower) - LIMIT_TOLERANCE
         found[f"limit/{k}/upper"] = float(upper) + LIMIT_TOLERANCE
@@ -67,25 +67,20 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
     return found
 
 
-def values(mechanism: Mechanism, names: Iterable[str], constants: Mapping[str, float] | None = None) -> NDArray[Any]:
-    """Collect the values of a program's parameters of a mechanism, checking its constants.
+def values(mechanism: Mechanism, names: Sequence[str], others: Mapping[str, float] | None = None) -> Vector:
+    """Collect the values of a program's parameters, its mechanism's geometry and others that are given.
 
     Raises:
-        ProgramError: the mechanism lacks a number, or has another where the program has a constant.
+        ProgramError: the mechanism lacks a number.
     """
-    wanted = list(names)
-    found = numbers(mechanism, [name[6:].rpartition("/")[0] for name in wanted if name.startswith("frame/")])
-    for name, constant in (constants or {}).items():
-        if found.get(name) != constant:
-            raise ProgramError(
-                f"{mechanism.name}: {name} is {found.get(name)}, expected {constant}, a constant of the program"
-            )
-    if missing := [name for name in wanted if name not in found]:
+    frames = [name[6:].rpartition("/")[0] for name in names if name.startswith("frame/")]
+    found = numbers(mechanism, frames) | dict(others or {})
+    if missing := [name for name in names if name not in found]:
         raise ProgramError(f"{mechanism.name}: no geometry {missing[0]}, expected that of the program's mechanism")
-    return chosen(found, wanted)
+    return chosen(found, names)
 
 
-def chosen(found: Mapping[str, float], names: Iterable[str]) -> NDArray[Any]:
+def chosen(found: Mapping[str, float], names: Iterable[str]) -> Vector:
     """Return the values of a program's parameters, of the :func:`numbers` of a mechanism, shape=(number of names,)."""
     return np.array([found[name] for name in names])
 
@@ -98,11 +93,6 @@ class Geometry:
         self._numbers = numbers(mechanism, frames)
         self._dense = dense
         self._known: dict[str, Number | float] = {}
-
-    @property
-    def constants(self) -> dict[str, float]:
-        """Entries that are constants of the program."""
-        return {name: entry for name, entry in self._known.items() if isinstance(entry, float)}
 
     def number(self, owner: str, entry: str) -> Number | float:
         """Return one entry of the geometry of a joint or frame."""
@@ -139,12 +129,8 @@ def constants(found: Mapping[str, float]) -> list[tuple[str, float]]:
     return [
         (name, value)
         for name, value in found.items()
-        if value in (0.0, 1.0, -1.0) and not name.startswith(("limit/", "swing/"))
+        if value in _CONSTANTS and not name.startswith(("limit/", "swing/"))
     ]
-
-
-def _frame_key(name: str) -> str:
-    return f"frame/{name}"
 
 
 def frame_names(mechanism: Mechanism) -> list[str]:

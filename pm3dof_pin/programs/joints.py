@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -57,6 +57,25 @@ class Screw:
         return objects(self.linear + cross(self.angular, point - self.point))
 
 
+class _Joint(Protocol):
+    """A simple joint, with `nq` entries of q and `nv` of v."""
+
+    @property
+    def nq(self) -> int: ...
+
+    @property
+    def nv(self) -> int: ...
+
+    def displacement(self, q: Objects) -> Placement:
+        """Return the placement of the moving body against the fixed one."""
+
+    def screws(self, moving: Placement) -> list[Screw]:
+        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
+
+    def step(self, q: Objects, v: Objects) -> Objects:
+        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
+
+
 _NO_MOTION = objects([0.0, 0.0, 0.0])
 _NO_ROTATION = objects(np.eye(3).tolist())
 
@@ -70,15 +89,12 @@ class _Revolute:
     nv = 1
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
         return Placement(_rotation(self.axis, cos(q[0]), sin(q[0])), _NO_MOTION)
 
     def screws(self, moving: Placement) -> list[Screw]:
-        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
         return [Screw(moving.rotation @ self.axis, _NO_MOTION, moving.translation)]
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
         return objects(q + v)
 
 
@@ -89,11 +105,9 @@ class _Continuous(_Revolute):
     nq = 2
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
         return Placement(_rotation(self.axis, q[0], q[1]), _NO_MOTION)
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
         return q if is_zero(v[0]) else _normalised(objects([q[0] - q[1] * v[0], q[1] + q[0] * v[0]]))
 
 
@@ -106,26 +120,22 @@ class _Prismatic:
     nv = 1
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
         return Placement(_NO_ROTATION, self.axis * q[0])
 
     def screws(self, moving: Placement) -> list[Screw]:
-        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
         return [Screw(_NO_MOTION, moving.rotation @ self.axis, moving.translation)]
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
         return objects(q + v)
 
 
-class Spherical:
+class _Spherical:
     """A ball joint: q is a quaternion (x, y, z, w), v the angular velocity in axes of the moving body."""
 
     nq = 4
     nv = 3
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
         x, y, z, w = q
         return Placement(
             objects(
@@ -139,11 +149,9 @@ class Spherical:
         )
 
     def screws(self, moving: Placement) -> list[Screw]:
-        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
         return [Screw(axis, _NO_MOTION, moving.translation) for axis in moving.rotation.T]
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
         if all(is_zero(rate) for rate in v):
             return q
         half = v * 0.5
@@ -151,50 +159,41 @@ class Spherical:
         return _normalised(objects([*vector, q[3] - q[:3] @ half]))
 
 
-class FreeFlyer:
+class _FreeFlyer:
     """No joint at all: q is a position and a quaternion, v the twist in axes of the moving body."""
 
     nq = 7
     nv = 6
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
-        return Placement(Spherical().displacement(q[3:]).rotation, q[:3])
+        return Placement(_Spherical().displacement(q[3:]).rotation, q[:3])
 
     def screws(self, moving: Placement) -> list[Screw]:
-        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in moving.rotation.T]
-        return slides + Spherical().screws(moving)
+        return slides + _Spherical().screws(moving)
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
-        turned = Spherical().step(q[3:], v[3:])
+        turned = _Spherical().step(q[3:], v[3:])
         return objects([*(q[:3] + self.displacement(q).rotation @ v[:3]), *turned])
 
 
-class Planar:
+class _Planar:
     """A joint in the plane: q is x, y and cosine and sine of the angle, v the twist in axes of the moving body."""
 
     nq = 4
     nv = 3
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
         return Placement(_rotation(objects(_AXES["Z"]), q[2], q[3]), objects([q[0], q[1], 0.0]))
 
     def screws(self, moving: Placement) -> list[Screw]:
-        """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
         x, y, z = moving.rotation.T
         slides = [Screw(_NO_MOTION, axis, moving.translation) for axis in (x, y)]
         return [*slides, Screw(z, _NO_MOTION, moving.translation)]
 
     def step(self, q: Objects, v: Objects) -> Objects:
-        """Move q along a tangent vector: equal to Pinocchio's `integrate` to first order."""
         turned = _Continuous(objects(_AXES["Z"])).step(q[2:], v[2:])
         return objects([q[0] + q[2] * v[0] - q[3] * v[1], q[1] + q[3] * v[0] + q[2] * v[1], *turned])
-
-
-Joint: TypeAlias = "_Revolute | _Prismatic | Spherical | FreeFlyer | Planar"
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +201,7 @@ class ChainJoint:
     """A simple joint, fixed at a placement, in the chain of one of Pinocchio's; indices are the first ones."""
 
     placement: Placement
-    joint: Joint
+    joint: _Joint
     q_index: int
     v_index: int
 
@@ -230,7 +229,7 @@ def _links(name: str, model_joint: Any, first: Placement, geometry: Geometry) ->
         q_index, v_index = q_index + joint.nq, v_index + joint.nv
 
 
-def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
+def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[_Joint]:
     x, y, z = (objects(_AXES[letter]) for letter in "XYZ")
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
         axis = objects(_AXES[kind[1]])
@@ -251,11 +250,11 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[Joint]:
         case "Translation":
             return [_Prismatic(x), _Prismatic(y), _Prismatic(z)]
         case "Spherical":
-            return [Spherical()]
+            return [_Spherical()]
         case "Planar":
-            return [Planar()]
+            return [_Planar()]
         case "FreeFlyer":
-            return [FreeFlyer()]
+            return [_FreeFlyer()]
     raise ProgramError(f"joint '{name}': there is no program for joints of type {kind}")
 
 

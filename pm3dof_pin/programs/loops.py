@@ -8,12 +8,14 @@ frames are left out: they move a closed loop as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
-from pm3dof_pin.programs.graph import Scalar, cos, is_zero, less, maximum, select, sin
+from pm3dof_pin.mechanism.configuration import ASSEMBLED_TOLERANCE
+from pm3dof_pin.programs.graph import Scalar, Truth, cos, is_zero, less, maximum, select, sin
 from pm3dof_pin.programs.graph import absolute as magnitude
 from pm3dof_pin.programs.joints import Placement, cross, objects
 from pm3dof_pin.programs.tree import Tree
@@ -44,6 +46,22 @@ def closure_equations(tree: Tree, index: int) -> Equations:
         return Equations(error, (False,) * 3, columns, largest(error))
     error = objects([*error, *_rotation_error(a.rotation, b.rotation)])
     return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + far(a.rotation, b.rotation))
+
+
+def closure_residual(tree: Tree) -> Scalar:
+    """Return the largest residual of all closures, 0 if there are none."""
+    return largest_residual(closure_equations(tree, index) for index in range(len(tree.mechanism.closures)))
+
+
+def closed(tree: Tree) -> Truth:
+    """Return whether the loops are closed."""
+    return less(closure_residual(tree), 0.5 * ASSEMBLED_TOLERANCE * tree.mechanism.length_unit)
+
+
+def largest_residual(equations: Iterable[Equations]) -> Scalar:
+    """Return the largest residual of some equations, 0 of none."""
+    residuals = [equation.residual for equation in equations]
+    return reduce(maximum, residuals) if residuals else 0.0
 
 
 def motion(tree: Tree, index: int, point: Objects) -> Objects:
@@ -83,8 +101,8 @@ def swing(tree: Tree, index: int) -> tuple[Scalar, Scalar]:
 def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Equations:
     """Return the equations that put components of the tool's pose at targets, by name.
 
-    With all three of rx, ry, rz, or a placement's p0..p2 and R00..R22, the orientation is compared as a whole, which
-    has no singularity in the error; with fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
+    With all three of rx, ry, rz the orientation is compared as a whole, which has no singularity in the error; with
+    fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
     """
     name = tree.mechanism.tool_frame
     assert name is not None
@@ -94,14 +112,13 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
     gradients: list[Objects] = []
     angular: list[bool] = []
     residual: Scalar = 0.0
-    for names in (("x", "y", "z"), ("p0", "p1", "p2")):
-        for axis, component in enumerate(names):
-            if component in components:
-                errors.append(tool.translation[axis] - targets[component])
-                gradients.append(objects(np.eye(6)[axis].tolist()))
-                angular.append(False)
-    target = _target_rotation(components, targets)
-    if target is not None:
+    for axis, component in enumerate("xyz"):
+        if component in components:
+            errors.append(tool.translation[axis] - targets[component])
+            gradients.append(objects(np.eye(6)[axis].tolist()))
+            angular.append(False)
+    if {"rx", "ry", "rz"} <= set(components):
+        target = _target_rotation(targets)
         errors += list(_rotation_error(target, tool.rotation))
         gradients += [objects(np.eye(6)[3 + axis].tolist()) for axis in range(3)]
         angular += [True] * 3
@@ -119,11 +136,7 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
     return Equations(rows, tuple(angular), columns, largest(rows) + residual)
 
 
-def _target_rotation(components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Objects | None:
-    if "R00" in components:
-        return objects([[targets[f"R{i}{j}"] for j in range(3)] for i in range(3)])
-    if not {"rx", "ry", "rz"} <= set(components):
-        return None
+def _target_rotation(targets: Mapping[str, Scalar]) -> Objects:
     cx, cy, cz = (cos(targets[name]) for name in ("rx", "ry", "rz"))
     sx, sy, sz = (sin(targets[name]) for name in ("rx", "ry", "rz"))
     return objects(

@@ -20,9 +20,10 @@ import numpy as np
 
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.elimination import (
+    DROPPED,
     Doubt,
     eliminate,
-    matrix_of,
+    identity,
     product,
     samples,
     solve_upper,
@@ -33,12 +34,6 @@ from pm3dof_pin.programs.graph import is_zero, sqrt
 from pm3dof_pin.programs.joints import Screw, cross
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Objects
-
-PIVOT = 1e-5
-"""Pivots below this leave a rank in doubt."""
-
-DROPPED = 1e-9
-"""Entries dropped as zero that are larger than this leave a rank in doubt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +59,6 @@ class Branch:
     relations: Objects  #: equations among its sources, shape=(k, number of its sources)
     weighted: Objects  #: motion in other numbers than its sources, see :func:`branches`, shape=(n, w)
     weighted_relations: Objects  #: relations in these, shape=(k, w)
-
-
-def length_unit(characteristic_length: float) -> float:
-    """Return the power of two next to a length."""
-    return float(2.0 ** np.round(np.log2(characteristic_length)))
 
 
 def joint_columns(tree: Tree, indices: Iterable[int], frame: str) -> list[Column]:
@@ -160,10 +150,10 @@ def response(
     order = list(result.columns)
     triangle = result.pivot_rows[:, order]
     solution = solve_upper(triangle, result.pivot_rows[:, 6:])[np.argsort(order)]
-    inverse = solve_upper(triangle, matrix_of(np.eye(6).tolist(), 6))
+    inverse = solve_upper(triangle, identity(6))
     size = sqrt(total([e * e for e in triangle.ravel()]) * total([e * e for e in inverse.ravel()]))
     doubt.note_pivot(6.0 / size)
-    unit = length_unit(tree.mechanism.characteristic_length)
+    unit = tree.mechanism.length_unit
     solution[:3] = solution[:3] * -unit
     solution[3:] = -solution[3:]
     for k, is_length in enumerate([*(s.slides for s in sources), *(reading.is_length for reading in readings)]):
@@ -181,10 +171,10 @@ def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
 
 def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, Objects]:
     """Return the equations as coefficients of the frame's twist and of the columns, scaled, shape=(m, 6) and (m, n)."""
-    unit = length_unit(tree.mechanism.characteristic_length)
+    unit = tree.mechanism.length_unit
     tool = tree.frame(frame).translation
     twists, rates = (
-        [matrix_of(np.eye(6).tolist(), 6)],
+        [identity(6)],
         [_velocities(columns, [-1.0 * (frame in c.frames) for c in columns], tool, unit)],
     )
     for loop in tree.mechanism.closures:
@@ -195,7 +185,7 @@ def _rows(tree: Tree, frame: str, columns: Sequence[Column]) -> tuple[Objects, O
         size = 3 if loop.type == "3d" else 6
         point = tree.frame(loop.frame_a if factor < 0.0 else loop.frame_b).translation
         lever = (point - tool) * (1.0 / unit)
-        twist = matrix_of(np.eye(6).tolist(), 6)
+        twist = identity(6)
         for k in range(3):
             twist[:3, 3 + k] = cross([float(k == i) for i in range(3)], lever)
         twists.append(twist[:size] * factor)

@@ -60,7 +60,7 @@ def _verify(mechanism: Mechanism, closed: Array, *, dense: bool) -> None:
         resting = objects([0.0] * size)
         outputs[f"closure {index}"] = [x for k in range(model.nv) for x in columns.get(k, resting)]
     program = graph.program("verification", outputs)
-    parameters = geometry.values(mechanism, program.parameters, tree.geometry.constants)
+    parameters = geometry.values(mechanism, program.parameters)
     at_random = program.split(program.evaluate(rows, parameters))
     at_samples = program.split(program.evaluate(closed, parameters))
     for q, k in ((q, k) for q in range(len(rows)) for k in range(len(frames))):

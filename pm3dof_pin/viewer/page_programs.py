@@ -21,14 +21,14 @@ from pm3dof_pin.elastic.springs import Spring
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.errors.sensitivity_program import at_zero_errors
-from pm3dof_pin.exceptions import ConvergenceError, DescriptionError, ProgramError
+from pm3dof_pin.exceptions import DescriptionError, ProgramError
 from pm3dof_pin.kinematics.closing_programs import program_source
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.programs import geometry, masses
 from pm3dof_pin.programs.closing import Task
-from pm3dof_pin.programs.graph import Graph, Scalar, is_zero, maximum
+from pm3dof_pin.programs.graph import Graph
 from pm3dof_pin.programs.javascript import javascript
-from pm3dof_pin.programs.loops import closure_equations, swing
+from pm3dof_pin.programs.loops import closure_residual, swing
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Vector
@@ -65,7 +65,6 @@ class PagePrograms:
 
     Raises:
         ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
-        ConvergenceError: its loops do not close near home.
     """
 
     def __init__(self, robot: Robot, model: ElasticModel | None = None) -> None:
@@ -108,10 +107,8 @@ class PagePrograms:
         except ProgramError as error:
             _logger.info("no holding forces in the page: %s", error)
             return None
-        values = masses.mass_numbers(self.robot.model)
-        others = [name for name in program.parameters if name not in values]
-        values |= dict(zip(others, geometry.values(self.robot, others), strict=True))
-        return _PageProgram(program, geometry.chosen(values, program.parameters))
+        numbers = masses.mass_numbers(self.robot.model)
+        return _PageProgram(program, geometry.values(self.robot, program.parameters, numbers))
 
     @property
     def motion(self) -> _PageProgram | None:
@@ -183,12 +180,8 @@ class PagePrograms:
         if robot.tool_frame is not None:
             placements.append(tree.frame(robot.tool_frame))
         rows = [[[*p.rotation[i], p.translation[i]] for i in range(3)] for p in placements]
-        residual: Scalar = 0.0
-        for index in range(len(robot.closures)):
-            closure = closure_equations(tree, index).residual
-            residual = closure if is_zero(residual) else maximum(residual, closure)
         swings = [swing(tree, k) for k, loop in enumerate(robot.closures) if loop.swing_limit is not None]
-        outputs: dict[str, Any] = {"placements": rows, "residual": residual, "swings": swings}
+        outputs: dict[str, Any] = {"placements": rows, "residual": closure_residual(tree), "swings": swings}
         return _with_parameters(graph.program("place", outputs), robot)
 
 
@@ -208,7 +201,7 @@ def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms
     try:
         programs = PagePrograms(robot, model)
         _ = programs.source
-    except (ProgramError, ConvergenceError) as error:
+    except ProgramError as error:
         _logger.warning("no sliders for %s: %s", robot.name, error)
         return None
     return programs

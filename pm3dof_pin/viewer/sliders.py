@@ -18,7 +18,7 @@ from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.broken_limits import closure_names, limit_reading
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.programs.tool_motion import PIVOT
+from pm3dof_pin.programs.elimination import PIVOT
 from pm3dof_pin.typing import Array, Matrix, Motion, Vector
 from pm3dof_pin.viewer import colours, ellipsoids
 from pm3dof_pin.viewer.bodies import Body

@@ -9,7 +9,6 @@ import pytest
 
 from pm3dof_pin.description.schema import checked
 from pm3dof_pin.description.source_numbers import SourceNumbers
-from pm3dof_pin.errors import sensitivity_program
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.error_sums import KinematicSum, kinematic_sum
 from pm3dof_pin.errors.sensitivity import closable
@@ -18,6 +17,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.programs import elimination
 
 WAVES = {"waviness": {"pitch_m": 3e-6, "straightness_m": 5e-6, "lengths_m": [0.01, 0.02]}}
 
@@ -47,7 +47,7 @@ def test_poses_in_doubt_are_done_with_care(tripod_nominal: Poses, monkeypatch: p
     few = GeometricErrors(robot, GeometricErrors.load("pm3dof").parameters[:3])
     careful = kinematic_sum(_sources(few), tripod_nominal[:3], "tip_rms", engine="pinocchio").values
     monkeypatch.setenv("PM3DOF_CACHE_DIR", "")
-    monkeypatch.setattr(sensitivity_program, "PIVOT", 2.0)  # no least pivot is greater than 1
+    monkeypatch.setattr(elimination, "PIVOT", 2.0)  # no least pivot is greater than 1
     found = kinematic_sum(_sources(few), tripod_nominal[:50], "tip_rms")
     assert found.redone.all()
     np.testing.assert_array_equal(found.values[:3], careful)

@@ -14,7 +14,7 @@ from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.continuation import Continuation
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.samples import samples_near
+from pm3dof_pin.kinematics.samples import samples_near_home
 
 MACHINES = Path(__file__).parents[1] / "machines"
 ROBOTS = ("pm3dof", "hexapod", "three_rps", "delta", "five_bar", "four_bar", "walker", "ur5")
@@ -266,7 +266,7 @@ def test_poses_at_positions_are_those_of_pinocchio():
 
 def test_samples_are_closed_and_differ_from_home():
     robot = load("hexapod")
-    samples = samples_near(robot, robot.home.q)
+    samples = samples_near_home(robot)
     assert len(samples) == 9
     assert all(robot.configuration(q).closure_residual < 1e-12 for q in samples)
     np.testing.assert_array_equal(samples[0], robot.home.q)
