@@ -190,17 +190,17 @@ class _Kernel:
 
     def parts(self, logarithms: Array) -> tuple[Array, Array, Array]:
         c, s, o, _, *scales = np.exp(logarithms)
-        smooth = np.exp(-0.5 * (self._squares / np.square(scales[:-1])).sum(axis=2))
-        own = np.exp(-0.5 * self._squares[:, :, self._drive] / scales[-1] ** 2)
+        smooth = np.exp(self._squares @ (-0.5 / np.square(scales[:-1])))
+        own = np.exp(self._squares[:, :, self._drive] * (-0.5 / scales[-1] ** 2))
         return c**2 * self._products, s**2 * smooth, o**2 * own
 
-    def derivatives(self, logarithms: Array) -> list[Array]:
-        """Return the derivatives by all logarithms but the noise's, in their order."""
-        linear, smooth, own = self.parts(logarithms)
-        scales = np.exp(logarithms[4:])
-        by_scales = [smooth * self._squares[:, :, j] / scales[j] ** 2 for j in range(self.count)]
-        by_own = own * self._squares[:, :, self._drive] / scales[-1] ** 2
-        return [2.0 * linear, 2.0 * smooth, 2.0 * own, *by_scales, by_own]
+    def slopes(self, inner: Array, parts: tuple[Array, Array, Array], logarithms: Array) -> Array:
+        """Return the sums of `inner` times the derivatives by all logarithms but the noise's, in their order."""
+        linear, smooth, own = (inner * part for part in parts)
+        squared = np.exp(2.0 * logarithms[4:])
+        by_scales = np.tensordot(smooth, self._squares, 2) / squared[:-1]
+        by_own = np.vdot(own, self._squares[:, :, self._drive]) / squared[-1]
+        return np.array([2.0 * linear.sum(), 2.0 * smooth.sum(), 2.0 * own.sum(), *by_scales, by_own])
 
 
 def _kernel_between(first: Array, second: Array, drive: int, logarithms: Array) -> Array:
@@ -241,14 +241,15 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     bounds += [(length - 3.0, length + 3.0) for length in lengths]
 
     def cost(logarithms: Array) -> tuple[float, Array]:
-        covariance = kernel.value(logarithms) + np.diag(_noise(noise, logarithms))
-        factor = scipy.linalg.cholesky(covariance, lower=True)
-        weights = scipy.linalg.cho_solve((factor, True), deviations)
+        parts = kernel.parts(logarithms)
+        factor = np.linalg.cholesky(sum(parts) + np.diag(_noise(noise, logarithms)))
+        half = scipy.linalg.lapack.dtrtri(factor, lower=1)[0]
+        inverse = half.T @ half
+        weights = half.T @ (half @ deviations)
         value = 0.5 * deviations @ weights + np.log(np.diag(factor)).sum()
-        inner = scipy.linalg.cho_solve((factor, True), np.eye(len(deviations))) - np.outer(weights, weights)
-        by = [0.5 * float(np.sum(inner * derivative)) for derivative in kernel.derivatives(logarithms)]
-        by.insert(3, float(np.trace(inner) * np.exp(2.0 * logarithms[3])))
-        gradient = np.array(by)
+        inner = inverse - np.outer(weights, weights)
+        by_noise = np.trace(inner) * np.exp(2.0 * logarithms[3])
+        gradient = np.insert(0.5 * kernel.slopes(inner, parts, logarithms), 3, by_noise)
         off = (logarithms[4:] - lengths) / _SCALE_SPREAD
         gradient[4:] += off / _SCALE_SPREAD
         return float(value + 0.5 * off @ off), gradient

@@ -114,20 +114,22 @@ def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
     """Minimise the squared errors and `decay` times the squared weights, from where Glorot and Bengio (2010) start."""
     shapes = (inputs.shape[1], _HIDDEN), (_HIDDEN,), (_HIDDEN, targets.shape[1]), (targets.shape[1],)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = [(slice(end - math.prod(shape), end), shape) for end, shape in zip(ends, shapes, strict=True)]
     weighed = np.repeat([decay, 0.0, decay, 0.0], np.diff(ends, prepend=0))  # biases are free
+    ones = np.ones(len(inputs))
 
     def split(numbers: Array) -> list[Array]:
-        return [part.reshape(shape) for part, shape in zip(np.split(numbers, ends[:-1]), shapes, strict=True)]
+        return [numbers[part].reshape(shape) for part, shape in parts]
 
     def cost(numbers: Array) -> tuple[float, Array]:
         hidden, hidden_bias, output, output_bias = split(numbers)
         activity = np.tanh(inputs @ hidden + hidden_bias)
         error = activity @ output + output_bias - targets
-        back = (error @ output.T) * (1.0 - activity**2)
-        slopes = (inputs.T @ back, back.sum(axis=0), activity.T @ error, error.sum(axis=0))
+        back = (error @ output.T) * (1.0 - activity * activity)
         pull = weighed * numbers
-        gradient = np.concatenate([slope.ravel() for slope in slopes]) + pull
-        return float(np.vdot(error, error) + pull @ numbers) / (2.0 * len(inputs)), gradient / len(inputs)
+        slopes = ((inputs.T @ back).ravel(), ones @ back, (activity.T @ error).ravel(), ones @ error)
+        gradient = (np.concatenate(slopes) + pull) / len(inputs)
+        return float(np.vdot(error, error) + pull @ numbers) / (2.0 * len(inputs)), gradient
 
     bounds = [math.sqrt(6.0 / sum(shapes[layer])) for layer in (0, 0, 2, 2)]
     start = np.random.default_rng(seed).uniform(-1.0, 1.0, ends[-1]) * np.repeat(bounds, np.diff(ends, prepend=0))

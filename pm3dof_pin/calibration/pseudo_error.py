@@ -13,6 +13,7 @@ which has as many of six components as the rows show.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -103,8 +104,12 @@ def pseudo_errors(
     """
     scales = command_scales(model)
 
+    @cache  # every pose that a step leads to is asked for again
+    def errors_at(poses: Poses) -> _SeenErrors:
+        return seen_errors(measurements, poses, eta)
+
     def residuals(poses: Poses) -> Array:
-        return seen_errors(measurements, poses, eta).errors
+        return errors_at(poses).errors
 
     def control(poses: Poses, found: _SeenErrors) -> Array:
         whole = weighted_control(poses, eta)
@@ -114,13 +119,12 @@ def pseudo_errors(
         return np.asarray(shown)
 
     def step(poses: Poses) -> Array:
-        found = seen_errors(measurements, poses, eta)
+        found = errors_at(poses)
         return np.asarray(scales * np.einsum("nij,nj->ni", control_inverse(control(poses, found), seen), found.errors))
 
     deviations, poses = descend(model, measurements.visits.commands, step, residuals)
-    found = seen_errors(measurements, poses, eta)
+    found = errors_at(poses)
     reached = control(poses, found)
     gain = scales[:, None] * control_inverse(reached, seen)
     covariances = gain @ found.covariances @ np.swapaxes(gain, 1, 2)
-    at_commands = seen_errors(measurements, model, eta)
-    return _PseudoErrors(deviations, covariances, at_commands, found.errors, reached, found)
+    return _PseudoErrors(deviations, covariances, errors_at(model), found.errors, reached, found)

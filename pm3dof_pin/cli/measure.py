@@ -53,7 +53,7 @@ def measure(
 
     import numpy as np
 
-    from pm3dof_pin.exceptions import UnreachablePoseError
+    from pm3dof_pin.exceptions import ConvergenceError, UnreachablePoseError
     from pm3dof_pin.kinematics.reachable_poses import reachable_poses
     from pm3dof_pin.measuring.instrument import Instrument
     from pm3dof_pin.measuring.measurement_file import write_measurements
@@ -71,14 +71,20 @@ def measure(
     instrument = Instrument.with_targets(noise)
     if positions:
         instrument = replace(instrument, measured="position")
-    taken = _taken(truth, commands)
-    if left := int((~taken).sum()):
+    before = generator.bit_generator.state
+    try:
+        measurements = truth.measure(commands, generator, instrument, given)
+    except (ConvergenceError, UnreachablePoseError):
+        generator.bit_generator.state, taken = before, _taken(truth, commands)
+        left = int((~taken).sum())
+        if not left:
+            raise
         problem = f"{left} of {len(commands)} poses are left out: this machine cannot be assembled there"
         if left == len(commands):
-            raise UnreachablePoseError(problem)
+            raise UnreachablePoseError(problem) from None
         message(f"pm3dof: {problem}")
-        commands, given = commands[taken], given and {name: values[taken] for name, values in given.items()}
-    measurements = truth.measure(commands, generator, instrument, given)
+        given = given and {name: values[taken] for name, values in given.items()}
+        measurements = truth.measure(commands[taken], generator, instrument, given)
     path = write_measurements(measurements, errors.robot, out)
     result = {"file": str(path), "poses": len(measurements), "measured": measurements.measured, "machine": machine}
     print_result(result, [f"{len(measurements)} poses of machine {machine}, world '{world}'"], as_json=as_json)
@@ -91,12 +97,11 @@ def _taken(truth: World, commands: Array) -> Mask:
 
     from pm3dof_pin.exceptions import PM3DofError
 
-    def takes(some: Array) -> bool:
+    def takes(command: Array) -> bool:
         try:
-            truth.poses(some, {})
+            truth.poses(command[None], {})
         except PM3DofError:
             return False
         return True
 
-    count = len(commands)
-    return np.ones(count, dtype=bool) if takes(commands) else np.array([takes(row[None]) for row in commands])
+    return np.array([takes(command) for command in commands])

@@ -24,6 +24,7 @@ _SOUND = 1e6  # condition of normal equations, the square of that of a control m
 _STEPS = 3  # each leaves about a thousandth of the error
 _SHORTER = (0.25, 0.25, 0.25, 0.0)  # what a step that leads away is multiplied by, one trial after the other
 _ROUNDING = 1e-12  # [m]
+_FARTHEST_TURN = np.pi  # of a drive in one step [rad]: beyond half a turn it comes back, and no derivative tells where
 
 
 def command_jacobians(poses: Poses) -> Array:
@@ -109,8 +110,11 @@ def descend(
         UnreachablePoseError: the loops do not close after a step, and `on_failure` is "raise".
     """
     deviations, left = np.zeros_like(commands), np.linalg.norm(residuals(poses), axis=1)
+    turning = [command.unit == "rad" for command in poses.robot.commands]
     for _ in range(_STEPS):
         move, q, closed = step(poses), np.array(poses.q), np.ones(len(commands), dtype=bool)
+        turns = np.abs(move / command_scales(poses)).max(axis=1, initial=0.0, where=turning)
+        move /= np.maximum(1.0, turns / _FARTHEST_TURN)[:, None]
         rows = np.arange(len(commands))
         for factor in (1.0, *_SHORTER):
             move[rows] *= factor

@@ -61,13 +61,18 @@ class ThermalGrowth:
         """Return a robot with members grown and bent by a mean rise [K]."""
         if not (self.members or self.bending) or temperature_rise == 0.0:
             return robot
+        parameters, per_kelvin = self.growth(robot)
+        return GeometricErrors(robot, parameters).apply(temperature_rise * per_kelvin)
+
+    def growth(self, robot: Robot) -> tuple[tuple[GeometricParameter, ...], Vector]:
+        """Return how the ends of members move as error parameters, and by how much for each kelvin [m/K, rad/K]."""
         moved = self.growth_per_kelvin(robot)
         for place, member in self.bending.items():
             bent = self.expansion * bend_per_curvature(robot, place, member.along) @ member.gradients
             for name, amount in zip(displacement_names(place), bent, strict=True):
                 moved[name] = moved.get(name, 0.0) + float(amount)
-        errors = GeometricErrors(robot, displacement_errors(robot, {**self.members, **self.bending}, "thermal"))
-        return errors.apply({name: temperature_rise * amount for name, amount in moved.items()})
+        parameters = displacement_errors(robot, {**self.members, **self.bending}, "thermal")
+        return parameters, np.array([moved.get(parameter.name, 0.0) for parameter in parameters])
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
         """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K]."""

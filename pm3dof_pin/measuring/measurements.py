@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -210,12 +211,12 @@ class Measurements:
             target_sigma=instrument.target_sigma,
         )
 
-    @property
+    @cached_property
     def pose_numbers(self) -> Indices:
         """Number of the pose of each row, counted from 0 as they appear: rows at the same commands are one pose."""
         return _numbered(self.commands)
 
-    @property
+    @cached_property
     def visits(self) -> Measurements:
         """The first row of each visit: commands and conditions of each."""
         return self[self.first_rows]
@@ -225,7 +226,7 @@ class Measurements:
         """The first row of each visit, shape=(visits,)."""
         return np.unique(self.visit_numbers, return_index=True)[1]
 
-    @property
+    @cached_property
     def visit_numbers(self) -> Indices:
         """Number of the visit of each row, counted from 0 as they appear: one pose, taken up once.
 
@@ -239,7 +240,7 @@ class Measurements:
             again[row] = count[key] = count.get(key, -1) + 1
         return _numbered(np.column_stack([place[:, 0], again]))
 
-    @property
+    @cached_property
     def target_numbers(self) -> Indices:
         """Number of the target of each row, counted from 0 as they appear: rows with the same `points` see the same."""
         return _numbered(self.points)

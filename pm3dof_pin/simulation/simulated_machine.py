@@ -24,7 +24,6 @@ from pm3dof_pin.errors.thermal_growth import ThermalGrowth
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import GuideWaviness, beside_guideways
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array, Vector
@@ -201,25 +200,25 @@ class SimulatedMachine:
         return self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
 
     def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
-        """Return the poses; rows that share one geometry are done together."""
+        """Return the poses; rows that share one geometry are done together.
+
+        Deflections are those of the geometry without waves and growth, of which they change by less than a thousandth.
+        """
         crooked = self.nominal
         if self.geometric is not None:
             crooked = self.geometric.errors.apply(self.geometric.values)
-        states = np.column_stack([rises if self.thermal is not None else 0.0 * rises, offsets.reshape(len(rises), -1)])
+        beside = () if self.waviness is None else beside_guideways(crooked)
+        growth, per_kelvin = ((), np.zeros(0)) if self.thermal is None else self.thermal.growth(crooked)
+        changing = GeometricErrors(crooked, (*beside, *growth))
+        states = np.hstack([offsets.reshape(len(rises), -1)[:, : len(beside)], np.outer(rises, per_kelvin)])
         transforms = np.empty((len(commands), 4, 4))
         for state in np.unique(states, axis=0):
             rows = np.flatnonzero((states == state).all(axis=1))
-            robot = _beside_their_lines(crooked, state[1:].reshape(-1, 2))
-            if self.thermal is not None:
-                robot = self.thermal.grown(robot, float(state[0]))
-            poses = robot.forward(commands[rows], guess=guesses[rows])
-            transforms[rows] = self._deflected(poses, None if wrenches is None else wrenches[rows])
-        return transforms
-
-    def _deflected(self, poses: Poses, wrenches: Array | None) -> Array:
+            robot = changing.apply(state) if state.any() else crooked
+            transforms[rows] = robot.forward(commands[rows], guess=guesses[rows]).transforms
         if self.elastic is None:
-            return poses.transforms
-        return moved_pose(poses.transforms, self.elastic.displacements(poses, wrenches))
+            return transforms
+        return moved_pose(transforms, self.elastic.displacements(crooked.forward(commands, guess=guesses), wrenches))
 
 
 def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
@@ -246,11 +245,6 @@ def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
     closing = iter(np.isin(across.names, closable(across).names))
     kept = [[wave if next(closing) else () for wave in pair] for pair in waves.straightness]
     return replace(waves, straightness=tuple((first, second) for first, second in kept))
-
-
-def _beside_their_lines(robot: Robot, offsets: Array) -> Robot:
-    """Return a robot whose carriages stand beside their guideways, offsets shape=(actuated joints, 2) [m]."""
-    return GeometricErrors(robot, beside_guideways(robot)).apply(offsets.ravel()) if offsets.any() else robot
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
