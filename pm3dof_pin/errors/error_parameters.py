@@ -32,6 +32,7 @@ ANGLE_TOLERANCE = 5e-4
 """Tolerance of an angle where none is given [rad]: 0.1 mm over 0.2 m."""
 
 _NEARLY_PARALLEL = 0.99
+_UNIT = 1e-5  # from 1, of the length of an axis
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,7 @@ class GeometricErrors:
                 model.jointPlacements[joint] = model.jointPlacements[joint] * displacement
             else:
                 _displace_frame(model, nominal.frame_id(place), displacement)
-        return nominal.replace(model=model)
+        return nominal.displaced(model)
 
     def _parameter(self, name: str) -> int:
         if name not in self._index:
@@ -342,7 +343,7 @@ def _check(parameters: Sequence[GeometricParameter]) -> None:
         if parameter.name in seen:
             raise InvalidValueError("geometric parameter", parameter.name, "each name once")
         seen.add(parameter.name)
-        if not np.isclose(np.linalg.norm(parameter.axis), 1.0, atol=1e-9):
+        if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
             raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
             raise InvalidValueError(f"tolerance of {parameter.name}", parameter.tolerance, "a positive number")

@@ -20,6 +20,8 @@ from pm3dof_pin.kinematics.robot import Robot
 MACHINES = Path(__file__).parents[1] / "machines"
 
 
+pytestmark = pytest.mark.usefixtures("small_networks")
+
 Run = Callable[..., Any]
 Answer = Callable[..., dict[str, Any]]
 
@@ -30,10 +32,10 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     folder = tmp_path_factory.mktemp("calibration")
     measured = answer("measure", "--out", "m.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=folder)
     assert measured["poses"] == 30
-    options = ("--method", "lm+gp", "--out", "calibration", "--format", "pdf")
+    options = ("--method", "lm+gp", "--out", "calibration", "--format", "png")
     calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"
-    pictures = {file.stem for file in (folder / "calibration").glob("*.pdf")}
+    pictures = {file.stem for file in (folder / "calibration").glob("*.png")}
     assert pictures == {"tip_error_held_out", "residuals", "workspace", "parameters"}
     assert calibrated["held_out"]["poses"] == 30
     return folder

@@ -152,19 +152,24 @@ def test_a_gaussian_process_is_the_conditional_of_a_normal_law() -> None:
     np.testing.assert_allclose(process.uncertainties(x[10:])[0, 0], np.sqrt(variance), rtol=1e-6)
 
 
-def test_a_network_learns_a_smooth_function(samples: tuple[np.ndarray, ...]) -> None:
-    inputs, deviations, others = samples
-    network = NeuralNetwork.fit(inputs, deviations, seed=0)
+@pytest.fixture(scope="module")
+def network(samples: tuple[np.ndarray, ...]) -> NeuralNetwork:
+    """As everybody trains them."""
+    inputs, deviations, _ = samples
+    return NeuralNetwork.fit(inputs, deviations, seed=0)
+
+
+def test_a_network_learns_a_smooth_function(samples: tuple[np.ndarray, ...], network: NeuralNetwork) -> None:
+    _, _, others = samples
     errors = network.deviations(others) - smooth(others)
     assert np.sqrt(np.mean(errors**2)) < 1.5 * NOISE
     assert np.all(network.uncertainties(others) > 0.5 * NOISE)
 
 
-def test_numpy_answers_as_scikit_learn_does(samples: tuple[np.ndarray, ...]) -> None:
+def test_numpy_answers_as_scikit_learn_does(samples: tuple[np.ndarray, ...], network: NeuralNetwork) -> None:
     """One member of the networks, by scikit-learn's own evaluation."""
     neural_network = pytest.importorskip("sklearn.neural_network")
     inputs, deviations, others = samples
-    network = NeuralNetwork.fit(inputs, deviations, seed=3)
     model = neural_network.MLPRegressor(hidden_layer_sizes=(10,), activation="tanh", max_iter=1, solver="sgd")
     with pytest.warns(UserWarning, match="Maximum iterations"):
         model.fit(inputs, deviations)
@@ -176,6 +181,7 @@ def test_numpy_answers_as_scikit_learn_does(samples: tuple[np.ndarray, ...]) -> 
     np.testing.assert_allclose(network.deviations(others), total * network.scale * network.part, rtol=1e-10)
 
 
+@pytest.mark.usefixtures("small_networks")
 @pytest.mark.parametrize("kind", [GaussianProcess, NeuralNetwork])
 def test_where_there_is_only_noise_nothing_is_learned(kind: type, samples: tuple[np.ndarray, ...]) -> None:
     inputs, _, others = samples
@@ -192,6 +198,7 @@ def test_where_there_is_only_noise_nothing_is_learned(kind: type, samples: tuple
     assert max(sizes) < 0.6 * NOISE
 
 
+@pytest.mark.usefixtures("small_networks")
 @pytest.mark.parametrize("kind", [GaussianProcess, NeuralNetwork])
 def test_stored_models_answer_the_same(kind: type, samples: tuple[np.ndarray, ...]) -> None:
     inputs, deviations, others = samples

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pm3dof_pin.calibration import neural_network
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import save_figure
 
@@ -22,21 +20,14 @@ from study import FLOOR, METHODS, NONE, Record, StudyPlan, over_seeds, run_study
 from study_pictures import excess_picture, tip_picture
 from study_tables import study_tables
 
-PLAN = StudyPlan(seeds=(0,), counts=(9, 30), worlds=("everything", "geometry"), test_poses=8, shell_poses=4)
+pytestmark = pytest.mark.usefixtures("small_networks")
+
+PLAN = StudyPlan(seeds=(0,), counts=(9, 20), worlds=("everything", "geometry"), test_poses=8, shell_poses=4)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("study")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_networks() -> Iterator[None]:
-    """Two of them instead of five, and two decays tried instead of four: most of the time goes into training."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(neural_network, "_MEMBERS", 2)
-        patch.setattr(neural_network, "_DECAYS", (1e-2, 1.0))
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +83,7 @@ def test_a_finished_study_runs_nothing(folder: Path, records: list[Record], monk
 
 def test_another_study_is_not_mixed_in(folder: Path, records: list[Record]) -> None:
     with pytest.raises(InvalidValueError, match="or another folder"):
-        run_study(replace(PLAN, counts=(9, 20)), folder)
+        run_study(replace(PLAN, counts=(9, 30)), folder)
 
 
 def test_tables_and_pictures(records: list[Record], tmp_path: Path) -> None:
