@@ -41,22 +41,24 @@ def module(program: Program, lanes: int, opaque_pointers: bool, fused: bool, att
         text.iterate()
     if program.can_march:
         text.march()
+    text.copies()
     return "\n".join([*text.lines, f"attributes #0 = {{ nounwind {attributes} }}", ""])
 
 
 class _Drivers(StraightLine):
     """The text under construction."""
 
-    rows: list[str]
-    """Numbers of the rows that are in the lanes."""
+    def __init__(self, program: Program, lanes: int, opaque_pointers: bool, fused: bool) -> None:
+        super().__init__(program, lanes, opaque_pointers, fused)
+        self._copies: set[tuple[str, int]] = set()
 
     def evaluate(self) -> None:
         """Emit the loop over blocks of poses."""
         self.begin_function("evaluate", _ROWS)
         self.begin_blocks("loop")
-        self.gather(self.rows_of("inputs"), len(self.program.inputs))
+        self.gather("inputs", len(self.program.inputs))
         self.call_line()
-        self.scatter(self.rows_of("outputs"), len(self.program.results), "%block_outputs")
+        self.scatter("outputs", len(self.program.results), "%block_outputs")
         self.end_blocks()
 
     def iterate(self) -> None:
@@ -65,12 +67,12 @@ class _Drivers(StraightLine):
         self.begin_function("iterate", _ROWS, _STEPS)
         tolerance = self.spread("%tolerance")
         self.begin_blocks("done")
-        self.gather(self.rows_of("inputs"), len(self.program.inputs))
+        self.gather("inputs", len(self.program.inputs))
         self.do("br label %step")
         self.steps("loop", tolerance)
         self.store_vector("%residual_next", "%block_inputs", n * self.lanes)
         self.store_vector("%steps_next", "%block_inputs", (n + 1) * self.lanes)
-        self.scatter(self.rows_of("outputs"), n + 2, "%block_inputs")
+        self.scatter("outputs", n + 2, "%block_inputs")
         self.end_blocks()
 
     def steps(self, before: str, tolerance: str) -> None:
@@ -109,11 +111,11 @@ class _Drivers(StraightLine):
         self.begin_function("march", _LINES, _STEPS, _MARCH, **dict.fromkeys(names, size))
         tolerance, lower, upper, most = (self.spread(f"%{x}") for x in ("tolerance", "lower", "upper", "longest"))
         self.begin_blocks("closed")
-        self.gather(self.rows_of("inputs"), size, "%current")
+        self.gather("inputs", size, "%current")
         for back in range(1, HISTORY + 1):
             is_known = self.emit(f"icmp slt i64 {back}, %known")
             place = self.emit(f"mul i64 {self.emit(f'select i1 {is_known}, i64 {-back}, i64 0')}, %inputs_step")
-            self.gather(self.rows_of("inputs", place), size, f"%previous_{back}")
+            self.gather("inputs", size, f"%previous_{back}", place)
             for k in range(size):
                 now, before = (self.load_vector(x, k * lanes) for x in ("%current", f"%previous_{back}"))
                 usable = self.select(self.compare("ord", before, before), before, now)
@@ -137,8 +139,8 @@ class _Drivers(StraightLine):
         self.store_vector(self.splat(1.0), "%block_inputs", size * lanes)
         self.store_vector(self.splat(0.0), "%block_inputs", (size + 1) * lanes)
         self.do("%given_place = mul i64 %index, %given_step")
-        given = self.rows_of("given", "%given_place")
-        self.gather(given, len(self.program.inputs) - n, self.address("%block_inputs", n * lanes))
+        block = self.address("%block_inputs", n * lanes)
+        self.gather("given", len(self.program.inputs) - n, block, "%given_place")
         self.do("br label %step")
         self.steps("along", tolerance)
         margin, jump = (self.load_vector("%block_inputs", (size + k) * lanes) for k in range(2))
@@ -153,7 +155,7 @@ class _Drivers(StraightLine):
             found = self.load_vector("%block_inputs", k * lanes)
             self.store_vector(self.select(accepted, found, self.splat(float("nan"))), "%current", k * lanes)
         self.do("%place = mul i64 %index, %inputs_step")
-        self.scatter(self.rows_of("inputs", "%place"), size, "%current")
+        self.scatter("inputs", size, "%current", "%place")
         self.do("%index_next = add i64 %index, 1")
         self.do("%further = icmp sle i64 %index_next, %count")
         self.do("br i1 %further, label %along, label %closed")
@@ -185,11 +187,6 @@ class _Drivers(StraightLine):
         self.do("br i1 %some, label %loop, label %end")
         self.label("loop")
         self.do(f"%first = phi i64 [ 0, %entry ], [ %next, %{latch} ]")
-        self.rows = []
-        for lane in range(self.lanes):
-            row = self.emit(f"add i64 %first, {lane}")
-            inside = self.emit(f"icmp slt i64 {row}, %last")
-            self.rows.append(self.emit(f"select i1 {inside}, i64 {row}, i64 %last"))
 
     def end_blocks(self) -> None:
         self.do(f"%next = add i64 %first, {self.lanes}")
@@ -198,18 +195,9 @@ class _Drivers(StraightLine):
         self.label("end")
         self.end()
 
-    def rows_of(self, array: str, offset: str = "0") -> list[str]:
-        """Emit pointers to the rows of an array that belong to the lanes, some numbers further on."""
-        places = [self.emit(f"mul i64 {row}, %{array}_stride") for row in self.rows]
-        return [self.address(f"%{array}", self.emit(f"add i64 {place}, {offset}")) for place in places]
-
     def call_line(self) -> None:
         p = self.pointer
         self.do(f"call void @line({p} %block_inputs, {p} %shared, {p} %block_outputs)")
-
-    def chunks(self, n: int) -> list[int]:
-        """Return the first columns of square pieces that cover n columns; the last two may overlap."""
-        return [*range(0, n - self.lanes + 1, self.lanes), *([n - self.lanes] if n % self.lanes else [])]
 
     def transpose(self, rows: list[str]) -> list[str]:
         step = 1
@@ -227,29 +215,64 @@ class _Drivers(StraightLine):
         mask = ", ".join(f"i32 {index}" for index in picked)
         return self.emit(f"shufflevector {self.vector} {a}, {self.vector} {b}, <{self.lanes} x i32> <{mask}>")
 
-    def gather(self, pointers: list[str], n: int, block: str = "%block_inputs") -> None:
-        """Emit reading n columns of the rows into a block, a vector for each column."""
-        if n >= self.lanes:
-            for first in self.chunks(n):
-                columns = self.transpose([self.load_vector(pointer, first) for pointer in pointers])
-                for k, column in enumerate(columns):
-                    self.store_vector(column, block, (first + k) * self.lanes)
-            return
-        for k in range(n):
-            vector = "poison"
-            for lane, pointer in enumerate(pointers):
-                vector = self.emit(f"insertelement {self.vector} {vector}, double {self.load(pointer, k)}, i32 {lane}")
-            self.store_vector(vector, block, k * self.lanes)
+    def gather(self, array: str, n: int, block: str = "%block_inputs", offset: str = "0") -> None:
+        """Emit reading n columns of the rows in the lanes, some numbers further on, into vectors of a block."""
+        self._copy("gather", array, n, block, offset)
 
-    def scatter(self, pointers: list[str], n: int, block: str) -> None:
-        """Emit writing a block of n vectors to n columns of the rows."""
-        if n >= self.lanes:
-            for first in self.chunks(n):
-                columns = [self.load_vector(block, (first + k) * self.lanes) for k in range(self.lanes)]
-                for pointer, row in zip(pointers, self.transpose(columns), strict=True):
-                    self.store_vector(row, pointer, first)
-            return
-        for k in range(n):
-            vector = self.load_vector(block, k * self.lanes)
-            for lane, pointer in enumerate(pointers):
-                self.store(self.emit(f"extractelement {self.vector} {vector}, i32 {lane}"), pointer, k)
+    def scatter(self, array: str, n: int, block: str, offset: str = "0") -> None:
+        """Emit writing n vectors of a block to columns of the rows in the lanes, some numbers further on."""
+        self._copy("scatter", array, n, block, offset)
+
+    def _copy(self, direction: str, array: str, n: int, block: str, offset: str) -> None:
+        if n:
+            width, p = self.lanes if n >= self.lanes else 1, self.pointer
+            self._copies.add((direction, width))
+            start = self.address(f"%{array}", offset)
+            rows = f"{p} {start}, i64 %{array}_stride, i64 %first, i64 %last"
+            self.do(f"call void @{direction}_{width}({rows}, i64 {n}, {p} {block})")
+
+    def copies(self) -> None:
+        """Emit the functions that gather and scatter, as many columns at a time as there are lanes, or one by one.
+
+        The last columns may be copied twice.
+        """
+        p, lanes = self.pointer, self.lanes
+        rows = f"{p} noalias %array, i64 %stride, i64 %first, i64 %last"
+        for direction, width in sorted(self._copies):
+            self.begin(f"{direction}_{width}", f"{rows}, i64 %count, {p} noalias %block")
+            pointers = []
+            for lane in range(lanes):
+                row = self.emit(f"add i64 %first, {lane}")
+                inside = self.emit(f"icmp slt i64 {row}, %last")
+                row = self.emit(f"select i1 {inside}, i64 {row}, i64 %last")
+                pointers.append(self.address("%array", self.emit(f"mul i64 {row}, %stride")))
+            self.do(f"%final = sub i64 %count, {width}")
+            self.do("br label %loop")
+            self.label("loop")
+            self.do("%column = phi i64 [ 0, %entry ], [ %next, %loop ]")
+            self.do("%before = icmp slt i64 %column, %final")
+            self.do("%start = select i1 %before, i64 %column, i64 %final")
+            vectors = self.address("%block", self.emit(f"mul i64 %start, {lanes}"))
+            if direction == "gather" and width > 1:
+                columns = self.transpose([self.load_vector(pointer, "%start") for pointer in pointers])
+                for k, column in enumerate(columns):
+                    self.store_vector(column, vectors, k * lanes)
+            elif direction == "gather":
+                vector = "poison"
+                for lane, pointer in enumerate(pointers):
+                    number = self.load(pointer, "%start")
+                    vector = self.emit(f"insertelement {self.vector} {vector}, double {number}, i32 {lane}")
+                self.store_vector(vector, vectors, 0)
+            elif width > 1:
+                columns = [self.load_vector(vectors, k * lanes) for k in range(lanes)]
+                for pointer, values in zip(pointers, self.transpose(columns), strict=True):
+                    self.store_vector(values, pointer, "%start")
+            else:
+                vector = self.load_vector(vectors, 0)
+                for lane, pointer in enumerate(pointers):
+                    self.store(self.emit(f"extractelement {self.vector} {vector}, i32 {lane}"), pointer, "%start")
+            self.do(f"%next = add i64 %column, {width}")
+            self.do("%more = icmp slt i64 %next, %count")
+            self.do("br i1 %more, label %loop, label %end")
+            self.label("end")
+            self.end()
