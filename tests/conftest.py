@@ -35,7 +35,7 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-_OURS = ("PM3DOF_", "ROS_", "HOME", "PATH", "MPL", "PYTHONPATH", "XDG_")  # others libraries set as they like
+_OURS = (b"PM3DOF_", b"ROS_", b"HOME", b"PATH", b"MPL", b"PYTHONPATH", b"XDG_")  # others libraries set as they like
 
 
 def _state() -> dict[str, Any]:
@@ -44,7 +44,7 @@ def _state() -> dict[str, Any]:
 
     return {
         "folder": os.getcwd(),
-        "environment": {name: value for name, value in os.environ.items() if name.startswith(_OURS)},
+        "environment": {name: value for name, value in os.environb.items() if name.startswith(_OURS)},
         "arguments": list(sys.argv),
         "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
         "handlers of logs": list(logging.getLogger("pm3dof_pin").handlers),
@@ -66,13 +66,13 @@ def _levels() -> dict[str, int]:
 def _nothing_left_behind() -> Iterator[None]:
     """Let no test change its process for the next one; levels that a command sets, whose process would end, go back."""
     before, levels, matplotlib = _state(), _levels(), sys.modules.get("matplotlib")
-    style = dict(matplotlib.rcParams) if matplotlib else None
+    style = dict.copy(matplotlib.rcParams) if matplotlib else None  # without the checks of each of its items
     yield
     for name in _levels():
         logging.getLogger(name).setLevel(levels.get(name, logging.NOTSET))
     for name, now in _state().items():
         assert now == before[name], f"the test leaves another {name}"
-    assert matplotlib is None or dict(matplotlib.rcParams) == style, "the test leaves another style of pictures"
+    assert matplotlib is None or dict.copy(matplotlib.rcParams) == style, "the test leaves another style of pictures"
 
 
 @dataclasses.dataclass(frozen=True)

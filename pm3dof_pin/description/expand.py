@@ -80,7 +80,7 @@ def _expanded_apart(path: Path, mappings: Mapping[str, str], package_paths: Iter
     }
     try:
         done = subprocess.run(
-            [sys.executable, "-I", str(_SANDBOX)],
+            [sys.executable, "-IS", str(_SANDBOX)],
             input=json.dumps(request),
             capture_output=True,
             text=True,

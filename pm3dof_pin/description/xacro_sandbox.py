@@ -126,10 +126,11 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     from xml.parsers.expat import ExpatError
 
     import xacro
-    import yaml  # noqa: F401
+    import yaml
     from xacro import substitution_args
 
     del xml
+    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, where it is built in
     folders = [os.path.realpath(folder) for folder in request["folders"]]
     _close(xacro, substitution_args, folders)
     _limit()

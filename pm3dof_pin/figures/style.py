@@ -62,7 +62,6 @@ _STYLE = {
     "ytick.major.width": 0.7,
     "lines.linewidth": 1.2,
     "legend.frameon": False,
-    "axes.formatter.use_mathtext": True,
     "savefig.facecolor": "white",
     "pdf.fonttype": 42,  # letters stay letters
     "svg.hashsalt": "pm3dof",
