@@ -141,6 +141,14 @@ def _coarse_pictures() -> Iterator[None]:
 
 
 @pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make figures and their files, but paint nothing into them; other tests look at pictures."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+
+
+@pytest.fixture
 def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the pictures of a calibration's report, half of what the command takes; some tests look at them."""
     from pm3dof_pin.figures import calibration_report

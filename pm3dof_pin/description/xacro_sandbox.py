@@ -130,7 +130,7 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     from xacro import substitution_args
 
     del xml
-    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, where it is built in
+    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # type: ignore[misc]  # libyaml, where it is there
     folders = [os.path.realpath(folder) for folder in request["folders"]]
     _close(xacro, substitution_args, folders)
     _limit()

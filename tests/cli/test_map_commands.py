@@ -18,6 +18,7 @@ Answer = Callable[..., Any]
 FIVE_BAR = str(Path(__file__).parents[1] / "machines" / "five_bar" / "five_bar.urdf")
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_map_of_a_hexapod(answer: Answer, tmp_path: Path) -> None:
     over = ["--over", "x", "-0.012", "0.012", "5", "--over", "rx", "-4", "4", "5", "--at", "z", "0.136"]
     result = answer("stiffness-map", "--robot", "hexapod", *over, "--out", str(tmp_path))
@@ -77,7 +78,7 @@ def test_atlas_over_all_coordinates(answer: Answer, tmp_path: Path) -> None:
 
 
 def test_workspace_over_chosen_coordinates(answer: Answer, tmp_path: Path) -> None:
-    chosen = ["--coordinate", "rx", "--coordinate", "ry", "--coordinate", "z", "--heights", "4", "--directions", "16"]
+    chosen = ["--coordinate", "rx", "--coordinate", "ry", "--coordinate", "z", "--heights", "3", "--directions", "8"]
     result = answer("workspace", "--robot", "hexapod", *chosen, "--no-picture", "--out", str(tmp_path))
     assert {"volume_rad2_m", "z_range_m", "rx_range_rad", "ry_range_rad", "limit_shares", "sections"} <= set(result)
     assert sum(result["limit_shares"].values()) == pytest.approx(1.0)

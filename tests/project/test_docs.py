@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from matplotlib.figure import Figure
 
 from pm3dof_pin.cli.stiffness_map import PICTURES
 from pm3dof_pin.maps.quantities import QUANTITIES
@@ -151,11 +150,9 @@ def test_python_examples(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         del QUANTITIES[name]  # which other pages do not have
 
 
-@pytest.mark.usefixtures("report_without_pictures")
+@pytest.mark.usefixtures("unpainted", "report_without_pictures")
 @pytest.mark.parametrize("page", _with("console"))
 def test_console_examples(page: Path, run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # figures are made but not painted: the tests of figures and of the commands that draw them look at pictures
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
     for block in _blocks(page):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ast
-import os
 import runpy
 import signal
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -36,20 +34,13 @@ def test_examples_run_in_an_empty_folder(
     import matplotlib.pyplot as plt
 
     monkeypatch.chdir(tmp_path)
-    if "distributed" in path.read_text(encoding="utf-8"):  # its processes import the script
-        pytest.importorskip("distributed")
-        command = [sys.executable, "-W", "error", path]
-        ended = subprocess.run(
-            command, env=os.environ | {"MPLBACKEND": "Agg"}, capture_output=True, text=True, check=False
-        )
-        assert ended.returncode == 0, ended.stderr
-        printed = ended.stdout
-    else:
-        with plt.rc_context({"backend": "agg"}):
-            runpy.run_path(str(path), run_name="__main__")
-            plt.close("all")
-        printed = capsys.readouterr().out
-    assert printed.strip()
+    if "distributed" in path.read_text(encoding="utf-8"):
+        distributed = pytest.importorskip("distributed")  # threads do here; tests/maps has a cluster of processes
+        monkeypatch.setattr(distributed, "LocalCluster", partial(distributed.LocalCluster, processes=False))
+    with plt.rc_context({"backend": "agg"}):
+        runpy.run_path(str(path), run_name="__main__")
+        plt.close("all")
+    assert capsys.readouterr().out.strip()
     assert any(made.stat().st_size > 8000 for made in tmp_path.iterdir() if made.suffix in (".png", ".html"))
 
 
