@@ -101,7 +101,7 @@ def fk(
     else:
         solved = solve_pose(machine, chosen.numbers, forward=True)
     if all_modes:
-        modes, residuals = _all_modes(solved.commands, which.tripod())
+        modes, residuals = _all_modes(solved.commands if configuration is not None else commands, which.tripod())
     result, broken = _result(machine, solved)
     if all_modes:
         result["assembly_modes"] = [
