@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.mistakes import Mistake, explained_by, of_a_change, usual_mistakes, wrong_columns
+from pm3dof_pin.calibration.mistakes import (
+    Mistake,
+    explained_by,
+    near_their_ranges,
+    of_a_change,
+    usual_mistakes,
+    wrong_columns,
+)
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
@@ -24,6 +31,7 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import register
+from pm3dof_pin.typing import Mask
 
 _EXPLAINS = 0.25  # of what did not fit is left, at most
 _HALF = 0.5  # likewise, if that is no more than what needs no mistake
@@ -79,7 +87,9 @@ def likely_cause(
             try:
                 without, poses = mistake.without, mistake.nominal
                 if poses is None:
-                    without, poses = _at_nominal(without, robot)
+                    near = near_their_ranges(without.commands, robot)
+                    _require_most(near)
+                    without, poses = _at_nominal(without[near], robot)
                 after = _misfit(without, poses, eta, own_frame or mistake.free)
             except PM3DofError:
                 continue
@@ -136,9 +146,13 @@ def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements,
         InvalidValueError: these are too few.
     """
     nominal = robot.forward(measurements.commands, on_failure="nan")
-    if np.mean(nominal.solved) < _CAN_BE_TAKEN:
-        raise InvalidValueError("commands", "out of reach", "commands that the machine can take")
+    _require_most(nominal.solved)
     return measurements[nominal.solved], nominal[nominal.solved]
+
+
+def _require_most(taken: Mask) -> None:
+    if np.mean(taken) < _CAN_BE_TAKEN:
+        raise InvalidValueError("commands", "out of reach", "commands that the machine can take")
 
 
 def _misfit(measurements: Measurements, nominal: Poses, eta: float, own_frame: bool) -> float:

@@ -18,10 +18,11 @@ from pm3dof_pin.errors.command_correction import command_jacobians, command_scal
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import fitted_sphere, register
-from pm3dof_pin.typing import Array, Indices
+from pm3dof_pin.typing import Array, Indices, Mask
 
 _MANY_DRIVES = 4  # more are not permuted in every way
 _SHIFTS = 20  # rows that poses may stand away from their commands
@@ -30,6 +31,7 @@ _LIKE = 0.1  # of the differences is left where a simpler form describes them
 _SAME = 1e-9
 _ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
 _LEAST_LEAD = 1e-4  # of all drives alike
+_BESIDE = 3.0  # widths of a drive's range
 _STEPS = 3  # times those of one descent
 _FAR = 2.0  # times the median: rows that count less
 _FEWEST = 4  # touches by which a fixed point is found, poses before and after a change
@@ -45,6 +47,16 @@ class Mistake:
     #: poses of the robot as described at their commands; None where these are others than in the file
     nominal: Poses | None
     free: bool = False  #: whether the base has to be found anew
+
+
+def near_their_ranges(commands: Array, robot: Robot) -> Mask:
+    """Tell which commands are in the drives' ranges or not many times their widths beside them, shape=(n,).
+
+    A way to others is long, and they are no explanation of anything.
+    """
+    lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
+    beside = _BESIDE * (upper - lower)
+    return np.asarray(((commands > lower - beside) & (commands < upper + beside)).all(axis=1))
 
 
 def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
@@ -345,7 +357,10 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
             for _ in range(_STEPS):
                 found = found + explained_by(measurements, poses, eta, command_jacobians(poses) @ changes)
-                poses = nominal.robot.forward(commands + changes @ found, guess=poses.q)
+                moved = commands + changes @ found
+                if not near_their_ranges(moved, nominal.robot).all():
+                    return None
+                poses = nominal.robot.forward(moved, guess=poses.q)
             return found, replace(measurements, commands=commands + changes @ found)
         return None
 

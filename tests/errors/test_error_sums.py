@@ -31,7 +31,7 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
     described = Robot.load(robot)
     poses = reachable_poses(described, 50, np.random.default_rng(3))
     errors = closable(GeometricErrors(described), poses)
-    sources = _sources(GeometricErrors(described, errors.parameters[::3]))
+    sources = _sources(GeometricErrors(described, errors.parameters[::7]))
     few = poses[:6]
     tip = kinematic_sum(sources, few, "tip_rms", eta=0.3, engine="pinocchio").values
     for name in get_args(KinematicSum):

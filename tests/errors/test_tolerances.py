@@ -76,7 +76,7 @@ def test_machines_made_to_the_tolerances_are_as_good_as_wanted(tripod_map: Error
     ]
     errors = GeometricErrors(tripod_map.errors.robot, made)
     worst = tripod_map.poses[[np.argmax(best.tip_rms)]]
-    drawn = monte_carlo(errors, worst, 400, np.random.default_rng(1))
+    drawn = monte_carlo(errors, worst, 250, np.random.default_rng(1))
     assert drawn.tip_rms()[0] == pytest.approx(TARGET, rel=0.1)
 
 
@@ -126,6 +126,6 @@ def test_a_target_in_micrometres_is_refused(tripod_map: ErrorMap) -> None:
 def test_the_bound_at_a_pose_covers(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> None:
     poses = tripod_nominal[:20]
     bound = error_map(tripod_errors, poses).tip_bound(0.95)
-    drawn = monte_carlo(tripod_errors, poses, 400, np.random.default_rng(2))
+    drawn = monte_carlo(tripod_errors, poses, 250, np.random.default_rng(2))
     within = np.linalg.norm(drawn.differences * np.repeat([1.0, 0.1], 3), axis=2) <= bound
     assert within.mean() == pytest.approx(0.95, abs=0.02)
