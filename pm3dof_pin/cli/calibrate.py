@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -131,18 +133,18 @@ def calibrate(
     message(f"wrote {folder}, report in {folder / REPORT}")
 
 
-class _warnings_as_messages:  # noqa: N801 - used like a function
-    """Warnings of the calibration become lines on standard error."""
-
-    def __enter__(self) -> None:
-        self._handler = logging.StreamHandler()
-        self._handler.setFormatter(logging.Formatter("pm3dof: warning: %(message)s"))
+@contextmanager
+def _warnings_as_messages() -> Iterator[None]:
+    """Make lines on standard error of the warnings of the calibration."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("pm3dof: warning: %(message)s"))
+    for room in _ROOMS:
+        logging.getLogger(room).addHandler(handler)
+    try:
+        yield
+    finally:
         for room in _ROOMS:
-            logging.getLogger(room).addHandler(self._handler)
-
-    def __exit__(self, *_: object) -> None:
-        for room in _ROOMS:
-            logging.getLogger(room).removeHandler(self._handler)
+            logging.getLogger(room).removeHandler(handler)
 
 
 def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:

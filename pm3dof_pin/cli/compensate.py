@@ -10,7 +10,15 @@ import typer
 
 from pm3dof_pin.cli.options import Json, OutFile, PlaceOptions, PoseOptions, Wrench
 from pm3dof_pin.cli.output import message, progress_bar, table_lines
-from pm3dof_pin.cli.poses import expected_numbers, place, print_at_pose, read_poses, readings, write_batch
+from pm3dof_pin.cli.poses import (
+    expected_numbers,
+    names_and_units,
+    place,
+    print_at_pose,
+    read_poses,
+    readings,
+    write_batch,
+)
 
 if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
@@ -84,7 +92,7 @@ def compensate(
     numbers = {"u": answer.commands[0], "u_nominal": answer.nominal_commands[0], "deviation": answer.deviations[0]}
     result: dict[str, Any] = {
         **numbers,
-        "commands": [{"name": command.name, "unit": command.unit} for command in machine.commands],
+        "commands": names_and_units(machine.command_coordinates),
         **({f"{name}_{min(units)}": values for name, values in numbers.items()} if len(units) == 1 else {}),
         "predicted_error_m": answer.predicted_error[0],
         "error_95_percent_m": answer.error_bound[0],

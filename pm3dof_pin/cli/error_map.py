@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pm3dof_pin.cli.error_budget import budget_lines, map_budget
 from pm3dof_pin.cli.error_parameters import closing_errors
 from pm3dof_pin.cli.map_options import EngineOption, Over, Values, robot_grid
 from pm3dof_pin.cli.options import Json, Out, RobotErrorsOptions, Wrench
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
-from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
+from pm3dof_pin.cli.pictures import Formats, remove_former, save
+from pm3dof_pin.cli.poses import in_words, with_units
 
 if TYPE_CHECKING:
     from pm3dof_pin.errors.error_map import ErrorMap, ParameterShare
-    from pm3dof_pin.errors.source_errors import ErrorSources
-    from pm3dof_pin.kinematics.grid import Grid
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.kinematics.robot import Robot
 
 PICTURES = {
     "error_map_tip.png": "tip_rms",
@@ -30,17 +26,6 @@ PICTURES = {
 }
 _SHOWN = 10
 SAMPLES = 300
-
-
-_CLASSES = {
-    "kinematic parameters": "quasi-static: kinematic parameters",
-    "thermal": "quasi-static: thermal",
-    "stiffness": "quasi-static: stiffness",
-    "drives": "quasi-static: clearance, drives",
-    "vibration": "vibration",
-    "all": "all",
-}
-"""The words of Table 8.4."""
 
 
 def _coverage(text: str) -> str:
@@ -124,7 +109,7 @@ def error_map(
     from pm3dof_pin.maps.error_budget_map import whole_workspace_grid
     from pm3dof_pin.maps.error_section import error_section, errors_over
     from pm3dof_pin.maps.limit_space import limits_over
-    from pm3dof_pin.maps.storage import write_csv, write_netcdf
+    from pm3dof_pin.maps.storage import write_map
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
         raise typer.BadParameter("expected --samples, --whole, or --over and --at, not several of them")
@@ -152,10 +137,11 @@ def error_map(
             section, mapped = error_section(errors, grid, **settings)
             steps = 2 + len(PICTURES) * (pictures and len(grid.dims) == 2)
             progress(1, steps)
-            units = {coordinate.name: coordinate.unit for coordinate in errors.robot.coordinates}
-            result |= {f"{name}_{units[name]}": value for name, value in grid.fixed.items()}
-            place = _in_words(errors.robot, grid.fixed)
-            files += [write_netcdf(section, out / "error_map.nc"), write_csv(section, out / "error_map.csv")]
+            fixed_ones = [c for c in errors.robot.coordinates if c.name in grid.fixed]
+            result |= with_units(fixed_ones, [grid.fixed[c.name] for c in fixed_ones])
+            words = [in_words(c.name, c.unit, grid.fixed[c.name], ".6f" if c.unit == "m" else "g") for c in fixed_ones]
+            place = f"the section {', '.join(words)}" if words else "the workspace"
+            files += write_map(section, out / "error_map")
             if pictures and len(grid.dims) == 2:
                 from pm3dof_pin.figures.section_map import section_map
 
@@ -178,24 +164,14 @@ def error_map(
             from pm3dof_pin.errors.source_errors import ErrorSources
 
             sources = ErrorSources(errors, wrench=wrench, rise=rise, large=large, distribution=distribution)
-            found, written = _budget_of(
-                sources, mapped.poses if grid is None else grid, source or [], eta, out, pictures, formats
+            found, written = map_budget(
+                sources, mapped.poses if grid is None else grid, source or [], eta, out, formats if pictures else []
             )
             files += written
             result |= found
         names = "|".join(name.removesuffix(".png") for name in PICTURES)
         remove_former(out, rf"{names}|error_ranking|least_sensitive_region", files)
     print_result(result, _lines(result, place), as_json=as_json, files=files)
-
-
-def _in_words(robot: Robot, fixed: Any) -> str:
-    """Return which section it is: its coordinates that do not vary."""
-    words = [
-        f"{c.name} = {fixed[c.name]:.6f} m" if c.unit == "m" else f"{c.name} = {math.degrees(fixed[c.name]):g} deg"
-        for c in robot.coordinates
-        if c.name in fixed
-    ]
-    return f"the section {', '.join(words)}" if words else "the workspace"
 
 
 def _summary(mapped: ErrorMap) -> dict[str, Any]:
@@ -283,7 +259,7 @@ def _lines(result: dict[str, Any], place: str) -> list[str]:
     if "allocation" in result:
         lines += ["", *_allocation_lines(result["allocation"])]
     if "budget" in result:
-        lines += ["", *_budget_lines(result)]
+        lines += ["", *budget_lines(result)]
     return lines
 
 
@@ -304,84 +280,3 @@ def _allocation_lines(allocation: dict[str, Any]) -> list[str]:
         "commands corrected",
     ]
     return table_lines(header, rows)
-
-
-def _budget_of(
-    sources: ErrorSources,
-    grid_or_poses: Grid | Poses,
-    names: Sequence[str],
-    eta: float,
-    out: Path,
-    pictures: bool,
-    formats: list[PictureFormat] | None = None,
-) -> tuple[dict[str, Any], list[Path]]:
-    """Compute the budget on a grid or at poses, of all sources or those named; write its maps, and draw them.
-
-    Returns what goes into the result of the command, and the files written.
-    """
-    import numpy as np
-
-    from pm3dof_pin.errors.error_budget import budget_as_data, error_budget
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map, budget_table
-    from pm3dof_pin.maps.storage import write_csv, write_netcdf
-    from pm3dof_pin.measuring.plan_file import write_plan
-
-    if isinstance(grid_or_poses, Poses):
-        budget = error_budget(sources, grid_or_poses, eta=eta, names=names)
-        dataset = budget_table(budget)
-    else:
-        dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
-    files = [write_netcdf(dataset, out / "error_budget.nc"), write_csv(dataset, out / "error_budget.csv")]
-    least = np.flatnonzero(budget.least_sensitive())
-    region = budget.poses[least]
-    files.append(write_plan(region, out / "least_sensitive.csv"))
-    if pictures and dataset["tip_rms"].ndim in (2, 3) and LEAST_SENSITIVE in dataset:
-        from pm3dof_pin.figures.least_sensitive_region import least_sensitive_region
-        from pm3dof_pin.maps.limit_space import limits_over
-
-        figure = least_sensitive_region(dataset, partial(limits_over, sources.robot))
-        files += save(figure, out / "least_sensitive_region.png", formats)
-    ends = {
-        f"{coordinate.name}_{coordinate.unit}": [float(column.min()), float(np.median(column)), float(column.max())]
-        for coordinate, column in zip(sources.robot.coordinates, region.coordinates.T, strict=True)
-    }
-    tip = budget.tip_rms
-    return {
-        "budget": budget_as_data(budget.lines()),
-        "wrench_N_Nm": sources.wrench.tolist(),
-        "rise_K": sources.rise,
-        "least_sensitive": {
-            "poses": len(region),
-            "tip_rms_m": {"least": float(tip.min()), "most": float(tip[least].max()), "elsewhere": float(tip.max())},
-            "least_median_greatest": ends,
-        },
-    }, files
-
-
-def _budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return what :func:`_budget_of` returned as a table, in the words of Table 8.4."""
-    columns = ("tip_rms_m", "greatest_tip_rms_m", "worst_tip_m", "left_m", "energy_m")
-    rows, last = [], ""
-    for line in result["budget"]:
-        group = _CLASSES[line["error_class"]]
-        numbers = [f"{1e6 * line[name]:.2f}" for name in columns]
-        rows.append([group if group != last else "", line["long_name"], *numbers, f"{line['share']:.1%}"])
-        last = group
-    header = ["Table 8.4", "source [µm]", "tip, rms", "worst pose", "bound", "left", "E", "share"]
-    least, ends = result["least_sensitive"], result["least_sensitive"]["least_median_greatest"]
-    tip = least["tip_rms_m"]
-    lines = table_lines(header, rows, words=2)
-    lines.append(
-        f"least sensitive fifth: {1e6 * tip['least']:.1f} to {1e6 * tip['most']:.1f} µm, elsewhere up to "
-        f"{1e6 * tip['elsewhere']:.1f} µm; medians: {_medians(ends)}"
-    )
-    return lines
-
-
-def _medians(ends: dict[str, list[float]]) -> str:
-    words = []
-    for heading, (_, median, _) in ends.items():
-        name, unit = heading.rsplit("_", 1)
-        words.append(f"{name} = {median:.4f} m" if unit == "m" else f"{name} = {math.degrees(median):.1f} deg")
-    return ", ".join(words)

@@ -21,6 +21,7 @@ from pm3dof_pin.cli.map_options import (
 from pm3dof_pin.cli.options import Json, MachineOptions, Out
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
+from pm3dof_pin.cli.poses import with_units
 from pm3dof_pin.cli.stiffness import Model
 from pm3dof_pin.description.coordinates import shown_in
 
@@ -105,11 +106,6 @@ def _grid(robot: Robot, ranges: Any, values: Any, points: int | None) -> Grid:
 
 
 def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model | None) -> dict[str, Any]:
-    units = {c.name: c.unit for c in robot.coordinates}
-
-    def place(values: dict[str, float]) -> dict[str, float]:
-        return {f"{name}_{units[name]}": value for name, value in values.items()}
-
     result: dict[str, Any] = {
         "robot": robot.name,
         "model": model,
@@ -124,9 +120,9 @@ def _result(robot: Robot, grid: Grid, found: WorkspaceEvaluation, model: Model |
                 "mean": entry.mean,
                 "standard_deviation": entry.standard_deviation,
                 "least": entry.least,
-                "least_at": place(entry.least_at),
+                "least_at": with_units(robot.coordinates, entry.least_at.values()),
                 "greatest": entry.greatest,
-                "greatest_at": place(entry.greatest_at),
+                "greatest_at": with_units(robot.coordinates, entry.greatest_at.values()),
                 "defined_part": entry.defined_part,
             }
             for entry in found.distributions

@@ -11,12 +11,14 @@ from pm3dof_pin.cli.options import Json, MachineOptions, NamedConfiguration, Out
 from pm3dof_pin.cli.output import LIMIT_BROKEN, fixed, message, print_result, stop_on_broken_limits, table_lines
 from pm3dof_pin.cli.poses import (
     expected_numbers,
+    names_and_units,
     place,
     read_poses,
     readings,
     si_values,
     solve_chosen,
     solve_pose,
+    with_units,
     write_batch,
 )
 from pm3dof_pin.description.coordinates import shown_in
@@ -95,17 +97,18 @@ def fk(
     residuals: list[float] = []
     if configuration is not None:
         solved = place(machine, chosen)
+        commands = solved.commands
     elif all_modes:
         commands = si_values(machine, machine.command_coordinates, chosen.numbers)
         solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
     else:
         solved = solve_pose(machine, chosen.numbers, forward=True)
     if all_modes:
-        modes, residuals = _all_modes(solved.commands if configuration is not None else commands, which.tripod())
+        modes, residuals = _all_modes(commands, which.tripod())
     result, broken = _result(machine, solved)
     if all_modes:
         result["assembly_modes"] = [
-            _pose_entries(machine.coordinates, mode) | {"residual_m": residual}
+            with_units(machine.coordinates, mode) | {"residual_m": residual}
             for mode, residual in zip(modes, residuals, strict=True)
         ]
     lines = _pose_lines(machine.coordinates, modes if all_modes else [solved.coordinates])
@@ -124,11 +127,11 @@ def _result(robot: Robot, poses: Poses) -> tuple[dict[str, Any], list[BrokenLimi
     result: dict[str, Any] = {
         "robot": robot.name,
         "u": poses.commands,
-        "commands": [{"name": command.name, "unit": command.unit} for command in robot.commands],
+        "commands": names_and_units(robot.command_coordinates),
         **({f"u_{units.pop()}": poses.commands} if len(units) == 1 else {}),
         "pose": {c.name: value for c, value in zip(robot.coordinates, poses.coordinates, strict=True)},
-        "coordinates": [{"name": coordinate.name, "unit": coordinate.unit} for coordinate in robot.coordinates],
-        **_pose_entries(robot.coordinates, poses.coordinates),
+        "coordinates": names_and_units(robot.coordinates),
+        **with_units(robot.coordinates, poses.coordinates),
         "within_limits": configuration is not None and not broken,
         "violated": [limit.name for limit in broken],
         "joints": {},
@@ -146,10 +149,6 @@ def _result(robot: Robot, poses: Poses) -> tuple[dict[str, Any], list[BrokenLimi
             if loop.swing_limit is not None
         }
     return result, broken
-
-
-def _pose_entries(coordinates: Sequence[Coordinate], values: Vector) -> dict[str, float]:
-    return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
 
 
 def _ik_lines(robot: Robot, result: dict[str, Any]) -> list[str]:

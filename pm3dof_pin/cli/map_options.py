@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import finite_number
 from pm3dof_pin.cli.output import message
-from pm3dof_pin.cli.poses import check_units
+from pm3dof_pin.cli.poses import check_units, in_si
 from pm3dof_pin.description.coordinates import Coordinate, shown_in
 
 if TYPE_CHECKING:
@@ -145,14 +145,14 @@ def robot_grid(
         if name not in known:
             raise typer.BadParameter(f"{robot.name} has no coordinate '{name}': expected one of {', '.join(known)}")
     axes: dict[str, tuple[float, float, int] | float] = {}
-    for wanted in ranges or ():
-        if wanted.count < 1 or (wanted.first >= wanted.last if wanted.count > 1 else wanted.first != wanted.last):
-            words = f"{wanted.name} {wanted.first:g} {wanted.last:g} {wanted.count}"
+    for entry in ranges or ():
+        if entry.count < 1 or (entry.first >= entry.last if entry.count > 1 else entry.first != entry.last):
+            words = f"{entry.name} {entry.first:g} {entry.last:g} {entry.count}"
             raise typer.BadParameter(f"{words}: expected growing values")
-        first, last = (_si(known[wanted.name], end) for end in (wanted.first, wanted.last))
-        axes[wanted.name] = (first, last, wanted.count)
+        first, last = (in_si(known[entry.name].unit, end) for end in (entry.first, entry.last))
+        axes[entry.name] = (first, last, entry.count)
     for entry in values or ():
-        axes[entry.name] = _si(known[entry.name], entry.first)
+        axes[entry.name] = in_si(known[entry.name].unit, entry.first)
     numbers = {entry.name: (entry.first, entry.last) for entry in given}
     home = zip(robot.coordinates, robot.home_coordinates, strict=True)
     ends = [numbers.get(c.name, (shown_in(c.unit)[0] * value,) * 2) for c, value in home]
@@ -188,7 +188,3 @@ def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Seq
         factor = shown_in(coordinate.unit)[0]
         ranges.append(CoordinateRange(coordinate.name, factor * float(lower), factor * float(upper), count))
     return ranges
-
-
-def _si(coordinate: Coordinate, number: float) -> float:
-    return math.radians(number) if coordinate.unit == "rad" else number

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,6 +135,22 @@ def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None
         raise typer.Exit(LIMIT_BROKEN)
 
 
+def names_and_units(coordinates: Sequence[Coordinate]) -> list[dict[str, str]]:
+    """Return names and units of coordinates for JSON."""
+    return [{"name": coordinate.name, "unit": coordinate.unit} for coordinate in coordinates]
+
+
+def with_units(coordinates: Sequence[Coordinate], values: Iterable[float]) -> dict[str, float]:
+    """Return values of coordinates [rad, m] by NAME_UNIT, as in "theta_x_rad"."""
+    return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
+
+
+def in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
+    """Return a value [rad, m] as in "theta_x = 10 deg", in so many digits."""
+    factor, shown = shown_in(unit)
+    return f"{name} = {round(factor * value, 9) + 0.0:{digits}} {shown}"
+
+
 def column_of(name: str, unit: str) -> str:
     """Return the heading of a column: what it holds, and the unit."""
     return f"{name}_{unit.replace(' ', '_')}"
@@ -146,7 +162,7 @@ def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Arra
 
 
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
-    """Return coordinates given in [deg, m] in SI units, having checked their number and plausible units."""
+    """Return coordinates given in [deg, m] in radians and metres, having checked their number and plausible units."""
     import numpy as np
 
     if not coordinates:
@@ -154,7 +170,12 @@ def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence
     if len(numbers) != len(coordinates):
         raise typer.BadParameter(f"{expected_numbers(robot, coordinates)}, not {len(numbers)} numbers")
     check_units(robot, coordinates, np.array([numbers]))
-    return np.array([math.radians(n) if c.unit == "rad" else n for c, n in zip(coordinates, numbers, strict=True)])
+    return np.array([in_si(c.unit, number) for c, number in zip(coordinates, numbers, strict=True)])
+
+
+def in_si(unit: str, number: float) -> float:
+    """Return a number given in [deg, m] in radians or metres."""
+    return math.radians(number) if unit == "rad" else number
 
 
 def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
@@ -195,11 +216,7 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
 
 def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | Vector) -> str:
     """Return a pose [rad, m] as `theta_x = 10 deg, z_e = 0.5 m`."""
-    words = []
-    for coordinate, value in zip(coordinates, values, strict=True):
-        factor, unit = shown_in(coordinate.unit)
-        words.append(f"{coordinate.name} = {round(factor * value, 9) + 0.0:.9g} {unit}")
-    return ", ".join(words)
+    return ", ".join(in_words(c.name, c.unit, value) for c, value in zip(coordinates, values, strict=True))
 
 
 def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> str:

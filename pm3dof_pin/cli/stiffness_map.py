@@ -13,7 +13,7 @@ from pm3dof_pin.cli.map_options import EngineOption, Over, Values, declared_rang
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out, finite_number, tilt_angle
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, remove_former, save
-from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
+from pm3dof_pin.cli.table import described
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,14 +88,14 @@ def stiffness_map(
     mapped = MappedRobot(loaded)
     with progress_bar("stiffness map") as progress:
         from pm3dof_pin.maps.grid_map import quantities_over, quantity_map
-        from pm3dof_pin.maps.storage import write_csv, write_netcdf
+        from pm3dof_pin.maps.storage import write_map
         from pm3dof_pin.maps.workspace_evaluation import stiffness_quantities
 
         quantities = (*stiffness_quantities(mapped), "first_frequency")
         dataset = quantity_map(mapped, grid, quantities, engine=engine)
         inside = int((dataset["broken_limits"] == 0).sum())
         _require_poses(f"over {' and '.join(grid.dims)} of {loaded.name}", inside, drawn=pictures)
-        files = [write_netcdf(dataset, out / "stiffness_map.nc"), write_csv(dataset, out / "stiffness_map.csv")]
+        files = write_map(dataset, out / "stiffness_map")
         if pictures:
             exact = quantities_over(mapped, grid, quantities, engine=engine)
             files += _draw(dataset, loaded, grid, exact, out, progress, formats, engine)
@@ -214,7 +214,7 @@ def _map_of_chapter(
     from pm3dof_pin.chapter.section import section_values, stiffness_section
     from pm3dof_pin.chapter.table_8_3 import table_8_3
     from pm3dof_pin.chapter.tilt_grids import RectangularGrid
-    from pm3dof_pin.maps.storage import write_csv, write_netcdf
+    from pm3dof_pin.maps.storage import write_map
 
     tripod, machine = which.tripod(), which.load() if engine == "pinocchio" else None
     angle = math.radians(_DEFAULT_TILT if tilt is None else tilt)
@@ -225,7 +225,7 @@ def _map_of_chapter(
         inside = int((section.data_vars["broken_limits"].values == 0).sum())
         z_e = float(section.coords["z_e"].values)
         _require_poses(f"at z_e = {z_e:g} m", inside, drawn=pictures, tripod=tripod)
-        files = [write_netcdf(section, out / "stiffness_map.nc"), write_csv(section, out / "stiffness_map.csv")]
+        files = write_map(section, out / "stiffness_map")
         progress(2, 2 + len(names))
         if names:
             from pm3dof_pin.chapter.workspace import tripod_space
@@ -237,7 +237,7 @@ def _map_of_chapter(
                 files += save(section_map(dataset, PICTURES[name], within=within, exact=exact), out / name, formats)
                 progress(done, 2 + len(names))
         remove_former(out, JOB_PICTURES, files)
-    rows, statistics = table_8_3(tripod, robot=machine), _ranges(section)
+    (table, table_of_8_3), statistics = described(table_8_3(tripod, robot=machine)), _ranges(section)
     result = {
         "z_e_m": z_e,
         "poses": points**2,
@@ -250,8 +250,8 @@ def _map_of_chapter(
         f"{points**2:,} poses at z_e = {z_e:.6f} m, {inside:,} within every joint limit",
     ]
     if height is None and tilt is None and which.config is None:
-        lines += ["", "Table 8.3, on its own grid", *rows_as_lines(rows)]
-    print_result(result | {"rows": rows_as_data(rows)}, lines, as_json=as_json, files=files)
+        lines += ["", "Table 8.3, on its own grid", *table_of_8_3]
+    print_result(result | table, lines, as_json=as_json, files=files)
 
 
 def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | None = None) -> None:

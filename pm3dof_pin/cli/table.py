@@ -20,17 +20,13 @@ def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption
     which = MachineOptions(config=config)
     robot = which.load() if engine == "pinocchio" else None
     rows = table.table_8_3(which.tripod(), robot=robot)
-    print_result({"rows": rows_as_data(rows)}, rows_as_lines(rows), as_json=as_json)
+    print_result(*described(rows), as_json=as_json)
 
 
-def rows_as_data(rows: Sequence[TableRow]) -> list[dict[str, Any]]:
-    """Return the rows as plain data for JSON."""
+def described(rows: Sequence[TableRow]) -> tuple[dict[str, Any], list[str]]:
+    """Return the rows as plain data for JSON, and as a table for a person, remarks below it."""
     keys = ("axis", "statistic", "published", "computed", "relative_difference", "last_digit_difference", "remark")
-    return [{key: getattr(row, key) for key in keys} for row in rows]
-
-
-def rows_as_lines(rows: Sequence[TableRow]) -> list[str]:
-    """Return the rows as a table for a person, remarks below it."""
+    data = [{key: getattr(row, key) for key in keys} for row in rows]
     cells = [
         [
             *(row.axis, row.statistic, f"{row.published:.4e}", f"{row.computed:.4e}"),
@@ -40,7 +36,7 @@ def rows_as_lines(rows: Sequence[TableRow]) -> list[str]:
     ]
     header = ["axis", "statistic", "published", "computed", "difference", "to five digits"]
     remarks = [f"{row.axis} {row.statistic}: the printed number {row.remark}" for row in rows if row.remark]
-    return [*table_lines(header, cells), *remarks]
+    return {"rows": data}, [*table_lines(header, cells), *remarks]
 
 
 def _verdict(row: TableRow) -> str:

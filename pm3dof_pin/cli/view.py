@@ -14,8 +14,8 @@ import typer
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
-from pm3dof_pin.cli.poses import check_units, place, solve_values
-from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
+from pm3dof_pin.cli.poses import check_units, in_si, place, solve_values
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, shown_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -288,7 +288,7 @@ def _read_path(machine: Robot, path: Path) -> Matrix:
     from pm3dof_pin.exceptions import DescriptionError
     from pm3dof_pin.files import read_text
 
-    units = ", ".join(f"{c.name} [{'m' if c.unit == 'm' else 'deg'}]" for c in machine.coordinates)
+    units = ", ".join(f"{c.name} [{shown_in(c.unit)[1]}]" for c in machine.coordinates)
     count = len(machine.coordinates)
     poses = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -307,4 +307,4 @@ def _read_path(machine: Robot, path: Path) -> Matrix:
     if len(poses) < 2:
         raise DescriptionError(path, "file", f"expected two poses at least, a line each: {units}")
     check_units(machine, machine.coordinates, poses)
-    return np.array(poses) * [1.0 if c.unit == "m" else math.pi / 180.0 for c in machine.coordinates]
+    return np.array([[in_si(c.unit, n) for c, n in zip(machine.coordinates, pose, strict=True)] for pose in poses])

@@ -54,7 +54,7 @@ def workspace(
     Angles in degrees, lengths in metres. Sections over two coordinates, stacked along a third; coordinates not named
     stay at home, or at the value of --at.
     """
-    from pm3dof_pin.maps.storage import write_csv, write_netcdf
+    from pm3dof_pin.maps.storage import write_map
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
     given = which.robot or coordinate or values or which.tool_frame or engine != "program"
@@ -68,8 +68,7 @@ def workspace(
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
         progress(1, 4 if picture else 3)
-        boundary = found.boundary()
-        files = [write_netcdf(boundary, out / "workspace.nc"), write_csv(boundary, out / "workspace.csv")]
+        files = write_map(found.boundary(), out / "workspace")
         progress(3, 4 if picture else 3)
         if picture:
             from pm3dof_pin.figures.workspace import workspace_figure

@@ -19,7 +19,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -246,15 +246,9 @@ def _compute(
     try:
         finished = atlas.store.open()
         todo = [block for block in atlas.blocks() if block not in finished]
-        total = atlas.grid.size
-        done = total - sum(_poses_in(atlas, block) for block in todo)
-        with _Entries(atlas.store) as entries:
-            run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
-            for sealed in run:
-                entries.add(sealed)
-                done += _poses_in(atlas, sealed[0])
-                if progress:
-                    progress(done, total)
+        done = atlas.grid.size - sum(_poses_in(atlas, block) for block in todo)
+        run = _on_cluster(atlas, todo, cluster) if cluster else _on_threads(atlas, todo, threads)
+        _enter(atlas, run, done, progress)
         if not any((atlas.store.read(BROKEN_LIMITS, atlas.slices(block)) == 0).any() for block in atlas.blocks()):
             atlas.store.remove()
             raise UnreachablePoseError(f"no pose of the atlas over {', '.join(atlas.grid.dims)} is within every limit")
@@ -272,29 +266,29 @@ def _compute(
         raise OutputError(atlas.path, reason) from error
 
 
-class _Entries:
-    """Blocks on their way into the journal, a few at a time; on leaving, whatever happened, all of them."""
-
-    def __init__(self, store: AtlasStore) -> None:
-        self._store = store
-        self._waiting: list[tuple[Block, Checksums]] = []
-        self._last = time.monotonic()
-
-    def __enter__(self) -> _Entries:
-        return self
-
-    def add(self, sealed: tuple[Block, Checksums]) -> None:
-        self._waiting.append(sealed)
-        if time.monotonic() - self._last > _BETWEEN_ENTRIES:
-            self._enter()
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with nullcontext() if kind is None else suppress(OSError):
-            self._enter()
-
-    def _enter(self) -> None:
-        self._store.enter(self._waiting)
-        self._waiting, self._last = [], time.monotonic()
+def _enter(
+    atlas: Atlas,
+    run: Iterable[tuple[Block, Checksums]],
+    done: int,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Enter sealed blocks into the journal, a few at a time; on leaving, whatever happened, all of them."""
+    waiting: list[tuple[Block, Checksums]] = []
+    entered = time.monotonic()
+    try:
+        for sealed in run:
+            waiting.append(sealed)
+            if time.monotonic() - entered > _BETWEEN_ENTRIES:
+                atlas.store.enter(waiting)
+                waiting, entered = [], time.monotonic()
+            done += _poses_in(atlas, sealed[0])
+            if progress:
+                progress(done, atlas.grid.size)
+    except BaseException:
+        with suppress(OSError):
+            atlas.store.enter(waiting)
+        raise
+    atlas.store.enter(waiting)
 
 
 def open_atlas(path: Path | str) -> xr.Dataset:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.named_arrays import Labelled, Map
 
 
+def write_map(dataset: Map, path: Path) -> list[Path]:
+    """Write a map as NetCDF-4 and as CSV beside it, suffixes added to the path; see the two functions below."""
+    return [write_netcdf(dataset, path.with_suffix(".nc")), write_csv(dataset, path.with_suffix(".csv"))]
+
+
 def write_netcdf(dataset: Map, path: Path | str) -> Path:
     """Write a map as NetCDF-4, compressed, angles in radians, and return the path; equal maps give equal bytes.
 
