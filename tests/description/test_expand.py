@@ -26,7 +26,10 @@ from pm3dof_pin.description.closures import read_closures
 from pm3dof_pin.description.expand import expand_xacro, trust_xacro
 from pm3dof_pin.description.robots import robot_names, robots_directory
 from pm3dof_pin.exceptions import DescriptionError
-from pm3dof_pin.export.description import description_files, same_but_rounding
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from generate_description import description_files, same_but_rounding
 
 Tree = dict[str, Any]
 FOLDER = robots_directory() / "pm3dof_description"

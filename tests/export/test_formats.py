@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,11 +17,14 @@ import yourdfpy
 
 from pm3dof_pin.description.robots import find_robot, robots_directory
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, OutputError, PM3DofError, UnknownRobotError
-from pm3dof_pin.export.description import description_files, same_but_rounding
 from pm3dof_pin.export.formats import FORMATS, export_robot, exported_files
 from pm3dof_pin.export.robot_document import read_robot
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 from pm3dof_pin.kinematics.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from generate_description import description_files, same_but_rounding
 
 MACHINES = Path(__file__).parents[1] / "machines"
 CONVENTION = ["closed_loop", "type", "name_mot", "joint_name", "joint_type"]

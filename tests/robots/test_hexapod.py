@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,16 @@ from scipy.spatial.transform import Rotation
 from pm3dof_pin.description.robots import find_robot, robots_directory
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.report import cartesian_compliance
-from pm3dof_pin.export.description import description_files
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.actuation import actuation_jacobian, tool_motions
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.singularity import singularities
 from pm3dof_pin.mechanism.configuration import Configuration
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from generate_description import description_files
 
 STRUTS = range(1, 7)
 TOOL_AT_HOME = np.array([0.0, 0.0, 0.135])
