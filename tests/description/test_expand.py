@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import json
 import logging
 import math
@@ -35,6 +36,7 @@ Tree = dict[str, Any]
 FOLDER = robots_directory() / "pm3dof_description"
 XACRO = FOLDER / "xacro" / "pm3dof.urdf.xacro"
 SCRIPT = Path(__file__).parents[2] / "scripts" / "generate_description.py"
+_generated = functools.cache(description_files)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,7 @@ def write(tree: Tree, tmp_path: Path) -> Callable[[Callable[[Tree], Any]], Path]
 
 @pytest.mark.parametrize("robot", robot_names())
 def test_the_committed_files_are_as_generated(robot: str) -> None:
-    generated = description_files(robot=robot)
+    generated = _generated(robot)
     folder = robots_directory() / f"{robot}_description"
     assert {f"urdf/{robot}.urdf", f"urdf/{robot}.closures.yaml", f"srdf/{robot}.srdf"} < set(generated)
     for name, text in generated.items():
@@ -81,7 +83,7 @@ def test_the_text_does_not_depend_on_where_it_is_made(tmp_path: Path, monkeypatc
 
 
 def test_the_text_says_that_it_is_generated_and_holds_no_path() -> None:
-    for text in description_files().values():
+    for text in _generated("pm3dof").values():
         assert "enerated" in text
         assert str(robots_directory()) not in text
 
@@ -105,6 +107,7 @@ def test_the_script_checks_and_writes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main = runpy.run_path(str(SCRIPT))["main"]
+    monkeypatch.setitem(main.__globals__, "description_files", _generated)
 
     def run(*arguments: str) -> int:
         monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])

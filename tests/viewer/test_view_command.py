@@ -34,30 +34,30 @@ def run(run: Run) -> Run:
 
 
 @contextmanager
-def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The command while it serves, and its address."""
-    process = subprocess.Popen([*COMMAND, *arguments, "--no-open"], stderr=subprocess.PIPE, text=True)
+def served(*arguments: str, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command while it serves, and what it has said until then."""
+    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True, env=environment or None)
     assert process.stderr is not None
     try:
         said = ""
-        while not (address := re.search(r"at (http://\S+) until Ctrl-C", said)):
+        while "until Ctrl-C" not in said:
             line = process.stderr.readline()
             assert line, said
             said += line
-        yield process, address[1]
+        yield process, said
     finally:
         process.kill()
         process.wait()
         process.stderr.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_serves_until_it_is_told_to_end(number: int) -> None:
-    with served("10", "-15", "0.5") as (process, address):
+def test_serves_until_it_is_told_to_end() -> None:
+    with served("10", "-15", "0.5", "--no-open") as (process, said):
+        (address,) = re.findall(r"at (http://\S+) until Ctrl-C", said)
         assert address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(address) as answer:
             assert b"meshcat-pane" in answer.read()
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait(timeout=20) == 0
         assert process.stderr is not None
         assert process.stderr.read() == "closed\n"
@@ -66,29 +66,25 @@ def test_serves_until_it_is_told_to_end(number: int) -> None:
             pass
 
 
+def test_limits_strangers_and_no_screen_are_named_and_the_page_still_served() -> None:
+    """A pose beyond a limit, on every interface, where no browser can be opened; it ends by SIGTERM."""
+    screenless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with served("0", "0", "0.59", "--host", "0.0.0.0", **screenless) as (process, said):
+        assert said.count("joint limit broken: slider") == 3
+        assert process.stderr is not None
+        after = process.stderr.readline() + process.stderr.readline()
+        assert "everybody who reaches this machine can see the page" in after
+        assert "no browser could be opened here: open the address yourself" in after
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=20) == 0
+
+
 def test_a_taken_port(run: Run) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         result = run("0", "0", "0.5", "--no-open", "--port", str(port))
     assert result.returncode == 1
     assert result.stderr == f"pm3dof: cannot listen on 127.0.0.1, port {port}: Address already in use\n"
-
-
-def test_another_interface_comes_with_a_warning() -> None:
-    with served("--host", "0.0.0.0") as (process, _):
-        assert process.stderr is not None
-        assert "everybody who reaches this machine can see the page" in process.stderr.readline()
-
-
-def test_a_limit_that_is_broken_is_named_and_the_page_still_served() -> None:
-    process = subprocess.Popen([*COMMAND, "0", "0", "0.59", "--no-open"], stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    with process.stderr as errors:
-        lines = [errors.readline() for _ in range(4)]
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
-    assert all("joint limit broken: slider" in line for line in lines[:3])
-    assert "until Ctrl-C" in lines[3]
 
 
 @pytest.mark.parametrize(
@@ -152,17 +148,6 @@ def test_no_browser_for_a_picture(run: Run, tmp_path: Path, monkeypatch: pytest.
     assert result.returncode == 1
     assert "expected the path of Chromium or Chrome" in result.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_screen_is_no_error() -> None:
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    process = subprocess.Popen([*COMMAND, "0", "0", "0.5"], stderr=subprocess.PIPE, text=True, env=environment)
-    assert process.stderr is not None
-    with process.stderr as errors:
-        said = errors.readline() + errors.readline()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) == 0
-    assert "no browser could be opened here: open the address yourself" in said
 
 
 def test_a_page_of_a_pose_beyond_a_limit(run: Run, tmp_path: Path) -> None:
