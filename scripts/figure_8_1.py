@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from drawings.schematic import schematic_figure
@@ -13,9 +14,9 @@ from pm3dof_pin.figures.style import FORMATS, save_pictures
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
-def main(out: Path = RESULTS) -> None:
+def main(out: Path = RESULTS, formats: Sequence[str] = FORMATS) -> None:
     figure = schematic_figure(Tripod.load())
-    print(*save_pictures(figure, out / "figure_8_1", FORMATS), sep="\n")
+    print(*save_pictures(figure, out / "figure_8_1", formats), sep="\n")
 
 
 if __name__ == "__main__":

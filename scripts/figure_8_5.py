@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from drawings.pseudo_error import pseudo_error_figure
@@ -12,9 +13,9 @@ from pm3dof_pin.figures.style import FORMATS, save_pictures
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 
-def main(out: Path = RESULTS) -> None:
+def main(out: Path = RESULTS, formats: Sequence[str] = FORMATS) -> None:
     figure = pseudo_error_figure()
-    print(*save_pictures(figure, out / "figure_8_5", FORMATS), sep="\n")
+    print(*save_pictures(figure, out / "figure_8_5", formats), sep="\n")
 
 
 if __name__ == "__main__":

@@ -96,8 +96,9 @@ class Legs:
         x, y, z = np.moveaxis(along_axes @ self.tripod.link_frames, -1, 0)
         universal = np.stack([np.arctan2(x, z), -np.arctan2(y, np.sqrt(x * x + z * z))], axis=-1)
         sockets = _dotted(self.orientation, self.tripod.socket_axes)
-        lever = np.cross(sockets, self.links)
-        swing = np.arctan2(np.sqrt(_dot(lever, lever)), _dot(sockets, self.links))
+        (ax, ay, az), (bx, by, bz) = np.moveaxis(sockets, -1, 0), np.moveaxis(self.links, -1, 0)
+        across = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+        swing = np.arctan2(across, _dot(sockets, self.links))
         angles = np.empty(self.links.shape)
         angles[..., :2] = np.moveaxis(universal.reshape(legs, *shape, 2), 0, -2)
         angles[..., 2] = swing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +35,9 @@ TITLES = {
 }
 
 
-def main(out: Path = RESULTS) -> None:
+def main(out: Path = RESULTS, formats: Sequence[str] = FORMATS) -> None:
     tripod = Tripod.load()
-    print(*save_pictures(passive_leg_radius_figure(tripod), out / "passive_leg_radius", FORMATS), sep="\n")
+    print(*save_pictures(passive_leg_radius_figure(tripod), out / "passive_leg_radius", formats), sep="\n")
     tilts = np.radians(np.arange(-45.0, 46.0))
     poses = np.stack(np.meshgrid(tilts, tilts, tripod.middle_height, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = poses[limit_flags(tripod, poses) == 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +30,12 @@ DRAWN_TILTS = (-30.0, 0.0, 30.0)
 HALF = 0.075  # half the width of a platform that is drawn [m]
 
 
-def main(out: Path = RESULTS, points: int = POINTS) -> None:
+def main(out: Path = RESULTS, points: int = POINTS, formats: Sequence[str] = FORMATS) -> None:
     robots = {
         "universal joint on the platform": pm.load("pm3dof"),
         "universal joint at the base": pm.load(temporary_description("pm3dof", "universal_joint_at_base")),
     }
-    print(*save_pictures(universal_joint_figure(robots, 0.487333), out / "universal_joint", FORMATS), sep="\n")
+    print(*save_pictures(universal_joint_figure(robots, 0.487333), out / "universal_joint", formats), sep="\n")
     print(f"\n{'mean over the workspace':32}" + "".join(f"{axis:>12}" for axis in ("x", "y", "z", "rx", "ry", "rz")))
     for words, robot in robots.items():
         grid = robot.grid(**{c.name: (*robot.range_of(c), points) for c in robot.coordinates})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -16,6 +18,11 @@ from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_sectio
 HEIGHTS = (0.4, 0.4305, 0.487333, 0.53, 0.5535, 0.57)
 
 
+@cache
+def _section(tripod: Tripod, z_e: float, directions: int) -> WorkspaceSection:
+    return workspace_section(tripod_space(tripod), z_e, directions)
+
+
 def _poses(section: WorkspaceSection, farther: float = 0.0) -> np.ndarray:
     """Boundary poses, moved across the boundary by a length in radians."""
     radii = section.radii + np.where(section.leaving, farther, -farther)
@@ -24,6 +31,7 @@ def _poses(section: WorkspaceSection, farther: float = 0.0) -> np.ndarray:
     return np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths), heights], axis=-1)
 
 
+@cache
 def _dense(tripod: Tripod, z_e: float, reach: float, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Tilts on a square grid and whether they are reachable."""
     line = step * (np.arange(-round(reach / step), round(reach / step)) + 0.5)
@@ -39,7 +47,7 @@ def _perimeter(section: WorkspaceSection) -> float:
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_limits_change_at_the_boundary(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod_space(tripod), z_e, 120)
+    section = _section(tripod, z_e, 120)
     assert np.all(limit_flags(tripod, _poses(section)) == 0)
     across = limit_flags(tripod, _poses(section, 1.01e-10))
     assert np.all(across != 0)
@@ -48,7 +56,7 @@ def test_limits_change_at_the_boundary(tripod: Tripod, z_e: float) -> None:
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_the_joint_that_binds_is_at_its_limit(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod_space(tripod), z_e, 120)
+    section = _section(tripod, z_e, 120)
     u = inverse_kinematics(tripod, _poses(section))
     swing = passive_joint_angles(tripod, _poses(section))[..., 2]
     at_stop = np.abs(np.abs(u - 0.240272).max(axis=1) - 0.085) < 1e-10
@@ -61,7 +69,7 @@ def test_the_joint_that_binds_is_at_its_limit(tripod: Tripod, z_e: float) -> Non
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod_space(tripod), z_e, 720)
+    section = _section(tripod, z_e, 720)
     assert section.star_shaped
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), np.radians(0.25))
     assert ndimage.label(reachable)[1] == 1
@@ -76,7 +84,7 @@ def test_sections_of_the_machine_are_star_shaped(tripod: Tripod, z_e: float) -> 
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_area_and_ranges_against_counting(tripod: Tripod, z_e: float) -> None:
-    section, step = workspace_section(tripod_space(tripod), z_e), np.radians(0.2)
+    section, step = _section(tripod, z_e, 720), np.radians(0.25)
     tilts, reachable = _dense(tripod, z_e, np.radians(51.0), step)
     # a cell is counted wrongly by less than its half, and the boundary runs through fewer than 2 * perimeter / step
     assert abs(section.area - reachable.sum() * step**2) < _perimeter(section) * step
@@ -100,7 +108,7 @@ def test_area_converges_with_the_directions(tripod: Tripod) -> None:
 
 @pytest.mark.parametrize("z_e", HEIGHTS)
 def test_mirror_symmetry(tripod: Tripod, z_e: float) -> None:
-    section = workspace_section(tripod_space(tripod), z_e, 360)
+    section = _section(tripod, z_e, 720)
     mirrored = np.roll(section.radii[::-1], 1)
     np.testing.assert_allclose(section.radii, mirrored, atol=2.5e-10)
     np.testing.assert_allclose(section.ranges[1], -section.ranges[1, ::-1], atol=1e-5)
@@ -130,7 +138,7 @@ def test_shares_count_the_directions(tripod: Tripod) -> None:
     [(0.6176, False, 2, 0), (0.62, False, 1, 1), (0.6246, True, 1, 3), (0.6356, True, 1, 0)],
 )
 def test_sections_with_parts_and_holes(hollow_tripod: Tripod, z_e: float, level: bool, parts: int, holes: int) -> None:
-    section, step = workspace_section(tripod_space(hollow_tripod), z_e, 720), np.radians(0.2)
+    section, step = _section(hollow_tripod, z_e, 720), np.radians(0.25)
     tilts, reachable = _dense(hollow_tripod, z_e, np.radians(77.0), step)
     assert ndimage.label(reachable, np.ones((3, 3)))[1] == parts
     assert ndimage.label(ndimage.binary_fill_holes(reachable) & ~reachable)[1] == holes
