@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,10 +151,16 @@ def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spare the pictures of a calibration's report, half of what the command takes; some tests look at them."""
-    from pm3dof_pin.figures import calibration_report
+    """Spare the command the pictures of a calibration's report and most poses of its maps, half of what it takes."""
+    from matplotlib.figure import Figure
 
+    from pm3dof_pin.calibration import judging
+    from pm3dof_pin.figures import calibration, calibration_report
+
+    names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
+    monkeypatch.setattr(calibration, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
     monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
+    monkeypatch.setattr(judging, "workspace_errors", partial(judging.workspace_errors, points=7))
 
 
 @pytest.fixture(scope="session")

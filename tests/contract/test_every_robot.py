@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pm3dof_pin.figures import calibration_report
-
 Run = Callable[..., Any]
 Case = Any  # of conftest
 
@@ -114,11 +112,11 @@ def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
     assert list(Path("errors").glob("*.nc"))
 
 
-def test_measured_calibrated_compensated(pm3dof: Run, case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_measured_calibrated_compensated(pm3dof: Run, case: Case, request: pytest.FixtureRequest) -> None:
     if case.name in ("four_bar", "walker", "hexapod", "ur5"):  # the latter in tests/calibration/test_commands.py
         return
     if case.name != "five_bar":  # one report with its pictures is enough
-        monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
+        request.getfixturevalue("report_without_pictures")
     pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 12, "--seed", 1)
     few = ("--force",) if case.name == "delta" else ()  # 72 equations for its 204 error parameters
     pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm", *few)
