@@ -10,7 +10,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import FORMATS, save_pictures
-from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
+from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.maps.storage import write_csv
 from pm3dof_pin.maps.workspace import workspace
 
@@ -20,7 +20,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "results"
 def main(out: Path = RESULTS, sections: int = 241, formats: Sequence[str] = ("png",)) -> None:
     tripod = Tripod.load()
     reachable = workspace(tripod_space(tripod), levels=sections)
-    figure = workspace_figure(reachable, PrintedRanges(printed_ranges(tripod)))
+    figure = workspace_figure(reachable, printed_ranges(tripod))
     print(*save_pictures(figure, out / "figure_8_2", formats), sep="\n")
     print(write_csv(reachable.boundary(), out / "figure_8_2_boundary.csv"))
     for statement in compare_printed_ranges(tripod, reachable):

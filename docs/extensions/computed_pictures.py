@@ -28,7 +28,7 @@ from pm3dof_pin.figures.critical_springs import critical_springs
 from pm3dof_pin.figures.error_ranking import error_ranking
 from pm3dof_pin.figures.section_map import section_map
 from pm3dof_pin.figures.style import save_figure
-from pm3dof_pin.figures.workspace import PrintedRanges, workspace_figure
+from pm3dof_pin.figures.workspace import workspace_figure
 from pm3dof_pin.kinematics.robot import Robot, load
 from pm3dof_pin.maps.atlas import Atlas, compute_atlas, open_atlas
 from pm3dof_pin.maps.error_section import error_section, errors_over
@@ -58,7 +58,7 @@ def _draw(app: Sphinx) -> None:
     save_figure(pseudo_error_figure(), folder / "figure_8_5_pseudo_error.png")
     save_figure(compensation_flow_figure(), folder / "figure_8_6_compensation_flow.png")
     space = tripod_space(tripod)
-    reachable, printed = workspace(space, 61, 180), PrintedRanges(printed_ranges(tripod))
+    reachable, printed = workspace(space, 61, 180), printed_ranges(tripod)
     save_figure(workspace_figure(reachable, printed), folder / "figure_8_2_workspace.png")
     section, within = stiffness_section(tripod).dataset(), partial(space.within, levels=tripod.middle_height)
     for name, quantity in PICTURES.items():

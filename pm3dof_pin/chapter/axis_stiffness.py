@@ -1,13 +1,10 @@
-"""Stiffness on the chapter's six axes in three readings: its own number, K_jj and 1 / C_jj of the elastic model."""
+"""Stiffness on the chapter's six axes in the elastic model: K_jj and 1 / C_jj, to stand beside its own number."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.chapter.chapter_stiffness import chapter_stiffness
 from pm3dof_pin.chapter.elastic_stiffness import elastic_stiffness
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.elastic import indices
@@ -32,10 +29,3 @@ def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
     """
     flexibility = inverse_definite(elastic_stiffness(tripod, poses))
     return indices.felt_stiffness(np.diagonal(flexibility, axis1=-2, axis2=-1))[..., _ROWS]
-
-
-READINGS: dict[str, Callable[[Tripod, ArrayLike], Array]] = {
-    "chapter": chapter_stiffness,
-    "elastic, held": held_stiffness,
-    "elastic, felt": felt_stiffness,
-}

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.chapter.kinematics import Legs, motion_twists, require_reach
+from pm3dof_pin.chapter.kinematics import motion_twists, placed_legs
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, OnFailure
@@ -34,9 +34,8 @@ def chapter_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure
         InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
     pose_array = tripod.checked(poses)
-    legs = Legs.at(tripod, pose_array)
+    legs = placed_legs(tripod, pose_array, on_failure)
     if on_failure == "raise":
-        require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
     link_jacobian = legs.wrenches @ motion_twists(pose_array)
     travel_jacobian = link_jacobian / legs.cosines[..., None]  # (8.9)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.chapter.chapter_stiffness import require_above_clamp
-from pm3dof_pin.chapter.kinematics import Legs, require_reach
+from pm3dof_pin.chapter.kinematics import Legs, placed_legs
 from pm3dof_pin.chapter.tripod import Tripod
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
 from pm3dof_pin.typing import Array, OnFailure
@@ -29,9 +29,8 @@ def elastic_stiffness(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure
         InvalidValueError: poses of a wrong shape, or at or below the clamp of the passive leg, where L is not positive.
     """
     pose_array = tripod.checked(poses)
-    legs = Legs.at(tripod, pose_array)
+    legs = placed_legs(tripod, pose_array, on_failure)
     if on_failure == "raise":
-        require_reach(tripod, pose_array, legs.travels)
         require_above_clamp(tripod, pose_array)
     return _of_legs(legs) + _of_passive_leg(tripod, pose_array)
 

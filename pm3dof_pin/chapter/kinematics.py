@@ -135,18 +135,18 @@ def inverse_kinematics(
         UnreachablePoseError: a link cannot meet its guideway, and `on_failure` is "raise".
         InvalidValueError: poses or modes of a wrong shape; or a pose is not finite, and `on_failure` is "raise".
     """
-    return _legs(tripod, poses, on_failure, tripod.checked_modes(assembly_mode)).travels
+    return placed_legs(tripod, tripod.checked(poses), on_failure, tripod.checked_modes(assembly_mode)).travels
 
 
-def _legs(tripod: Tripod, poses: ArrayLike, on_failure: OnFailure, modes: Array | float = -1.0) -> Legs:
-    pose_array = tripod.checked(poses)
-    legs = Legs.at(tripod, pose_array, modes)
+def placed_legs(tripod: Tripod, poses: Array, on_failure: OnFailure, modes: Array | float = -1.0) -> Legs:
+    """Return the legs at checked poses; what is out of reach or no number raises, or is NaN."""
+    legs = Legs.at(tripod, poses, modes)
     if on_failure == "raise":
-        require_reach(tripod, pose_array, legs.travels)
+        _require_reach(tripod, poses, legs.travels)
     return legs
 
 
-def require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
+def _require_reach(tripod: Tripod, poses: Array, u: Array) -> None:
     """Raise UnreachablePoseError, naming pose and leg, where travels u are NaN; InvalidValueError where the pose is."""
     infinite = np.argwhere(~np.all(np.isfinite(poses), axis=-1))
     if len(infinite):
@@ -186,12 +186,12 @@ def link_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "
 
     Shape=(..., n, 3) [m/rad, m/rad, 1]; errors are those of :func:`inverse_kinematics`.
     """
-    return _legs(tripod, poses, on_failure).wrenches @ motion_twists(poses)
+    return placed_legs(tripod, tripod.checked(poses), on_failure).wrenches @ motion_twists(poses)
 
 
 def slider_jacobian(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFailure = "raise") -> Array:
     """Return J_t, the travel of the sliders against (theta_x, theta_y, z_e) with rigid links, (8.9), as J_a."""
-    legs = _legs(tripod, poses, on_failure)
+    legs = placed_legs(tripod, tripod.checked(poses), on_failure)
     return legs.wrenches @ motion_twists(poses) / legs.cosines[..., None]
 
 
@@ -202,7 +202,7 @@ def passive_joint_angles(tripod: Tripod, poses: ArrayLike, *, on_failure: OnFail
     axis normal to both; both angles count from home. The swing of the spherical joint is the angle between the link and
     the joint's axis in the platform. Errors are those of :func:`inverse_kinematics`.
     """
-    return _legs(tripod, poses, on_failure).passive_angles
+    return placed_legs(tripod, tripod.checked(poses), on_failure).passive_angles
 
 
 def joint_positions(tripod: Tripod, pose: ArrayLike) -> dict[str, float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pm3dof_pin.arrays import real_array
+from pm3dof_pin.arrays import frozen, real_array
 from pm3dof_pin.description.parameters import TripodParameters
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.unit_sense import other_unit
@@ -64,15 +64,9 @@ class Tripod:
                 self.height_max + margin,
             ]
         )
-        for array in (
-            self.base_joints,
-            self.guide_directions,
-            self.platform_joints,
-            self.socket_axes,
-            self.link_frames,
-        ):
-            array.setflags(write=False)
-        self.bounds.setflags(write=False)
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> Tripod:
@@ -92,9 +86,7 @@ class Tripod:
     @cached_property
     def home(self) -> Array:
         """The home pose (0, 0, z_home) [rad, rad, m]."""
-        pose = np.array([0.0, 0.0, self.height_home])
-        pose.setflags(write=False)
-        return pose
+        return frozen(np.array([0.0, 0.0, self.height_home]))
 
     def level_height(self, slider: float) -> float:
         """Return z_e of the level platform with every slider at the same travel [m], platform above the sliders.

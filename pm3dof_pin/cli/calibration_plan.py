@@ -11,7 +11,7 @@ import typer
 
 from pm3dof_pin.cli.calibrate import MethodName, TargetOffsets
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, PictureFormat, save
 
@@ -72,14 +72,7 @@ def calibration_plan(
         list[str] | None,
         typer.Option(metavar="JOINT", help="A passive joint whose encoder is read too; may be given several times."),
     ] = None,
-    wrench: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        typer.Option(
-            metavar="FX FY FZ MX MY MZ",
-            help="Load the tool with known wrenches, each component between minus and plus so much [N, N m], and "
-            "identify the stiffness of the springs too.",
-        ),
-    ] = None,
+    wrench: KnownWrenches = None,
     among: Annotated[
         Path | None,
         typer.Option(
@@ -113,7 +106,10 @@ def calibration_plan(
     formats: Formats = None,
     as_json: Json = False,
 ) -> None:
-    """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres."""
+    """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres.
+
+    Known wrenches identify the stiffness of the springs too.
+    """
     from dataclasses import replace
 
     import numpy as np

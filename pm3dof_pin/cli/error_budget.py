@@ -41,17 +41,12 @@ def map_budget(
     """
     import numpy as np
 
-    from pm3dof_pin.errors.error_budget import budget_as_data, error_budget
-    from pm3dof_pin.kinematics.poses import Poses
-    from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map, budget_table
+    from pm3dof_pin.errors.error_budget import budget_as_data
+    from pm3dof_pin.maps.error_budget_map import LEAST_SENSITIVE, budget_map
     from pm3dof_pin.maps.storage import write_map
     from pm3dof_pin.measuring.plan_file import write_plan
 
-    if isinstance(grid_or_poses, Poses):
-        budget = error_budget(sources, grid_or_poses, eta=eta, names=names)
-        dataset = budget_table(budget)
-    else:
-        dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
+    dataset, budget = budget_map(sources, grid_or_poses, eta=eta, names=names)
     files = write_map(dataset, out / "error_budget")
     least = np.flatnonzero(budget.least_sensitive())
     region = budget.poses[least]

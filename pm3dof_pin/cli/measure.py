@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from pm3dof_pin.cli.error_parameters import closing_errors
-from pm3dof_pin.cli.options import Json, RobotErrorsOptions
+from pm3dof_pin.cli.options import Json, KnownWrenches, RobotErrorsOptions
 from pm3dof_pin.cli.output import message, print_result
 
 if TYPE_CHECKING:
@@ -32,13 +32,7 @@ def measure(
         typer.Option(help="Leave the machine one of its sources of error."),
     ] = None,
     load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
-    wrench: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        typer.Option(
-            metavar="FX FY FZ MX MY MZ",
-            help="Load the tool with known wrenches, each component between minus and plus so much [N, N m].",
-        ),
-    ] = None,
+    wrench: KnownWrenches = None,
     large: Annotated[
         bool, typer.Option("--large", help="Large deflections: the equilibrium under the loads, pose by pose.")
     ] = False,

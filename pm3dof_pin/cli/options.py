@@ -55,26 +55,28 @@ Wrench = Annotated[
     tuple[float, float, float, float, float, float] | None,
     typer.Option(metavar="FX FY FZ MX MY MZ", help="Wrench on the tool, at the tool point, axes of the base [N, N m]."),
 ]
+KnownWrenches = Annotated[
+    tuple[float, float, float, float, float, float] | None,
+    typer.Option(
+        "--wrench",
+        metavar="FX FY FZ MX MY MZ",
+        help="Load the tool with known wrenches, each component between minus and plus so much [N, N m].",
+    ),
+]
 Config = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE", help="Parameters (YAML) for another machine of the robot's kind."),
 ]
-_RobotName = Annotated[
-    str,
-    typer.Option(
-        metavar="NAME|PATH",
-        help="A robot, by name or by the path of its description.",
-        autocompletion=completion.robots,
-    ),
-]
-_RobotNameOrChapter = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME|PATH",
-        help="A robot, by name or by the path of its description; without it, the chapter's picture of its machine.",
-        autocompletion=completion.robots,
-    ),
-]
+
+
+def _robot_name(without: str = "") -> Any:
+    """Return the option that names a robot, saying what happens without it."""
+    words = f"A robot, by name or by the path of its description{without}."
+    return typer.Option(metavar="NAME|PATH", help=words, autocompletion=completion.robots)
+
+
+_RobotName = Annotated[str, _robot_name()]
+_RobotNameOrChapter = Annotated[str | None, _robot_name("; without it, the chapter's picture of its machine")]
 _ToolFrame = Annotated[
     str | None, typer.Option(metavar="NAME", help="Frame of the tool; by default the description's.")
 ]

@@ -14,8 +14,6 @@ from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
 
 if TYPE_CHECKING:
-    from pm3dof_pin.chapter.tripod import Tripod
-    from pm3dof_pin.figures.workspace import PrintedRanges
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
     from pm3dof_pin.maps.workspace import Workspace
@@ -54,6 +52,8 @@ def workspace(
     Angles in degrees, lengths in metres. Sections over two coordinates, stacked along a third; coordinates not named
     stay at home, or at the value of --at.
     """
+    from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
+    from pm3dof_pin.chapter.workspace import tripod_space
     from pm3dof_pin.maps.storage import write_map
     from pm3dof_pin.maps.workspace import workspace as reachable_set
 
@@ -64,7 +64,7 @@ def workspace(
             space = _robot_space(which.load(), coordinate, values, engine)
         else:
             tripod = which.tripod()
-            space = _chapter_space(tripod)
+            space = tripod_space(tripod)
         sections = heights or (_SECTIONS if tripod else _FEW_SECTIONS)
         found = reachable_set(space, sections, directions or (_DIRECTIONS if tripod else _FEW_DIRECTIONS))
         progress(1, 4 if picture else 3)
@@ -74,20 +74,13 @@ def workspace(
             from pm3dof_pin.figures.workspace import workspace_figure
 
             name = "figure_8_2_workspace.png" if tripod else "workspace.png"
-            files += save(workspace_figure(found, _printed(tripod)), out / name, formats)
+            printed = None if tripod is None else printed_ranges(tripod)
+            files += save(workspace_figure(found, printed), out / name, formats)
         remove_former(out, "figure_8_2_workspace|workspace", files)
     result = _result(found)
     if tripod is not None:
-        from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges
-
         result["printed_ranges"] = [statement.text for statement in compare_printed_ranges(tripod, found)]
     print_result(result, _lines(found, result), as_json=as_json, files=files)
-
-
-def _chapter_space(tripod: Tripod) -> LimitSpace:
-    from pm3dof_pin.chapter.workspace import tripod_space
-
-    return tripod_space(tripod)
 
 
 def _robot_space(
@@ -101,15 +94,6 @@ def _robot_space(
         return robot_space(loaded, tuple(names) if names else None, fixed, engine=engine)
     except InvalidValueError as error:
         raise typer.BadParameter(f"{loaded.name}: {error}") from None
-
-
-def _printed(tripod: Tripod | None) -> PrintedRanges | None:
-    if tripod is None:
-        return None
-    from pm3dof_pin.chapter.printed_ranges import printed_ranges
-    from pm3dof_pin.figures.workspace import PrintedRanges
-
-    return PrintedRanges(printed_ranges(tripod))
 
 
 def _result(found: Workspace) -> dict[str, Any]:

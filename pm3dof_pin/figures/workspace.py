@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -36,16 +35,8 @@ _LIGHT = np.array([0.35, -0.75, 0.55])
 _MARGIN = 1.07
 
 
-@dataclass(frozen=True, eq=False)
-class PrintedRanges:
-    """Labelled ranges of the coordinates, shape=(3, 2) [m, rad], that are drawn beside the reachable set."""
-
-    ranges: Array
-    label: str = "printed ranges"
-
-
-def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None) -> Figure:
-    """Draw the reachable set with the limit that ends it in colour, printed ranges beside it.
+def workspace_figure(workspace: Workspace, printed: Array | None = None) -> Figure:
+    """Draw the reachable set with the limit that ends it in colour, printed ranges, shape=(3, 2) [m, rad], beside it.
 
     It may be of any shape. Of two coordinates the one section is drawn.
     """
@@ -53,7 +44,7 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
     with house_style():
         figure = new_figure(TWO_COLUMNS, 4.7) if workspace.space.stacked else new_figure(ONE_COLUMN, 3.9)
         figure.suptitle(
-            f"Reachable set under all {'joint ' if printed else ''}limits: {plain(workspace.space.machine)}"
+            f"Reachable set under all {'' if printed is None else 'joint '}limits: {plain(workspace.space.machine)}"
         )
         # placed by hand: no layout engine knows the size of labels in space
         if sheet.solid is not None:
@@ -69,16 +60,15 @@ def workspace_figure(workspace: Workspace, printed: PrintedRanges | None = None)
 class _Sheet:
     """What is drawn: coordinates in the units of the picture, colours of the limits, and the ends of the axes."""
 
-    def __init__(self, workspace: Workspace, printed: PrintedRanges | None) -> None:
+    def __init__(self, workspace: Workspace, printed: Array | None) -> None:
         space = workspace.space
         self.workspace = workspace
         self.units = space.units
         self.labels = [axis_label(name, unit) for name, unit in zip(space.names, space.units, strict=True)]
         self.same_unit = space.units[0] == space.units[1]
-        self.printed_label = "" if printed is None else printed.label
         self.printed = None
         if printed is not None:
-            self.printed = np.array([drawn(row, unit) for row, unit in zip(printed.ranges, space.units, strict=True)])
+            self.printed = np.array([drawn(row, unit) for row, unit in zip(printed, space.units, strict=True)])
         self.limits = self._axes_limits()
         self.outlines = [self._faces(partial(space.flags, levels=section.level), 2) for section in self.sections]
         self.solid = self._faces(space.broken_limits, 3) if space.stacked else None
@@ -242,5 +232,5 @@ def _rectangle(across: Array, up: Array) -> Rectangle:
 def _add_legend(figure: Figure, sheet: _Sheet) -> None:
     handles: list[Any] = [Patch(color=sheet.styles[k][0], label=sheet.styles[k][1]) for k in sheet.shown_limits]
     if sheet.printed is not None:
-        handles.append(Line2D([], [], color=INK, linestyle=(0, (4, 3)), linewidth=0.9, label=sheet.printed_label))
+        handles.append(Line2D([], [], color=INK, linestyle=(0, (4, 3)), linewidth=0.9, label="printed ranges"))
     figure.legend(handles=handles, loc="lower left", ncols=min(3, max(1, len(handles))))

@@ -14,6 +14,7 @@ from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.errors.tool_errors import LEAST_SENSITIVE_PART
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.grid_map import Variable, grid_dataset, poses_within_limits
 from pm3dof_pin.maps.labels import coordinate_attributes
@@ -46,31 +47,33 @@ def whole_workspace_grid(robot: Robot, points: int) -> Grid:
 
 def budget_map(
     sources: ErrorSources,
-    grid: Grid,
+    grid: Grid | Poses,
     *,
     eta: float = TIP_LENGTH,
     names: Sequence[str] = (),
 ) -> tuple[xr.Dataset, ErrorBudget]:
     """Compute the errors of all sources, or those named, over a grid of the robot's coordinates, of any dimension.
 
-    Returns a dataset over the grid, NaN where a pose breaks a limit: `tip_rms`, `worst_tip`, `left_rms` and `energy` of
-    all sources together, `tip_rms_<source>` of each alone, `least_sensitive` (the best fifth of the poses) and
-    `broken_limits`; and the budget over the poses within the limits. `eta` weighs the orientation in the tip error
-    [m/rad].
+    Or at poses, the dataset then along one dimension, `pose`. Returns it, NaN where a pose of the grid breaks a limit:
+    `tip_rms`, `worst_tip`, `left_rms` and `energy` of all sources together, `tip_rms_<source>` of each alone,
+    `least_sensitive` (the best fifth of the poses) and, of a grid, `broken_limits`; and the budget over the poses
+    within the limits. `eta` weighs the orientation in the tip error [m/rad].
 
     Raises:
         UnreachablePoseError: no pose of the grid is within the limits.
         PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
     """
     robot = sources.robot
+    if isinstance(grid, Poses):
+        budget = error_budget(sources, grid, eta=eta, names=names)
+        return _labelled(_table(budget), eta), budget
     poses, within = poses_within_limits(robot, grid)
     budget = error_budget(sources, within, eta=eta, names=names)
     title = f"Errors of {robot.name} by all sources over {', '.join(grid.dims)}"
     return _labelled(grid_dataset(grid, poses, _fields(budget), title), eta), budget
 
 
-def budget_table(budget: ErrorBudget) -> xr.Dataset:
-    """Return the same along one dimension, `pose`, for poses that are no grid; coordinates and commands beside them."""
+def _table(budget: ErrorBudget) -> xr.Dataset:
     import xarray as xr
 
     robot, poses = budget.poses.robot, budget.poses
@@ -79,8 +82,7 @@ def budget_table(budget: ErrorBudget) -> xr.Dataset:
         for c, column in zip(robot.coordinates, poses.coordinates.T, strict=True)
     }
     variables = {name: ("pose", values, attributes) for name, (_, values, attributes) in _fields(budget).items()}
-    dataset = xr.Dataset(variables, coords=labels, attrs={"title": f"Errors of {robot.name}", "machine": robot.name})
-    return _labelled(dataset, budget.eta)
+    return xr.Dataset(variables, coords=labels, attrs={"title": f"Errors of {robot.name}", "machine": robot.name})
 
 
 def _fields(budget: ErrorBudget) -> dict[str, Variable]:

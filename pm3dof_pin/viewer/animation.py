@@ -25,11 +25,14 @@ def aligned_ellipsoids(transforms: Sequence[Array]) -> list[Array]:
     Axes of an ellipsoid have no order and no sign; of the 24 right-handed choices, each frame takes that which turns
     least.
     """
+    from scipy.spatial.transform import Rotation  # takes longer to load than the rest of the page
+
+    turns = np.round(Rotation.create_group("O").as_matrix())
     aligned = [np.array(transforms[0])]
     for transform in transforms[1:]:
         before, now = aligned[-1][:3, :3], transform[:3, :3]
         unit = before / np.linalg.norm(before, axis=0)
-        choices = [now[:, order] * signs for order, signs in _CHOICES]
+        choices = now @ turns
         best = max(choices, key=lambda axes: float(np.sum(unit * (axes / np.linalg.norm(axes, axis=0)))))
         moved = np.array(transform)
         moved[:3, :3] = best
@@ -68,18 +71,3 @@ def _single(values: Sequence[Array]) -> Array:
     """Round to single precision, which browsers animate in; one value for all frames where it never changes."""
     rounded = np.array([[f"{entry:.8g}" for entry in value] for value in values], dtype=float)
     return rounded[:1] if np.all(rounded == rounded[0]) else rounded
-
-
-def _right_handed_choices() -> list[tuple[list[int], Array]]:
-    """Orders and signs of three axes that keep a right-handed frame right-handed."""
-    choices = []
-    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]):
-        parity = float(np.linalg.det(np.eye(3)[:, order]))
-        for signs in np.ndindex(2, 2, 2):
-            factors = 1.0 - 2.0 * np.array(signs)
-            if parity * float(np.prod(factors)) > 0.0:
-                choices.append((order, factors))
-    return choices
-
-
-_CHOICES = _right_handed_choices()

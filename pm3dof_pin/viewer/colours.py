@@ -18,11 +18,8 @@ def stops(colours: tuple[str, ...]) -> NDArray[np.float64]:
 
 def blend(colours: tuple[str, ...], places: ArrayLike) -> NDArray[np.float64]:
     """Return the colours at places between 0 and 1 of a scale, shape=(..., 3)."""
-    table = stops(colours)
-    at = np.clip(np.asarray(places, dtype=float), 0.0, 1.0) * (len(table) - 1)
-    below = np.minimum(at.astype(int), len(table) - 2)
-    mixed: NDArray[np.float64] = table[below] + (at - below)[..., None] * (table[below + 1] - table[below])
-    return mixed
+    at = np.linspace(0.0, 1.0, len(colours))
+    return np.stack([np.interp(np.asarray(places, dtype=float), at, part) for part in stops(colours).T], axis=-1)
 
 
 def css(colour: ArrayLike) -> str:

@@ -33,7 +33,7 @@ _END = 1e-4  # how far inside the range of heights the first and the last sectio
 
 
 @dataclass(frozen=True)
-class Shell:
+class _Shell:
     """A closed surface of triangles around the reachable set, and points inside, with quantities at all of them."""
 
     vertices: Array
@@ -91,7 +91,7 @@ def _tool_tips(poses: Poses, length: float) -> Array:
 
 def workspace_shell(
     robot: Robot, quantity: str, *, tool_length: float, heights: int = 41, directions: int = 120, inside: int = 17
-) -> Shell:
+) -> _Shell:
     """Return the boundary of what a tool's tip reaches and points inside, with quantities at each of them.
 
     Three coordinates are changed, see :func:`~pm3dof_pin.maps.limit_space.robot_space`; others stay at home. The
@@ -130,7 +130,7 @@ def workspace_shell(
             scale, unit = 180.0 / np.pi, "°"
         part = f"{limits.names[2]} {scale * ends[0]:.4g} .. {scale * ends[1]:.4g} {unit} only"
     lines, faces = _rings(tips, count, directions), _faces(count, directions)
-    return Shell(tips, faces, lines, _tool_tips(within, tool_length), layers, part)
+    return _Shell(tips, faces, lines, _tool_tips(within, tool_length), layers, part)
 
 
 def _inner_poses(robot: Robot, boundary: Poses, names: tuple[str, ...], count: int) -> Poses:

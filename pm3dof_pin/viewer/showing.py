@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Self
 
 from pm3dof_pin.exceptions import OutputError
 from pm3dof_pin.files import write_atomically, write_text_atomically
+from pm3dof_pin.typing import Array
 from pm3dof_pin.viewer.page import page_html
-from pm3dof_pin.viewer.scene import Scene
+from pm3dof_pin.viewer.panel import Entry
+from pm3dof_pin.viewer.scene import Json, Scene
 
 if TYPE_CHECKING:
     from pm3dof_pin.viewer.server import SceneServer
@@ -32,13 +34,16 @@ class _NotebookCell:
 
 
 class ShownScene:
-    """A scene and the ways to look at it. Nothing is served and no browser needed until one is asked for.
+    """A scene with its panel and the ways to look at it. Nothing is served and no browser needed until asked for.
 
     Served on `host`, this machine only unless told otherwise, and a port, the first free one from 7000 on by default.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int | None = None) -> None:
+    def __init__(self, title: str, host: str = "127.0.0.1", port: int | None = None) -> None:
         self.scene = Scene()
+        self._panel: Json = {"title": title, "subtitle": "", "note": []}
+        self._entries: dict[str, Entry] = {}
+        self._beside: dict[str, Array] = {}  # points, by entry, that are to be in the picture besides the machine
         self.host = host
         self._port = port
         self._server: SceneServer | None = None
@@ -137,6 +142,30 @@ class ShownScene:
         if static:
             return _NotebookCell(f'srcdoc="{escape(self.html())}"', height)
         return _NotebookCell(f'src="{escape(self.start())}"', height)
+
+    def set_title(self, title: str, subtitle: str = "") -> None:
+        """Set what stands at the top of the panel; by default the name of the mechanism."""
+        self._panel |= {"title": title, "subtitle": subtitle}
+        self._update()
+
+    def _show(self, entry: Entry) -> None:
+        self._entries[entry.key] = entry
+        for path in entry.nodes:
+            self.scene.set_visible(path, entry.visible)
+        for item in entry.paint or []:
+            self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]] if entry.visible else item["own"])
+        self._update()
+
+    def _take_away(self, entry: Entry) -> None:
+        del self._entries[entry.key]
+        self._beside.pop(entry.key, None)
+        for path in entry.nodes:
+            self.scene.set_visible(path, False)
+        for item in entry.paint or []:
+            self.scene.set_colour(item["path"], item["own"])
+
+    def _update(self) -> None:
+        self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
 
     def _page(self, *, served: bool) -> str:
         title = str(self.scene.panel.get("title", ""))

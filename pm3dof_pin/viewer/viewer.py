@@ -97,7 +97,7 @@ class Viewer(ShownScene):
         port: int | None = None,
     ) -> None:
         require_kind("mechanism", mechanism, Robot, "pm.load")
-        super().__init__(host, port)
+        super().__init__(mechanism.name, host, port)
         if model is not None and model.rigid is not mechanism:
             raise InvalidValueError("model", model, f"an elastic model of {mechanism}")
         self.mechanism = mechanism
@@ -108,11 +108,8 @@ class Viewer(ShownScene):
         self._programs = programs_of(mechanism, model) if sliders else None
         self._sliders = Sliders(mechanism, self._programs) if self._programs is not None else None
         self._sets = sets_of(mechanism)
-        self._entries: dict[str, Entry] = {}
         self._scales: dict[tuple[str, ...], float] = {}
-        self._beside: dict[str, Array] = {}  # points, by entry, that are to be in the picture besides the machine
         self._is_recording = False  # frames of a path, which no slider goes on from
-        self._panel: Json = {"title": mechanism.name, "subtitle": "", "note": []}
         self._draw_bodies()
         self._direction: tuple[float, float, float | None] = (-62.0, 17.0, None)
         if self._sliders is not None:
@@ -495,11 +492,6 @@ class Viewer(ShownScene):
         if not self.is_served:  # nobody has turned the picture yet
             self.look(*self._direction)
 
-    def set_title(self, title: str, subtitle: str = "") -> None:
-        """Set what stands at the top of the panel; by default the name of the mechanism."""
-        self._panel |= {"title": title, "subtitle": subtitle}
-        self._update()
-
     def _draw_ellipsoid(
         self,
         block: Array,
@@ -623,25 +615,6 @@ class Viewer(ShownScene):
             state = "closed to" if residual < _CLOSED else "open by"
             lines.append(f"loops {state} {f'{residual:.0e}' if residual else 0} m")
         return lines, warnings
-
-    def _show(self, entry: Entry) -> None:
-        self._entries[entry.key] = entry
-        for path in entry.nodes:
-            self.scene.set_visible(path, entry.visible)
-        for item in entry.paint or []:
-            self.scene.set_colour(item["path"], [*item["colour"], item["own"][3]] if entry.visible else item["own"])
-        self._update()
-
-    def _take_away(self, entry: Entry) -> None:
-        del self._entries[entry.key]
-        self._beside.pop(entry.key, None)
-        for path in entry.nodes:
-            self.scene.set_visible(path, False)
-        for item in entry.paint or []:
-            self.scene.set_colour(item["path"], item["own"])
-
-    def _update(self) -> None:
-        self.scene.set_panel(self._panel | {"legend": [entry.lowered() for entry in self._entries.values()]})
 
 
 def _load_text(wrench: Array) -> str:

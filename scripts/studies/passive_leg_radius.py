@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from pm3dof_pin.chapter import Tripod
-from pm3dof_pin.chapter.axis_stiffness import READINGS
-from pm3dof_pin.chapter.chapter_stiffness import AXES
+from pm3dof_pin.chapter.axis_stiffness import felt_stiffness, held_stiffness
+from pm3dof_pin.chapter.chapter_stiffness import AXES, chapter_stiffness
 from pm3dof_pin.chapter.limits import limit_flags
 from pm3dof_pin.chapter.passive_leg import with_passive_leg_radius
 from pm3dof_pin.figures.style import FORMATS, INK, TWO_COLUMNS, house_style, new_figure, save_pictures
@@ -22,6 +22,7 @@ from pm3dof_pin.typing import Array
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 FACTORS = (1.1, 1.2, 1.5, 2.0)
+READINGS = {"chapter": chapter_stiffness, "elastic, held": held_stiffness, "elastic, felt": felt_stiffness}
 LINES = {  # axis shown: words, colour, width, dashes; at the centre of the section theta_y is as theta_x, t_y as t_x
     "theta_z": (r"$\theta_z$", "#D55E00", 3.2, "solid"),
     "t_x": ("$T_x, T_y$", "#56B4E9", 1.6, (0, (4, 2))),

@@ -16,7 +16,7 @@ from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
 from pm3dof_pin.figures.style import LIMIT_COLORS, save_figure
-from pm3dof_pin.figures.workspace import PrintedRanges, _Sheet, workspace_figure
+from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
 from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.workspace import Workspace, workspace
 from pm3dof_pin.maps.workspace_section import workspace_sections
@@ -29,7 +29,7 @@ def whole(tripod: Tripod) -> Workspace:
 
 @pytest.fixture(scope="module")
 def figure(tripod: Tripod, whole: Workspace) -> Figure:
-    return workspace_figure(whole, PrintedRanges(printed_ranges(tripod)))
+    return workspace_figure(whole, printed_ranges(tripod))
 
 
 def test_words_and_units(figure: Figure) -> None:

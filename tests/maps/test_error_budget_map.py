@@ -23,7 +23,6 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.error_budget_map import (
     LEAST_SENSITIVE,
     budget_map,
-    budget_table,
     whole_workspace_grid,
 )
 from pm3dof_pin.maps.grid_map import quantity_map
@@ -65,7 +64,7 @@ def test_where_to_calibrate(tripod_errors: GeometricErrors, tripod_nominal: Pose
     alone = [f"geometry_{group}" for group in tripod_errors.groups]
     chosen = error_budget(sources, candidates, names=alone).least_sensitive()
     assert np.array_equal(chosen, error_map(tripod_errors, candidates).least_sensitive())
-    table = budget_table(error_budget(sources, candidates[:5]))
+    table, _ = budget_map(sources, candidates[:5])
     assert dict(table.sizes) == {"pose": 5}
     np.testing.assert_allclose(table.z_e, candidates.coordinates[:5, 2])
 

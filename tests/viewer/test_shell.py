@@ -15,13 +15,13 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.maps.quantities import MappedRobot
 from pm3dof_pin.viewer.layers import Layer, ScalarQuantity
-from pm3dof_pin.viewer.shell import Shell, _tool_tips, workspace_shell
+from pm3dof_pin.viewer.shell import _Shell, _tool_tips, workspace_shell
 
 LENGTH = 0.2
 
 
 @pytest.fixture(scope="module")
-def shell(tripod: Tripod) -> Shell:
+def shell(tripod: Tripod) -> _Shell:
     return workspace_shell(Robot.load("pm3dof"), "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
 
 
@@ -40,7 +40,7 @@ def test_tips_are_on_the_platforms_normal() -> None:
     np.testing.assert_allclose(poses_of(tips), coordinates, atol=1e-11)
 
 
-def test_the_surface_is_closed_and_faces_outwards(shell: Shell) -> None:
+def test_the_surface_is_closed_and_faces_outwards(shell: _Shell) -> None:
     edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in shell.faces for k in range(3))
     assert set(edges.values()) == {1}
     assert all((end, start) in edges for start, end in edges)
@@ -49,7 +49,7 @@ def test_the_surface_is_closed_and_faces_outwards(shell: Shell) -> None:
     assert np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0 > 0.0  # volume by the divergence theorem
 
 
-def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
+def test_its_points_are_the_boundary(shell: _Shell, tripod: Tripod) -> None:
     """A step inwards stays within all limits, one outwards breaks one."""
     poses = poses_of(shell.vertices[:-2])
     inside, outside = poses.copy(), poses.copy()
@@ -59,7 +59,7 @@ def test_its_points_are_the_boundary(shell: Shell, tripod: Tripod) -> None:
     assert np.all(limit_flags(tripod, outside) != 0)
 
 
-def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> None:
+def test_its_values_are_the_stiffness_there(shell: _Shell, tripod: Tripod) -> None:
     stiffness = elastic_stiffness(tripod, poses_of(shell.vertices))
     felt = 1.0 / np.linalg.inv(stiffness)[:, 2, 2]
     layer = shell.layers[0]
@@ -70,7 +70,7 @@ def test_its_values_are_the_stiffness_there(shell: Shell, tripod: Tripod) -> Non
     assert np.all(np.diff(layer.places[np.argsort(layer.values)]) >= 0.0)
 
 
-def test_points_inside_are_within_the_limits(shell: Shell, tripod: Tripod) -> None:
+def test_points_inside_are_within_the_limits(shell: _Shell, tripod: Tripod) -> None:
     """And have the values of their own poses, in every layer that the page offers."""
     assert len(shell.points) > 500
     poses = poses_of(shell.points)
