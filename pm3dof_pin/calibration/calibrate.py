@@ -32,6 +32,9 @@ METHODS: tuple[Method, ...] = get_args(Method)
 LEAST_POSES = 4
 """Fewest measurements that anything is learned from."""
 
+SMOOTH = 1.5
+"""Noise factor from which what parameters leave is taken to go on from pose to pose, and not to scatter."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -80,6 +83,30 @@ class Calibration:
         whole = identified_compensation(self.identification, self.options.eta)
         return Gain.of(whole, self.measurements.visits.commands)
 
+    @property
+    def chance_of_harm(self) -> float:
+        """Probability that corrected commands are worse than uncorrected ones, by what the parameters tell.
+
+        See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
+        """
+        values = self.compensation.values
+        return 0.0 if self.gain is None or values is None else self.gain.chance_of_harm(values)
+
+    @property
+    def part_corrected(self) -> float:
+        """How much of the correction that the parameters would be is sure enough to be made, 1 for all of it."""
+        values = self.compensation.values
+        return 1.0 if self.gain is None or values is None else self.gain.part(values)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether what parameters leave scatters from pose to pose: its noise factor is less than :data:`SMOOTH`."""
+        return self.identification.noise_factor < SMOOTH
+
+    def tip_interval(self, wanted: Poses) -> tuple[float, float] | None:
+        """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval` if it :attr:`scatters`."""
+        return self.compensation.rms_interval(wanted) if self.scatters else None
+
     def with_scatter(self, scatter: Scatter) -> Calibration:
         """Return it with what a cross-validation says is left of errors."""
         return replace(self, compensation=replace(self.compensation, scatter=scatter))
@@ -119,14 +146,8 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     identification = identify(measurements, errors, prior=prior, loss=options.loss)
     if options.prior is None:
         prior, error = prior_from_data(identification)
-        identification = identify(
-            identification.measurements,
-            errors,
-            prior=prior,
-            prior_error=error,
-            loss=options.loss,
-            start=identification,
-        )
+        shown, start = identification.measurements, identification
+        identification = identify(shown, errors, prior=prior, prior_error=error, loss=options.loss, start=start)
     options = replace(options, prior=identification.prior)
     _warn_of_gaps(identification)
     shown = identification.settled[identification.trusted]

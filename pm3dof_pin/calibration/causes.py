@@ -21,16 +21,15 @@ from pm3dof_pin.calibration.mistakes import (
     near_their_ranges,
     of_a_change,
     usual_mistakes,
-    wrong_columns,
 )
 from pm3dof_pin.calibration.pseudo_error import seen_errors
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error, tip_weights
+from pm3dof_pin.calibration.wrong_columns import wrong_columns
+from pm3dof_pin.errors.pose_error import TIP_LENGTH, pose_difference, tip_error
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
-from pm3dof_pin.measuring.registration import register
 from pm3dof_pin.typing import Mask
 
 _EXPLAINS = 0.25  # of what did not fit is left, at most
@@ -129,7 +128,7 @@ def change_in_the_middle(measurements: Measurements, poses: Poses, eta: float = 
         left = seen_errors(found.without_motions(poses, common), poses[first], eta).errors
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
-    first = np.unique(measurements.visit_numbers, return_index=True)[1]
+    first = measurements.first_rows
     before = misfit(measurements)
     found = min(
         (_Cause(mistake.text, before, misfit(mistake.without)) for mistake in of_a_change(measurements, poses, eta)),
@@ -159,21 +158,7 @@ def _misfit(measurements: Measurements, nominal: Poses, eta: float, own_frame: b
     """Return the tip error of the machine as described against the measurements: what three in four rows keep to [m].
 
     Not the median, as a mistake may be in less than half of the rows.
-
-    Raises:
-        PM3DofError: no base can be found.
     """
     if own_frame:
-        expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, measurements.points)
-        found = register(measurements.positions, expected, measurements.rotations, nominal.rotations, eta=eta)
-        turned = None if measurements.rotations is None else found.rotations(measurements.rotations)
-        measurements = replace(
-            measurements,
-            registration=measurements.registration or found,
-            positions=found.positions(measurements.positions),
-            rotations=turned,
-        )
-    weights = tip_weights(eta)[: measurements.tool_columns]
-    tool = measurements.tool_columns
-    residuals = np.where(measurements.seen[:, :tool], measurements.residuals(nominal)[:, :tool] * weights, 0.0)
-    return float(np.quantile(np.linalg.norm(residuals, axis=1), _MOST_ROWS))
+        measurements = measurements.in_axes(measurements.registered_at(nominal, eta))
+    return float(np.quantile(measurements.tip_misfits(nominal, eta), _MOST_ROWS))

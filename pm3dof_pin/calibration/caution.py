@@ -44,16 +44,14 @@ class Gain:
     @classmethod
     def of(cls, compensation: Compensation, commands: Array) -> Gain | None:
         """Return that of identified parameters at commands, shape=(n, commands); None for a method without them."""
-        if compensation.values is None or compensation.covariance is None:
+        values, covariance = compensation.values, compensation.known_covariance
+        if values is None or covariance is None:
             return None
         poses = compensation.errors.robot.forward(commands[:: max(1, len(commands) // _POSES)])
-        effects, control = (
-            compensation.effects(compensation.model_poses(poses)),
-            weighted_control(poses, compensation.eta),
-        )
-        corrected = control @ (np.linalg.pinv(control) @ effects[:, :, : len(compensation.values)])
-        known = np.where(np.isfinite(compensation.covariance), compensation.covariance, 0.0)
-        return cls(compensation.values, known, effects, corrected)
+        effects = compensation.effects(compensation.model_poses(poses))
+        control = weighted_control(poses, compensation.eta)
+        corrected = control @ (np.linalg.pinv(control) @ effects[:, :, : len(values)])
+        return cls(values, covariance, effects, corrected)
 
     def chance_of_harm(self, values: Array) -> float:
         """Return the probability that commands corrected for these values are worse than none."""

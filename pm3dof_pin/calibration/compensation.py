@@ -82,6 +82,13 @@ class Compensation:
         return stiffened(robot, factors) if factors else robot
 
     @property
+    def known_covariance(self) -> Array | None:
+        """The covariance without infinite variances: what nothing tells moves the tool by nothing that was seen."""
+        if self.covariance is None:
+            return None
+        return np.where(np.isfinite(self.covariance), self.covariance, 0.0)
+
+    @property
     def bears_wrenches(self) -> bool:
         """Whether columns of wrenches are wrenches that springs give under, not inputs of what is learned."""
         learned = () if self.learned is None else self.learned.inputs.conditions
@@ -106,12 +113,10 @@ class Compensation:
             InvalidValueError: a condition of which nothing was learned, and that is no wrench that springs give under.
         """
         usual: dict[str, Array | float] = {} if self.learned is None else {**self.learned.inputs.middle()}
-        for name in sorted(set(given) - set(usual)):
-            if self.bears_wrenches and is_wrench(name):
-                continue
-            raise InvalidValueError(
-                "condition", name, f"one of {', '.join(usual) or 'none: no correction depends on any'}"
-            )
+        unknown = set(given) - set(usual)
+        for name in sorted(name for name in unknown if not (self.bears_wrenches and is_wrench(name))):
+            known = ", ".join(usual) or "none: no correction depends on any"
+            raise InvalidValueError("condition", name, f"one of {known}")
         return usual | dict(given)
 
     def compensate(
@@ -142,15 +147,7 @@ class Compensation:
         if isinstance(wanted, Poses):
             nominal = wanted if wanted.shape else wanted.reshape(1)
         else:
-            transforms = real_array("wanted", wanted)
-            if transforms.ndim not in (2, 3):
-                raise InvalidValueError("wanted", f"an array of shape {transforms.shape}", "shape (4, 4) or (n, 4, 4)")
-            transforms = transforms[None] if transforms.ndim == 2 else transforms
-            nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
-            solved = np.flatnonzero(nominal.solved)
-            missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
-            if np.any(missed > _MEETS):
-                raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
+            nominal = self._reached(real_array("wanted", wanted), on_failure)
         if len(nominal.shape) > 1:
             raise InvalidValueError("wanted", f"poses of shape {nominal.shape}", "one pose, or a list of them")
         count, drives = len(nominal), len(self.errors.robot.commands)
@@ -166,6 +163,18 @@ class Compensation:
         for array in vars(answer).values():
             frozen(array)
         return answer
+
+    def _reached(self, transforms: Array, on_failure: OnFailure) -> Poses:
+        """Return poses of the robot as described at tool placements, shape=(4, 4) or (n, 4, 4)."""
+        if transforms.ndim not in (2, 3):
+            raise InvalidValueError("wanted", f"an array of shape {transforms.shape}", "shape (4, 4) or (n, 4, 4)")
+        transforms = transforms[None] if transforms.ndim == 2 else transforms
+        nominal = self.errors.robot.reach(transforms, on_failure=on_failure)
+        solved = np.flatnonzero(nominal.solved)
+        missed = tip_error(pose_difference(transforms[solved], nominal.transforms[solved]), self.eta)
+        if np.any(missed > _MEETS):
+            raise UnreachablePoseError(f"{self.errors.robot.name} misses a wanted pose by {missed.max():.3g} m")
+        return nominal
 
     def _fill(
         self,
@@ -232,12 +241,10 @@ class Compensation:
     def _nearest(self, nominal: Poses, model: Poses, conditions: Conditions, on_failure: OnFailure = "raise") -> Poses:
         """Return the model's poses, unloaded, that come nearest to the nominal ones under the wrenches at work."""
         wrenches = self._wrenches(conditions, len(nominal))
+        if wrenches is None and self.values is None:
+            return model
         if wrenches is None:
-            return (
-                model
-                if self.values is None
-                else nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
-            )
+            return nearest_poses(model, nominal.transforms, self.eta, on_failure=on_failure)
         nearest = model
         for _ in range(_UNLOADINGS):
             unloaded = moved_pose(nominal.transforms, -self._by_spring(nearest, wrenches).sum(axis=1))
@@ -296,10 +303,9 @@ class Compensation:
 
         Without any direction for a method that learns: how that errs at one pose and at another is not known.
         """
-        if self.learned is not None or self.covariance is None:
+        if self.learned is not None or self.known_covariance is None:
             return np.zeros((len(poses), 6, 0))
-        # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
-        return self.effects(poses) @ covariance_root(np.where(np.isfinite(self.covariance), self.covariance, 0.0))
+        return self.effects(poses) @ covariance_root(self.known_covariance)
 
     def rms_interval(self, wanted: Poses) -> tuple[float, float] | None:
         """Return between which the tip error with corrected commands is [m], root mean square over poses, unloaded.
@@ -317,11 +323,9 @@ class Compensation:
         """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
         weights, given = tip_weights(self.eta), conditions or {}
         total = np.zeros((len(poses), 6, 6))
-        if self.values is not None and self.covariance is not None:
+        if self.values is not None and self.known_covariance is not None:
             effects = self.effects(poses)
-            # a direction that nothing tells moves the tool by nothing that the measurements would not have shown
-            known = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
-            total = total + (effects @ known) @ np.swapaxes(effects, 1, 2)
+            total = total + (effects @ self.known_covariance) @ np.swapaxes(effects, 1, 2)
         wrenches = self._wrenches(given, len(poses))
         if wrenches is not None and self.stiffness:
             names = [str(entry["name"]) for entry in self.errors.robot.springs]

@@ -11,15 +11,14 @@ its own drive. The amplitudes are chosen by marginal likelihood: where there is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
+from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.exceptions import ConvergenceError
 from pm3dof_pin.typing import Array, Indices
 
@@ -39,8 +38,10 @@ _UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its devi
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianProcess:
+class GaussianProcess(LearnedModel):
     """One process for each drive."""
+
+    kind = "gaussian process"
 
     inputs: Array  #: of the measurements, shape=(n, number of inputs)
     targets: Array  #: their du, shape=(n, number of commands) [m, rad]
@@ -80,22 +81,6 @@ class GaussianProcess:
         variances = np.stack([process.variance(inputs) for process in self._processes], axis=1)
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
-    def as_data(self) -> dict[str, object]:
-        """Return the process as numbers and lists."""
-        return {
-            "kind": "gaussian process",
-            "inputs": self.inputs.tolist(),
-            "targets": self.targets.tolist(),
-            "noise": self.noise.tolist(),
-            "logarithms": self.logarithms.tolist(),
-        }
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> GaussianProcess:
-        """Return the process that :meth:`as_data` was made of."""
-        names = ("inputs", "targets", "noise", "logarithms")
-        return cls(*(np.array(data[name], dtype=float) for name in names))
-
 
 def typical_covariance(first: Array, second: Array, drive: int) -> Array:
     """Return what a drive's deviations at scaled inputs have in common beforehand, shape=(n, m).
@@ -126,9 +111,11 @@ class _Exact:
         return np.asarray(_kernel_between(inputs, self._inputs, self._drive, self._parameters) @ self._weights)
 
     def variance(self, inputs: Array) -> Array:
+        return np.asarray(_own_variance(inputs, self._parameters) - np.sum(self._explained(inputs) ** 2, axis=0))
+
+    def _explained(self, inputs: Array) -> Array:
         across = _kernel_between(inputs, self._inputs, self._drive, self._parameters)
-        explained = scipy.linalg.solve_triangular(self._factor, across.T, lower=True)
-        return np.asarray(_own_variance(inputs, self._parameters) - np.sum(explained**2, axis=0))
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, across.T, lower=True))
 
 
 class _Sparse(_Exact):
@@ -146,9 +133,9 @@ class _Sparse(_Exact):
         jitter = _SPARSE_JITTER * np.trace(covariance) / len(chosen)
         self._factor = scipy.linalg.cholesky(covariance + jitter * np.eye(len(chosen)), lower=True)
         across = _kernel_between(self._inputs, inputs, drive, parameters)
-        told = scipy.linalg.solve_triangular(self._factor, across, lower=True)
-        own = np.maximum(_own_variance(inputs, parameters) - np.sum(told**2, axis=0), 0.0)
-        scaled = told / np.sqrt(own + _noise(noise, parameters))
+        explained = scipy.linalg.solve_triangular(self._factor, across, lower=True)
+        own = np.maximum(_own_variance(inputs, parameters) - np.sum(explained**2, axis=0), 0.0)
+        scaled = explained / np.sqrt(own + _noise(noise, parameters))
         self._known = scipy.linalg.cholesky(np.eye(len(chosen)) + scaled @ scaled.T, lower=True)
         pull = scipy.linalg.cho_solve(
             (self._known, True), scaled @ (targets / np.sqrt(own + _noise(noise, parameters)))
@@ -156,12 +143,10 @@ class _Sparse(_Exact):
         self._weights = scipy.linalg.solve_triangular(self._factor, pull, lower=True, trans="T")
 
     def variance(self, inputs: Array) -> Array:
-        across = _kernel_between(inputs, self._inputs, self._drive, self._parameters)
-        told = scipy.linalg.solve_triangular(self._factor, across.T, lower=True)
-        open_part = scipy.linalg.solve_triangular(self._known, told, lower=True)
-        return np.asarray(
-            _own_variance(inputs, self._parameters) - np.sum(told**2, axis=0) + np.sum(open_part**2, axis=0)
-        )
+        explained = self._explained(inputs)
+        open_part = scipy.linalg.solve_triangular(self._known, explained, lower=True)
+        squares = np.sum(explained**2, axis=0) - np.sum(open_part**2, axis=0)
+        return np.asarray(_own_variance(inputs, self._parameters) - squares)
 
 
 def _spread(inputs: Array) -> Indices:

@@ -152,11 +152,7 @@ def identifiability(
 ) -> Identifiability:
     """Judge what a :func:`stacked_regressor` identifies; what nuisances can stand for counts as not seen.
 
-    Args:
-        names: those of the parameters.
-        tolerances: what its columns are in units of, shape=(number of parameters,).
-        regressor: shape=(n, rows of a pose, number of parameters).
-        nuisances: rows of the nuisance parameters, shape=(n, rows of a pose, k).
+    The columns of the regressor, shape=(n, rows of a pose, parameters), are in units of the parameters' tolerances.
 
     Raises:
         InvalidValueError: the regressor has another shape or is not finite.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.calibration.gaussian_process import GaussianProcess
+from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
@@ -17,22 +18,6 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 _SAME = 1e-9
-
-
-class LearnedModel(Protocol):
-    """Deviations of the commands as functions of scaled inputs."""
-
-    def deviations(self, inputs: Array) -> Array:
-        """Return du, shape=(n, number of commands) [m, rad], for inputs of an :class:`InputScale`."""
-        ...
-
-    def uncertainties(self, inputs: Array) -> Array:
-        """Return the standard deviation of du, shape=(n, number of commands) [m, rad]."""
-        ...
-
-    def as_data(self) -> dict[str, object]:
-        """Return the model as numbers and lists, for JSON."""
-        ...
 
 
 def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array, seed: int) -> LearnedModel:
@@ -44,15 +29,6 @@ def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array
     if "nn" in method:
         return NeuralNetwork.fit(inputs, deviations, seed)
     return GaussianProcess.fit(inputs, deviations, variances)
-
-
-def learned_model_from_data(data: Mapping[str, Any]) -> LearnedModel:
-    """Return the model that :meth:`LearnedModel.as_data` was called on."""
-    readers: dict[str, Callable[[Mapping[str, Any]], LearnedModel]] = {
-        "gaussian process": GaussianProcess.from_data,
-        "neural network": NeuralNetwork.from_data,
-    }
-    return readers[data["kind"]](data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +88,12 @@ class LearnedPart:
 
     model: LearnedModel
     inputs: InputScale
+
+    @classmethod
+    def from_data(cls, model: Mapping[str, Any], inputs: InputScale) -> LearnedPart:
+        """Put inputs and the model that :meth:`LearnedModel.as_data` was called on together."""
+        kinds = {kind.kind: kind for kind in (GaussianProcess, NeuralNetwork)}
+        return cls(kinds[model["kind"]].from_data(model), inputs)
 
     def deviations(self, commands: Array, conditions: Mapping[str, Array | float]) -> Array:
         """Return du at commands, shape=(n, number of commands) [m, rad]; see :meth:`InputScale.scaled`."""

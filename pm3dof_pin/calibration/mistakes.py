@@ -1,7 +1,7 @@
 """The usual mistakes in files of measurements, each with the file as it would be without it.
 
 Simple ones come first: what one word or one number repairs, then what takes a few numbers that are fitted (a frame, a
-tool point, the zero of a drive), then columns and rows that do not fit where all others do.
+tool point, the zero of a drive). Columns that do not fit where all others do: :mod:`.wrong_columns`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pm3dof_pin.calibration.pseudo_error import seen_errors
-from pm3dof_pin.errors.command_correction import command_jacobians, command_scales, descend
-from pm3dof_pin.errors.pose_error import TIP_LENGTH, quaternion, rotation_of_quaternion, tip_weights
+from pm3dof_pin.errors.command_correction import command_jacobians
+from pm3dof_pin.errors.pose_error import quaternion, rotation_of_quaternion, tip_weights
 from pm3dof_pin.exceptions import InvalidValueError, PM3DofError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -25,9 +24,9 @@ from pm3dof_pin.measuring.registration import fitted_sphere, register
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _MANY_DRIVES = 4  # more are not permuted in every way
-_SHIFTS = 20  # rows that poses may stand away from their commands
+SHIFTS = 20
+"""Rows that poses may stand away from their commands."""
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 25.4e-3, "feet": 0.3048}
-_LIKE = 0.1  # of the differences is left where a simpler form describes them
 _SAME = 1e-9
 _ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
 _LEAST_LEAD = 1e-4  # of all drives alike
@@ -142,10 +141,10 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
     def taken(rows: Indices) -> tuple[Measurements, Poses]:
         return replace(measurements, commands=measurements.commands[rows]), nominal[rows]
 
-    for size in range(1, min(_SHIFTS, count - 1) + 1):
+    for size in range(1, min(SHIFTS, count - 1) + 1):
         for shift in (size, -size):
-            ways = f"{size} row{'s' * (size > 1)} {'below' if shift > 0 else 'above'}"
-            yield Mistake(f"the poses stand {ways} their commands", *taken(np.roll(np.arange(count), shift)))
+            text = f"the poses stand {rows_apart(shift)} their commands"
+            yield Mistake(text, *taken(np.roll(np.arange(count), shift)))
     yield Mistake("the poses stand in the reverse order of their commands", *taken(np.arange(count)[::-1]))
     nearest = _nearest_rows(measurements, nominal)
     if np.array_equal(np.sort(nearest), np.arange(count)):
@@ -154,26 +153,24 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
     for shift in (step, -step):
         # commands that were not read again in time: of some rows those of a neighbour
         neighbour = np.clip(np.arange(count) - shift, 0, count - 1)
-        mixed = np.where(_sizes(*taken(neighbour)) < _sizes(measurements, nominal), neighbour, np.arange(count))
+        late, poses = taken(neighbour)
+        stale = late.tip_misfits(poses) < measurements.tip_misfits(nominal)
+        mixed = np.where(stale, neighbour, np.arange(count))
         moved = np.flatnonzero(mixed != np.arange(count))
         if moved.size:
             first = f"from line {measurements.lines[moved[0]]} on the" if np.ptp(moved) > 0.5 * moved.size else "the"
-            where = "below" if shift > 0 else "above"
-            far = f"{step} row{'s' * (step > 1)}"
-            text = f"{first} poses of {moved.size} rows stand {far} {where} their commands: stale commands"
+            text = f"{first} poses of {moved.size} rows stand {rows_apart(shift)} their commands: stale commands"
             yield Mistake(text, *taken(mixed))
 
 
-def _sizes(measurements: Measurements, nominal: Poses) -> Array:
-    """Return how far each row is from where the machine is by its description, shape=(n,) [m]."""
-    columns = measurements.tool_columns
-    residuals = measurements.residuals(nominal)[:, :columns] * tip_weights(TIP_LENGTH)[:columns]
-    return np.asarray(np.linalg.norm(np.where(measurements.seen[:, :columns], residuals, 0.0), axis=1))
+def rows_apart(shift: int) -> str:
+    """Say how many rows below, or above for a negative number, something stands."""
+    return f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'below' if shift > 0 else 'above'}"
 
 
 def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:
     """Return for each row the row at whose commands the robot as described is nearest to what was seen."""
-    expected = _expected(measurements, nominal)
+    expected = measurements.points_on(nominal)
     seen = measurements.positions
     squares = np.sum((seen[:, None] - expected) ** 2, axis=2)
     if measurements.rotations is not None:
@@ -261,7 +258,7 @@ def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]
             text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
             yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
     yield Mistake("the targets' points have the other sign", measurements.with_points(-measurements.points), nominal)
-    off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - _expected(measurements, nominal))
+    off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - measurements.points_on(nominal))
     shifts = np.array([np.median(off[numbers == k], axis=0) for k in range(len(points))])
     words = ", ".join(f"target {k + 1} ({_in_millimetres(points[k] + shifts[k])})" for k in range(len(points)))
     text = f"the targets are not where the file has them, but about here [mm]: {words}"
@@ -269,7 +266,7 @@ def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]
 
 
 def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False) -> Iterator[Mistake]:
-    expected, seen = _expected(measurements, nominal), measurements.positions
+    expected, seen = measurements.points_on(nominal), measurements.positions
     spreads = [np.sqrt(np.var(points, axis=0).sum()) for points in (expected, seen)]
     sizes = [np.median(np.linalg.norm(points, axis=1)) for points in (expected, seen)]
     for right, found in (spreads,) if free else (spreads, sizes):
@@ -285,9 +282,9 @@ def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False)
 
 def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
     """Give another origin or other axes of the positions where orientations fit."""
-    expected, seen = _expected(measurements, nominal), measurements.positions
     if measurements.rotations is None:
         return
+    expected, seen = measurements.points_on(nominal), measurements.positions
     shift = np.median(expected - seen, axis=0)
     text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away, the orientations are not"
     yield [Mistake(text, replace(measurements, positions=seen + shift), nominal)]
@@ -315,18 +312,17 @@ def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
     if abs(scale - 1.0) > _ANOTHER:
         yield [with_distances(f"the distances are {scale:.6g} times what they should be", distances / scale)]
     fixed = rows[partners[rows] < 0]
-    places, points = np.unique(origins[fixed], axis=0), _expected(measurements, nominal)
+    places, points = np.unique(origins[fixed], axis=0), measurements.points_on(nominal)
     centres = origins.copy()
     for place in places:
-        of_it = fixed[(origins[fixed] == place).all(axis=1)]
-        if len(of_it) >= _FEWEST:
+        touching = fixed[(origins[fixed] == place).all(axis=1)]
+        if len(touching) >= _FEWEST:
             with contextlib.suppress(np.linalg.LinAlgError):
-                centres[of_it] = fitted_sphere(points[of_it], distances[of_it])
+                centres[touching] = fitted_sphere(points[touching], distances[touching])
     if len(places):
         found = [centres[fixed][(origins[fixed] == place).all(axis=1)][0] for place in places[:2]]
-        text = (
-            f"the fixed points are not where the file has them but at ({'), ('.join(map(_in_millimetres, found))}) mm"
-        )
+        centre_words = "), (".join(map(_in_millimetres, found))
+        text = f"the fixed points are not where the file has them but at ({centre_words}) mm"
         yield [Mistake(text, measurements.with_origins(centres), nominal)]
 
 
@@ -372,9 +368,8 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
                 text = f"the zero of u{k + 1} is off by about {-1e3 * fitted[0][0]:.3g} mm or mrad"
                 yield Mistake(text, fitted[1], None)
             if (fitted := without(column)) is not None and abs(fitted[0][1]) > _ANOTHER:
-                text = (
-                    f"u{k + 1} is {1.0 / (1.0 + fitted[0][1]):.5g} times what it should be: another lead, unit or sign"
-                )
+                times = 1.0 / (1.0 + fitted[0][1])
+                text = f"u{k + 1} is {times:.5g} times what it should be: another lead, unit or sign"
                 yield Mistake(text, fitted[1], None)
 
     yield of_one()
@@ -395,127 +390,28 @@ def of_a_change(measurements: Measurements, nominal: Poses, eta: float) -> Itera
         ("the point seen is elsewhere on the tool", datum[:, :, 6:9]),
     ):
         rows = measurements.derivatives(nominal, motions)[:, : seen.shape[1]] * seen[:, :, None]
-        inverses = _of_first_rows(np.swapaxes(rows, 1, 2) @ rows)
+        # over the first rows up to each, and over all others
+        sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
+        inverses = np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True)
         moved, change, first = measurements, np.zeros(motions.shape[2]), 0
         for _ in range(_STEPS):
             residuals = moved.residuals(nominal)[:, : seen.shape[1]] * seen
             pull = np.einsum("nij,ni->nj", rows, residuals)
             before = np.cumsum(pull, axis=0)
             pulls = np.stack([before, before[-1] - before])
-            ways = np.einsum("pnij,pnj->pni", inverses, pulls)
+            fits = np.einsum("pnij,pnj->pni", inverses, pulls)
             if not first:
                 ends = np.flatnonzero(np.diff(measurements.visit_numbers) != 0)[_FEWEST - 1 : -_FEWEST]
                 if not ends.size:
                     return
-                explained = np.einsum("pni,pni->n", ways, pulls)
+                explained = np.einsum("pni,pni->n", fits, pulls)
                 first = int(ends[np.argmax(explained[ends])]) + 1
-            step = ways[1, first - 1] - ways[0, first - 1]
+            step = fits[1, first - 1] - fits[0, first - 1]
             change = change + step
             later = np.arange(len(moved))[:, None] >= first
             moved = moved.without_motions(nominal, np.where(later, motions @ step, 0.0))
         text = f"from line {measurements.lines[first]} on {what}, by about ({_in_millimetres(change[:3])}) mm"
         yield Mistake(text, moved, nominal)
-
-
-def _of_first_rows(squares: Array) -> Array:
-    """Return the pseudo-inverses of sums over the first rows up to each, and over all others, shape=(2, n, k, k)."""
-    sums = np.cumsum(squares, axis=0)
-    return np.asarray(np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True))
-
-
-def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
-    """Give columns that do not fit where all others do: what is left without them explains itself too easily."""
-    yield _of_one_column(measurements, nominal, eta)
-    if measurements.rotations is not None and measurements.seen.all():
-        for columns, wrong, right in (
-            ([3, 4, 5], "orientations", "positions"),
-            ([0, 1, 2], "positions", "orientations"),
-        ):
-            text = f"the {wrong} do not fit the commands, and the {right} do"
-            yield [Mistake(text, _unseen(measurements, columns), nominal)]
-
-
-def _of_one_column(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    if measurements.seen[:, :3].all():
-        expected = _expected(measurements, nominal)
-        table = dict(zip(("x_m", "y_m", "z_m"), measurements.positions.T, strict=True))
-        for k, name in enumerate(table):
-            yield Mistake(_how_wrong(name, table, expected[:, k]), _unseen(measurements, [k]), nominal)
-    names = [f"u{k + 1}" for k in range(len(nominal.robot.commands))]
-    table = dict(zip(names, measurements.commands.T, strict=True))
-    for k, name in enumerate(names):
-        if (commands := _asked_for(measurements, nominal, [k], eta)) is not None:
-            yield Mistake(_how_wrong(name, table, commands[:, k]), replace(measurements, commands=commands), None)
-
-
-def _asked_for(measurements: Measurements, nominal: Poses, drives: list[int], eta: float) -> Array | None:
-    """Return commands with which some drives explain what was seen best, shape=(n, number of commands).
-
-    None where the rows of a pose show too little to tell: for some drives each needs two equations more than unknowns.
-    """
-    numbers = measurements.visit_numbers
-    first = np.unique(numbers, return_index=True)[1]
-    spare = 0 if len(drives) == len(nominal.robot.commands) else 2
-    if measurements.seen.sum() < (len(drives) + spare) * len(first):
-        return None
-    weights, scales = tip_weights(eta), command_scales(nominal)
-
-    def residuals(poses: Poses) -> Array:
-        return seen_errors(measurements, poses, eta).errors
-
-    def step(poses: Poses) -> Array:
-        found = seen_errors(measurements, poses, eta)
-        control = found.shown @ (command_jacobians(poses) * scales * weights[:, None])[:, :, drives]
-        move = np.zeros((len(poses), len(scales)))
-        move[:, drives] = scales[drives] * np.einsum("nij,nj->ni", np.linalg.pinv(control, rcond=1e-3), found.errors)
-        return move
-
-    poses, commands = nominal[first], measurements.commands[first]
-    try:
-        for _ in range(_STEPS):
-            change, poses = descend(poses, commands, step, residuals, on_failure="nan")
-            commands = commands + change
-    except (PM3DofError, np.linalg.LinAlgError):
-        return None
-    return np.asarray(commands[numbers])
-
-
-def _how_wrong(name: str, table: dict[str, Array], wanted: Array) -> str:
-    """Say in words that one column of some differs from what it should be, and how."""
-    return f"{_difference(name, table, wanted)}, and all else fits"
-
-
-def _difference(name: str, table: dict[str, Array], wanted: Array) -> str:
-    column, others = table[name], {other: values for other, values in table.items() if other != name}
-    if np.ptp(column) < _SAME:
-        return f"{name} is constant"
-    if same := next((other for other, values in others.items() if np.abs(column - values).max() < _SAME), None):
-        return f"{name} repeats {same}"
-    if not np.isfinite(wanted).all() or np.ptp(wanted) < _SAME:
-        return f"{name} is not that of these rows"
-    off = column - wanted
-    zero = np.median(off)
-    if np.median(np.abs(off - zero)) < _LIKE * abs(zero):
-        return f"{name} has another zero: it is {1e3 * zero:.4g} mm or mrad off"
-    for shift in sorted(range(-_SHIFTS, _SHIFTS + 1), key=abs):
-        if shift and np.median(np.abs(column - np.roll(wanted, shift))) < _LIKE * np.median(np.abs(off)):
-            ways = f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'below' if shift > 0 else 'above'}"
-            return f"{name} stands {ways} the rows it belongs to"
-    slope, start = np.polyfit(wanted, column, 1)
-    if np.median(np.abs(column - slope * wanted - start)) < _LIKE * np.median(np.abs(off)):
-        return f"{name} is {slope:.5g} times what it should be: another unit, lead or sign"
-    return f"{name} is not that of these rows"
-
-
-def _expected(measurements: Measurements, nominal: Poses) -> Array:
-    """Return where the points seen are by the description, shape=(n, 3) [m]."""
-    return np.asarray(nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, measurements.points))
-
-
-def _unseen(measurements: Measurements, columns: list[int]) -> Measurements:
-    sigmas = measurements.sigmas.copy()
-    sigmas[:, columns] = np.inf
-    return replace(measurements, sigmas=sigmas)
 
 
 def _in_millimetres(values: Array) -> str:

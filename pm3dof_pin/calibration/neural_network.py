@@ -7,14 +7,13 @@ good, is decided by cross-validation: what does not beat no correction by more t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.typing import Array
 
 _HIDDEN = 10
@@ -26,8 +25,10 @@ _SLOPE = 1e-4  # of the cost, at which training ends
 
 
 @dataclass(frozen=True, eq=False)
-class NeuralNetwork:
+class NeuralNetwork(LearnedModel):
     """The mean of several networks, du = scale part mean(W2 tanh(W1 x + b1) + b2)."""
+
+    kind = "neural network"
 
     hidden_weights: Array  #: W1 of each network, shape=(networks, number of inputs, hidden)
     hidden_biases: Array  #: b1, shape=(networks, hidden)
@@ -55,32 +56,12 @@ class NeuralNetwork:
 
     def deviations(self, inputs: Array) -> Array:
         """Return du, shape=(n, number of commands) [m, rad]."""
-        return np.asarray(
-            self.scale
-            * self.part
-            * np.mean(
-                [
-                    _answer(inputs, member)
-                    for member in zip(
-                        self.hidden_weights, self.hidden_biases, self.output_weights, self.output_biases, strict=True
-                    )
-                ],
-                axis=0,
-            )
-        )
+        members = zip(self.hidden_weights, self.hidden_biases, self.output_weights, self.output_biases, strict=True)
+        return np.asarray(self.scale * self.part * np.mean([_answer(inputs, member) for member in members], axis=0))
 
     def uncertainties(self, inputs: Array) -> Array:
         """Return the error in cross-validation, shape=(n, number of commands) [m, rad]."""
         return np.tile(self.sigmas, (len(inputs), 1))
-
-    def as_data(self) -> dict[str, object]:
-        """Return the networks as numbers and lists."""
-        return {"kind": "neural network"} | {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> NeuralNetwork:
-        """Return the networks that :meth:`as_data` was made of."""
-        return cls(**{name: np.array(data[name], dtype=float) for name in cls.__dataclass_fields__})
 
 
 _Weights = tuple[Array, Array, Array, Array]

@@ -10,7 +10,7 @@ import numpy as np
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
 from pm3dof_pin.calibration.identification import PRIOR, Identification
-from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, chance_of_harm, held_out_errors
+from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, held_out_errors
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.rms_interval import COVERAGE
@@ -54,12 +54,7 @@ def calibrate_and_object(
     """Calibrate a machine and judge the result: return it with its cross-validation and what speaks against it.
 
     The last of what speaks against it is the likeliest cause, if one of the usual mistakes explains it.
-
-    Args:
-        measurements: what was measured.
-        errors: the parameters, with their tolerances.
-        options: how to calibrate.
-        progress: called with the number of steps done and that of all.
+    `progress` is called with the number of steps done and that of all.
 
     Raises:
         CalibrationRefusedError: nothing comes of these measurements.
@@ -153,12 +148,7 @@ def _warn_of_other_parts(calibration: Calibration, measurements: Measurements, *
 
 
 def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
-    """Return what speaks against a calibration, a sentence each; nothing if nothing does.
-
-    Args:
-        calibration: the calibration.
-        held_out: how good it is on measurements it was not shown; None if that is not known.
-    """
+    """Return what speaks against a calibration and its cross-validation, a sentence each; [] if nothing does."""
     found, errors = calibration.identification, calibration.compensation.errors
     reasons = []
     poses = int(found.measurements.pose_numbers.max()) + 1
@@ -189,7 +179,7 @@ def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
             f"the parameters that fit best are {size * prior:.3g} tolerances (root mean square) from the description: "
             "another machine, or another frame"
         )
-    if (chance := chance_of_harm(calibration)) > 1.0 - COVERAGE:
+    if (chance := calibration.chance_of_harm) > 1.0 - COVERAGE:
         why = _noise_in_words(calibration) or (
             "too much of the tool's motion was not seen; measure whole poses, or targets off the tool point"
         )
@@ -220,14 +210,12 @@ def _too_few(found: Identification) -> str:
     measured = found.measurements
     rows = np.unique(np.column_stack([measured.pose_numbers, measured.target_numbers]), axis=0, return_index=True)[1]
     equations = int(measured.seen[rows].sum())
-    told = found.identifiability.rank + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
-    if equations > told:
+    determined = found.identifiability.rank + int(np.sum(found.nuisances.sigmas >= UNKNOWN))
+    if equations > determined:
         return ""
     unknowns = found.rows.shape[2]
-    return (
-        f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {told}: none is "
-        "left over"
-    )
+    counts = f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {determined}"
+    return f"{counts}: none is left over"
 
 
 def _misfit(calibration: Calibration) -> float:
@@ -246,19 +234,12 @@ def strain(calibration: Calibration) -> float:
     if not np.isfinite(found.prior):
         return 0.0
     scaled = found.values / found.errors.tolerances / found.prior
-    told = len(scaled) - float(np.sum(found.shrinkage**2))
-    return float(np.sqrt(np.sum(scaled**2) / max(told, 1.0)))
+    determined = len(scaled) - float(np.sum(found.shrinkage**2))
+    return float(np.sqrt(np.sum(scaled**2) / max(determined, 1.0)))
 
 
 def _likeliest(measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR) -> list[str]:
-    """Return the likeliest of the usual mistakes in words, of a machine that may be some tolerances off; [] for none.
-
-    Args:
-        measurements: as they were read.
-        errors: the parameters, with their tolerances.
-        eta: weight of the orientation in the tip error [m/rad].
-        tolerances: how many.
-    """
+    """Return the likeliest of the usual mistakes in words, of a machine so many tolerances off; [] for none."""
     try:
         usual = _possible_error(errors, measurements, eta, 1.0)
         cause = likely_cause(measurements, errors.robot, eta, least=tolerances * usual, alike=usual)

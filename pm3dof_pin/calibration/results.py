@@ -13,7 +13,7 @@ The same measurements, method and seed give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,13 @@ from pm3dof_pin.calibration.calibrated_urdf import write_calibrated_robot
 from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.judging import HeldOut
-from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, learned_model_from_data
-from pm3dof_pin.calibration.repeatability import Repeatability
+from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.calibration.verdict import Verdict
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import quaternion
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
+from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes, replace_directory, write_text_atomically
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.typing import Array
@@ -42,6 +41,7 @@ COMPENSATION = "compensation.json"
 MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
 
+_ISO_9283 = ("pose", "visits", "accuracy_AP_m", "repeatability_RP_m")
 _GREATEST = 1e12
 _GREATEST_ERROR = 1.0  # of a geometric parameter [m, rad]
 _GREATEST_LENGTH = 1e4  # that weighs a turn [m/rad]
@@ -151,9 +151,9 @@ def summary_of(
         "unexplained_tip_error_m": calibration.compensation.scatter.tip_error,
     }
     units = sorted({command.unit for command in calibration.compensation.errors.robot.commands})
-    for name, judged in (("validation", validation), ("held_out", held_out)):
-        if judged is not None:
-            summary[name] = _judged_summary(judged, "_".join(["excess_joint_error", *units]))
+    for name, errors in (("validation", validation), ("held_out", held_out)):
+        if errors is not None:
+            summary[name] = _held_out_summary(errors, "_".join(["excess_joint_error", *units]))
     if calibration.compensation.values is not None:
         summary["identification"] = _identification_summary(found)
     return summary
@@ -170,36 +170,30 @@ def _verdict_summary(judgement: Verdict) -> dict[str, Any]:
     }
     for found in judgement.systematic:
         summary[found.kind] = {"tip_error_m": found.tip, "tip_sigma_m": found.tip_sigma, "more_than_chance": found.sure}
-    if judgement.repeated is not None:
+    if (repeated := judgement.repeated) is not None:
+        numbers = (repeated.poses + 1, repeated.visits, repeated.accuracy, repeated.repeatability)
+        columns = [column.tolist() for column in numbers]
         summary["repeatability"] = {
-            "tip_sigma_m": judgement.repeated.tip_sigma,
-            "degrees_of_freedom": judgement.repeated.freedom,
-            "iso_9283": [
-                {"pose": int(pose) + 1, "visits": int(visits), "accuracy_AP_m": accuracy, "repeatability_RP_m": spread}
-                for pose, visits, accuracy, spread in _repeated_rows(judgement.repeated)
-            ],
+            "tip_sigma_m": repeated.tip_sigma,
+            "degrees_of_freedom": repeated.freedom,
+            "iso_9283": [dict(zip(_ISO_9283, row, strict=True)) for row in zip(*columns, strict=True)],
         }
     return summary
 
 
-def _repeated_rows(repeated: Repeatability) -> Iterable[tuple[int, int, float, float]]:
-    columns = (repeated.poses, repeated.visits, repeated.accuracy, repeated.repeatability)
-    return zip(*(column.tolist() for column in columns), strict=True)
-
-
-def _judged_summary(judged: HeldOut, excess: str) -> dict[str, Any]:
+def _held_out_summary(errors: HeldOut, excess: str) -> dict[str, Any]:
     kinds = {
-        "tip_error_before_m": judged.before,
-        "tip_error_after_m": judged.after,
-        "tip_error_floor_m": judged.floor,
-        "tip_noise_m": judged.noise,
-        excess: judged.excess,
-        **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), judged.energies, strict=True)),
+        "tip_error_before_m": errors.before,
+        "tip_error_after_m": errors.after,
+        "tip_error_floor_m": errors.floor,
+        "tip_noise_m": errors.noise,
+        excess: errors.excess,
+        **dict(zip(("energy_before_m", "energy_after_m", "energy_floor_m"), errors.energies, strict=True)),
     }
     named: dict[str, Any] = {name: statistics(values) for name, values in kinds.items() if np.isfinite(values).all()}
-    if judged.excess_interval is not None and excess in named:
-        named[excess]["rms_95_percent_interval"] = list(judged.excess_interval)
-    return {"poses": len(judged.after)} | named | {"within_95_percent_bound": judged.within}
+    if errors.excess_interval is not None and excess in named:
+        named[excess]["rms_95_percent_interval"] = list(errors.excess_interval)
+    return {"poses": len(errors.after)} | named | {"within_95_percent_bound": errors.within}
 
 
 def statistics(values: Array) -> dict[str, float]:
@@ -213,10 +207,8 @@ def statistics(values: Array) -> dict[str, float]:
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
     """Return a compensation as JSON, every digit kept, naming the nominal robot's URDF."""
-    covariance, learned = compensation.covariance, compensation.learned
-    if covariance is not None:
-        # what nothing tells moves the tool by nothing that was ever seen; JSON has no infinity
-        covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    # JSON has no infinity
+    covariance, learned = compensation.known_covariance, compensation.learned
     scale = None
     if learned is not None:
         inputs = learned.inputs
@@ -263,7 +255,7 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
     scale, learned = data["inputs"], None
     if scale is not None:
         inputs = InputScale(tuple(scale["conditions"]), np.array(scale["centre"]), np.array(scale["half_range"]))
-        learned = LearnedPart(learned_model_from_data(data["pseudo_error"]), inputs)
+        learned = LearnedPart.from_data(data["pseudo_error"], inputs)
         _require_answer(path, learned, errors)
     return Compensation(
         errors,
@@ -337,38 +329,25 @@ def _measurements_summary(calibration: Calibration) -> dict[str, Any]:
         "warnings": list(measurements.warnings),
     }
     if measurements.registration is not None:
-        base = measurements.registration.base
-        position, angle = _base_sigmas(found)
+        base, turn = measurements.registration.base, measurements.registration.rotation.T
+        # along the instrument's own axes
+        parts = (found.nuisance_covariance("frame")[part, part] for part in (slice(0, 3), slice(3, 6)))
+        position, angle = (np.sqrt(np.diag(turn @ part @ turn.T)).tolist() for part in parts)
         summary["base_in_instrument_frame"] = {
             "position_m": base[:3, 3].tolist(),
             "quaternion_wxyz": quaternion(base[:3, :3]).tolist(),
-            "position_sigma_m": position.tolist(),
-            "angle_sigma_rad": angle.tolist(),
+            "position_sigma_m": position,
+            "angle_sigma_rad": angle,
             "residual_m": measurements.registration.residual,
         }
-    named = [name for name in found.nuisances.names if not name.startswith("frame.")]
-    if named:
-        places = [found.nuisances.names.index(name) for name in named]
-        summary["besides_the_machine"] = {
-            found.nuisances.names[k]: {
-                "value": float(found.nuisance_values[k]),
-                "sigma": float(found.nuisance_sigmas[k]),
-                "unit": found.nuisances.units[k],
-            }
-            for k in places
-        }
-    return summary
-
-
-def _base_sigmas(found: Identification) -> tuple[Array, Array]:
-    """Return the sigmas of the base's position [m] and orientation [rad] along the instrument's own axes."""
-    registration = found.measurements.registration
-    if registration is None:
-        raise InvalidValueError("measurements", "in the base's own axes", "those of an instrument with its own frame")
-    covariance = found.nuisance_covariance("frame")
-    turn = registration.rotation.T
-    position, angle = (np.sqrt(np.diag(turn @ part @ turn.T)) for part in (covariance[:3, :3], covariance[3:, 3:]))
-    return np.asarray(position), np.asarray(angle)
+    nuisances = found.nuisances
+    values, sigmas = found.nuisance_values.tolist(), found.nuisance_sigmas.tolist()
+    named = {
+        name: {"value": value, "sigma": sigma, "unit": unit}
+        for name, value, sigma, unit in zip(nuisances.names, values, sigmas, nuisances.units, strict=True)
+        if not name.startswith("frame.")
+    }
+    return summary | ({"besides_the_machine": named} if named else {})
 
 
 def _identification_summary(found: Identification) -> dict[str, Any]:

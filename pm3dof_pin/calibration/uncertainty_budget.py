@@ -63,9 +63,7 @@ def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
     matrix = scaled.reshape(-1, scaled.shape[2])
     units = np.concatenate([found.errors.tolerances, np.ones(machine - count), found.nuisances.scales])
     before = np.concatenate([np.full(count, found.prior), np.ones(machine - count), found.nuisances.sigmas])
-    datum = np.zeros((count + 12, found.rows.shape[2]))
-    datum[:count, :count] = np.eye(count)
-    datum[count:, machine:] = found.nuisances.datum_map()
+    datum = found.seen_map
 
     def variances(known: Mask) -> tuple[float, float]:
         """Return what noise and ignorance make of the tip where some parameters are known."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.judging import HeldOut, part_corrected, tip_interval
+from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
 from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
 from pm3dof_pin.calibration.rms_interval import COVERAGE
@@ -47,29 +47,29 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
     answer = compensation.compensate(poses, conditions, on_failure="nan")
     reached = np.isfinite(answer.error_bound)
     bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
-    where, total = "rms over the workspace", _rms(answer.predicted_error[reached])
+    scope, total = "rms over the workspace", _rms(answer.predicted_error[reached])
     if total > bound:  # a few poses, as next to singular ones of an arm, would be all that is told
-        where = (
+        scope = (
             f"rms over the workspace but for the worst poses, up to {1e6 * np.nanmax(answer.predicted_error):.0f} µm"
         )
         reached &= answer.error_bound <= bound
         total = _rms(answer.predicted_error[reached])
     budget = uncertainty_budget(calibration, poses[reached])
-    interval = tip_interval(calibration, poses[reached])
+    interval = calibration.tip_interval(poses[reached])
     if interval is not None:
-        where += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with a probability of 95 %"
-    expect = f"a tip error of {1e6 * total:.0f} µm ({where}), below {1e6 * bound:.0f} µm at 95 % of the poses"
+        scope += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with a probability of 95 %"
+    expect = f"a tip error of {1e6 * total:.0f} µm ({scope}), below {1e6 * bound:.0f} µm at 95 % of the poses"
     if 2.0 * budget["parameters"] ** 2 > total**2 - budget["floor"] ** 2:
         expect += (
             "; as most of what is uncertain was not measured and the same at all poses, such bounds hold for 95 % of "
             "machines, of one nearly everywhere or hardly anywhere"
         )
-    judged, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
-    if judged is not None:
-        before, after = _rms(judged.before), _rms(judged.after)
+    errors, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
+    if errors is not None:
+        before, after = _rms(errors.before), _rms(errors.after)
         expect += (
             f"; on {source} it went from {1e6 * before:.0f} to {1e6 * after:.0f} µm, noise included, and "
-            f"{100.0 * judged.within:.0f} % of the poses were within their 95 % bounds"
+            f"{100.0 * errors.within:.0f} % of the poses were within their 95 % bounds"
         )
     return Verdict(
         expect,
@@ -98,7 +98,7 @@ def _unseen(calibration: Calibration) -> list[str]:
     missing = len(found.identifiability.names) - found.identifiability.rank
     if missing:
         hidden.append(f"{missing} combinations of parameters, which the report lists")
-    if (part := part_corrected(calibration)) < _WHOLE:
+    if (part := calibration.part_corrected) < _WHOLE:
         hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could do harm as well")
     if found.nuisances.columns("frame").size:
         hidden.append("where the base stands, other than by the machine's own motion")

@@ -79,10 +79,11 @@ def calibrate(
 ) -> None:
     """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
-    from pm3dof_pin.calibration.judging import validated_errors, workspace_errors
+    from pm3dof_pin.calibration.judging import validated_errors
     from pm3dof_pin.calibration.objections import calibrate_and_object
     from pm3dof_pin.calibration.results import REPORT, summary_of, write_calibration
     from pm3dof_pin.calibration.verdict import verdict
+    from pm3dof_pin.calibration.workspace_errors import workspace_errors
     from pm3dof_pin.description.robots import find_robot
     from pm3dof_pin.exceptions import CalibrationRefusedError
     from pm3dof_pin.figures.calibration import calibration_pictures

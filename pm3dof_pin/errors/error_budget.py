@@ -57,12 +57,12 @@ class ErrorBudget(ToolErrors):
 
     def select(self, names: Iterable[str]) -> ErrorBudget:
         """Return the budget of some sources, by name or class ("wrench", "thermal"); InvalidValueError for others."""
-        wanted = tuple(names)
+        selected = tuple(names)
         known = {*self.names, *CLASSES}
-        for name in wanted:
+        for name in selected:
             if name not in known:
                 raise InvalidValueError("source of error", name, f"one of {', '.join(sorted(known))}")
-        chosen = tuple(source for source in self.sources if source.name in wanted or source.error_class in wanted)
+        chosen = tuple(s for s in self.sources if s.name in selected or s.error_class in selected)
         return ErrorBudget(self.poses, chosen, self.control, self.eta)
 
     @cached_property

@@ -181,9 +181,8 @@ def error_map(
     if not len(poses) or not len(errors):
         raise InvalidValueError("error map", f"{len(poses)} poses, {len(errors)} parameters", "at least one of each")
     sigmas = errors.tolerances if distribution == "normal" else errors.tolerances / HALF_WIDTH
-    return ErrorMap(
-        errors, poses, sensitivities(errors, poses, engine=engine), frozen(np.array(sigmas)), eta, distribution
-    )
+    found = sensitivities(errors, poses, engine=engine)
+    return ErrorMap(errors, poses, found, frozen(np.array(sigmas)), eta, distribution)
 
 
 def section_grid(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -113,10 +114,7 @@ class GeometricErrors:
     ) -> GeometricErrors:
         """Load a robot with the error parameters of its `<stem>.errors.yaml`; without that file, with all of them.
 
-        Args:
-            name_or_path: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
-            tool_frame: see there.
-            package_paths: see there.
+        Arguments are those of :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>`.
 
         Raises:
             UnknownRobotError: no such robot.
@@ -128,11 +126,7 @@ class GeometricErrors:
 
     @classmethod
     def of(cls, robot: Robot, file: Path) -> GeometricErrors:
-        """Return the error parameters that a file declares for a robot; without that file, all of them.
-
-        Args:
-            robot: the robot as described.
-            file: the path of an error file, which need not exist.
+        """Return the error parameters that a file, which need not exist, declares for a robot; without it, all of them.
 
         Raises:
             DescriptionError: the file is unreadable or malformed.
@@ -151,14 +145,15 @@ class GeometricErrors:
         return f"GeometricErrors({self.robot.name}: {len(self)} parameters: {counts})"
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (self.robot, self.parameters, np.array(self.fixed_bearings))
+        bearings = np.array(self.fixed_bearings)
+        return functools.partial(GeometricErrors, fixed_bearings=bearings), (self.robot, self.parameters)
 
-    @cached_property
+    @functools.cached_property
     def groups(self) -> tuple[str, ...]:
         """Classes of parts, in the order of their first parameter."""
         return tuple(dict.fromkeys(parameter.group for parameter in self.parameters))
 
-    @cached_property
+    @functools.cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each parameter, "m" or "rad"."""
         return tuple(parameter.unit for parameter in self.parameters)
@@ -189,19 +184,12 @@ class GeometricErrors:
         return GeometricErrors(self.robot, chosen, fixed_bearings=self.fixed_bearings)
 
     def without(self, names: Iterable[str]) -> GeometricErrors:
-        """Return the errors without these parameters.
-
-        Raises:
-            InvalidValueError: there is no parameter of this name.
-        """
+        """Return the errors without these parameters; InvalidValueError as for :meth:`select`."""
         dropped = {self._parameter(name) for name in names}
         return self.select(name for index, name in enumerate(self.names) if index not in dropped)
 
     def values(self, values: ArrayLike | Mapping[str, float]) -> Vector:
-        """Return p as a checked array.
-
-        Args:
-            values: p, shape=(number of parameters,) [m, rad], or some parameters by name, the others being 0.
+        """Return p, shape=(number of parameters,) [m, rad], checked; of parameters by name the others are 0.
 
         Raises:
             InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
@@ -218,17 +206,9 @@ class GeometricErrors:
         return dict(zip(self.names, self.values(values).tolist(), strict=True))
 
     def sample(self, generator: np.random.Generator, distribution: Distribution = "normal") -> Vector:
-        """Draw p at random within its tolerances.
-
-        Args:
-            generator: source of the random numbers.
-            distribution: "normal", the tolerance being the standard deviation, or "uniform", it being the half width.
-        """
-        unit = (
-            generator.standard_normal(len(self))
-            if distribution == "normal"
-            else generator.uniform(-1.0, 1.0, len(self))
-        )
+        """Draw p at random; its tolerances are standard deviations ("normal"), or half widths ("uniform")."""
+        normal = distribution == "normal"
+        unit = generator.standard_normal(len(self)) if normal else generator.uniform(-1.0, 1.0, len(self))
         return self.tolerances * unit
 
     def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
@@ -237,9 +217,8 @@ class GeometricErrors:
         turns = {place: np.zeros(3) for place in self._places}
         shifts = {place: np.zeros(3) for place in self._places}
         for value, parameter in zip(p, self.parameters, strict=True):
-            (shifts if parameter.motion == "translation" else turns)[parameter.place] += value * np.array(
-                parameter.axis
-            )
+            parts = shifts if parameter.motion == "translation" else turns
+            parts[parameter.place] += value * np.array(parameter.axis)
         return {place: pin.SE3(pin.exp3(turns[place]), shifts[place]) for place in self._places}
 
     def local_twists(self, values: ArrayLike | Mapping[str, float]) -> Matrix:
@@ -276,14 +255,7 @@ class GeometricErrors:
         return self._movers[frame]
 
     def apply(self, values: ArrayLike | Mapping[str, float]) -> Robot:
-        """Build the robot with these errors, as a new one.
-
-        Args:
-            values: p, shape=(number of parameters,) [m, rad], or some parameters by name.
-
-        Raises:
-            InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
-        """
+        """Build the robot with these errors, as a new one; see :meth:`values` for them, and for what is refused."""
         nominal = self.robot
         model = nominal.model.copy()
         for place, displacement in self.displacements(values).items():
@@ -314,8 +286,7 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
 
     def add(place: str, group: str, motions: Sequence[Motion]) -> None:
         for motion in motions:
-            for axis in AXES:
-                parameter = _parameter(place, motion, axis, unit_vector(axis), group, tolerances[motion])
+            for parameter in axis_parameters(place, motion, group, tolerances[motion]):
                 parameters.setdefault(parameter.name, parameter)
 
     for index, joint in enumerate(model.joints):
@@ -333,16 +304,16 @@ def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
     return tuple(parameters.values())
 
 
-def _rebuild(robot: Robot, parameters: Sequence[GeometricParameter], bearings: Vector) -> GeometricErrors:
-    return GeometricErrors(robot, parameters, fixed_bearings=bearings)
+def axis_parameters(place: str, motion: Motion, group: str, tolerance: float) -> list[GeometricParameter]:
+    """Return the displacements of a place along, or about, its own three axes."""
+    return [_parameter(place, motion, axis, _unit_vector(axis), group, tolerance) for axis in AXES]
 
 
 def _check(parameters: Sequence[GeometricParameter]) -> None:
-    seen: set[str] = set()
+    for name, count in Counter(parameter.name for parameter in parameters).items():
+        if count > 1:
+            raise InvalidValueError("geometric parameter", name, "each name once")
     for parameter in parameters:
-        if parameter.name in seen:
-            raise InvalidValueError("geometric parameter", parameter.name, "each name once")
-        seen.add(parameter.name)
         if not abs(math.hypot(*parameter.axis) - 1.0) <= _UNIT:
             raise InvalidValueError(f"axis of {parameter.name}", parameter.axis, "a unit vector")
         if not (np.isfinite(parameter.tolerance) and parameter.tolerance > 0.0):
@@ -355,8 +326,7 @@ def _parameter(
     return GeometricParameter(f"{place}.{motion[0]}{label}", place, motion, axis, group, tolerance)
 
 
-def unit_vector(axis: str) -> tuple[float, float, float]:
-    """Return the unit vector along an axis, "x", "y" or "z"."""
+def _unit_vector(axis: str) -> tuple[float, float, float]:
     x, y, z = (float(axis == name) for name in AXES)
     return (x, y, z)
 
@@ -378,7 +348,7 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
 def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the directions that a word of the file stands for, with their labels."""
     if word in AXES:
-        return [(word, unit_vector(word))]
+        return [(word, _unit_vector(word))]
     if not robot.model.existJointName(place):
         raise JointNotFoundError(place, f"{file.path}: '{word}'", list(robot.model.names)[1:])
     if word == "along":

@@ -76,12 +76,12 @@ def minimal_parameters(
         InvalidValueError: a name of `first` is unknown.
         SingularConfigurationError: at a pose the tool can move while all drives stand still.
     """
-    wanted = set(errors.select(first).names)
+    preferred_names = set(errors.select(first).names)
     fitting = closable(errors, poses[:_CLOSING])
     kinds = [_PREFERENCE.index(_kind(fitting.robot, parameter)) for parameter in fitting.parameters]
     numbers = range(len(fitting))
-    preferred = [k for k in numbers if fitting.names[k] in wanted]
-    others = sorted((k for k in numbers if fitting.names[k] not in wanted), key=lambda k: kinds[k])
+    preferred = [k for k in numbers if fitting.names[k] in preferred_names]
+    others = sorted((k for k in numbers if fitting.names[k] not in preferred_names), key=lambda k: kinds[k])
     effects = _effects(fitting, poses)
     least = max(least_effect, _NOTHING) * np.linalg.norm(effects, axis=0).max(initial=0.0)
     rounds = [(preferred, _DISTINCT[-1], 0.0), *((others, distinct, least) for distinct in _DISTINCT)]

@@ -6,6 +6,7 @@ deviation, each of which moves the tool along some twist. All sources are of thi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +19,7 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import read_error_file
 from pm3dof_pin.description.source_numbers import SourceNumbers
 from pm3dof_pin.dynamics.batch import actuator_forces
+from pm3dof_pin.errors.command_correction import command_scales
 from pm3dof_pin.errors.elastic_deflection import ElasticDeflection
 from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution, GeometricErrors
 from pm3dof_pin.errors.normal_vectors import covariance_root
@@ -28,7 +30,6 @@ from pm3dof_pin.errors.thermal_growth import (
     bend_per_curvature,
     displacement_errors,
     displacement_names,
-    translation_errors,
 )
 from pm3dof_pin.errors.vibration import Vibration
 from pm3dof_pin.errors.waviness import beside_guideways
@@ -122,10 +123,9 @@ class ErrorSources:
     def thermal_growth(self) -> ThermalGrowth:
         """How the robot grows; the same for simulated machines."""
         numbers, robot = self.numbers.thermal, self.robot
-        shares = numbers.members
-        if shares is None:
-            shares = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
-        growing = GeometricErrors(robot, translation_errors(robot, shares, "thermal"))
+        links = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
+        shares = links if numbers.members is None else numbers.members
+        growing = GeometricErrors(robot, displacement_errors(robot, shares, "thermal", ["translation"]))
         closing = {parameter.place for parameter in closable(growing).parameters}
         kept = {place: share for place, share in shares.items() if place in closing}
         bearings = np.array(self.errors.fixed_bearings)
@@ -164,14 +164,12 @@ class ErrorSources:
     def others(self) -> GeometricErrors:
         """Displacements that sources beside the geometry bring about: beside guideways, by heat, within a play."""
         robot, numbers = self.robot, self.numbers
-        parameters = list(translation_errors(robot, self.thermal_growth.members, "thermal"))
+        parameters = displacement_errors(robot, self.thermal_growth.members, "thermal", ["translation"])
         parameters += displacement_errors(robot, self.thermal_growth.bending, "bending")
         if numbers.clearance.play_m:
-            parameters += translation_errors(robot, numbers.clearance.at, "clearance")
+            parameters += displacement_errors(robot, numbers.clearance.at, "clearance", ["translation"])
         if numbers.waviness.straightness_m and numbers.waviness.lengths_m and self.slides.any():
-            beside = beside_guideways(robot)
-            slides = np.repeat(self.slides, 2)
-            parameters += [parameter for parameter, sliding in zip(beside, slides, strict=True) if sliding]
+            parameters += itertools.compress(beside_guideways(robot), np.repeat(self.slides, 2))
         named = [replace(parameter, name=f"{parameter.group} {parameter.name}") for parameter in parameters]
         return closable(GeometricErrors(robot, named))
 
@@ -208,7 +206,7 @@ class _SourcesAtPoses:
     def __init__(self, sources: ErrorSources, poses: Poses) -> None:
         self._sources, self._poses = sources, poses
         self._robot, self._numbers = sources.robot, sources.numbers
-        self._scales = np.array([command.scale for command in self._robot.commands])
+        self._scales = command_scales(poses)
         self._moved = sensitivities(sources.others, poses)
         self._by_drives = self._moved.commands * self._scales  # by the drives' joints
 
@@ -221,37 +219,32 @@ class _SourcesAtPoses:
             "drives": self._drives,
             "vibration": self._vibration,
         }
-        return found[error_class]()
+        return (replace(source, error_class=error_class) for source in found[error_class]())
 
     def _source(
         self,
-        error_class: ErrorClass,
         name: str,
         long_name: str,
-        *,
         effects: Array | None = None,
-        greatest: ArrayLike = 1.0,
+        *,
+        greatest: float = 1.0,
         shift: Array | None = None,
         repeats: bool = True,
     ) -> SourceErrors:
         count = len(self._poses)
-        columns = np.zeros((count, 6, 0)) if effects is None else effects
-        sizes = np.broadcast_to(np.asarray(greatest, dtype=float), columns.shape[2])
+        effects = np.zeros((count, 6, 0)) if effects is None else effects
         shift = np.zeros((count, 6)) if shift is None else shift
-        return SourceErrors(name, error_class, long_name, repeats, shift, columns, sizes)
+        sizes = np.full(effects.shape[2], greatest)
+        return SourceErrors(name, CLASSES[0], long_name, repeats, shift, effects, sizes)
 
-    def _uniform(
-        self, error_class: ErrorClass, name: str, long_name: str, reach: Array, *, repeats: bool = True
-    ) -> SourceErrors:
+    def _uniform(self, name: str, long_name: str, reach: Array, *, repeats: bool = True) -> SourceErrors:
         """A source of uniform numbers, `reach` being what each does at its greatest value."""
-        return self._source(
-            error_class, name, long_name, effects=reach / HALF_WIDTH, greatest=HALF_WIDTH, repeats=repeats
-        )
+        return self._source(name, long_name, reach / HALF_WIDTH, greatest=HALF_WIDTH, repeats=repeats)
 
-    def _drift(self, error_class: ErrorClass, name: str, long_name: str, per_hour: Array) -> SourceErrors:
+    def _drift(self, name: str, long_name: str, per_hour: Array) -> SourceErrors:
         """A source that grows with time at a rate, either of which is anywhere up to its greatest value."""
         effects = per_hour * (self._numbers.drift.hours / 3.0)
-        return self._source(error_class, name, long_name, effects=effects, greatest=3.0, repeats=False)
+        return self._source(name, long_name, effects, greatest=3.0, repeats=False)
 
     def _kinematic(self) -> Iterator[SourceErrors]:
         errors, factor = self._sources.errors, self._sources.geometry_factor
@@ -259,26 +252,14 @@ class _SourcesAtPoses:
             effects = sensitivities(errors, self._poses).errors * errors.tolerances / factor
             for group in errors.groups:
                 words = f"manufacturing and assembly: {group.replace('_', ' ')}"
-                yield self._source(
-                    "kinematic parameters",
-                    f"geometry_{group}",
-                    words,
-                    effects=effects[:, :, errors.indices(group)],
-                    greatest=factor,
-                )
+                yield self._source(f"geometry_{group}", words, effects[:, :, errors.indices(group)], greatest=factor)
         numbers, slides = self._numbers.waviness, self._sources.slides
         if slides.any() and numbers.lengths_m and (numbers.pitch_m or numbers.straightness_m):
             scatter, most = _of_waves(len(numbers.lengths_m))
             along = self._by_drives[:, :, slides] * (numbers.pitch_m * scatter)
             beside = self._others("waviness") * (numbers.straightness_m * scatter)
             effects = np.concatenate([along, beside], axis=2)
-            yield self._source(
-                "kinematic parameters",
-                "waviness",
-                "guides and screws, waving along their travel",
-                effects=effects,
-                greatest=most,
-            )
+            yield self._source("waviness", "guides and screws, waving along their travel", effects, greatest=most)
 
     def _thermal(self) -> Iterator[SourceErrors]:
         growth, sources, drift = self._sources.thermal_growth, self._sources, self._numbers.drift
@@ -292,21 +273,18 @@ class _SourcesAtPoses:
             together = together + self._others("thermal") @ amounts[:, None]
         if together.any() and sources.rise:
             words = "growth of screws and members with the mean temperature"
-            yield self._uniform("thermal", "thermal_growth", words, together * sources.rise)
+            yield self._uniform("thermal_growth", words, together * sources.rise)
         if together.any() and drift.warming_K_per_h * drift.hours:
-            yield self._drift(
-                "thermal", "thermal_drift", "warming in the course of the job", together * drift.warming_K_per_h
-            )
+            rates = together * drift.warming_K_per_h
+            yield self._drift("thermal_drift", "warming in the course of the job", rates)
         between, count = self._numbers.thermal.between_drives_K, by_screw.shape[2]
         if between and by_screw.any() and count > 1:
             # independent rises less their mean, which is the source above
-            differences = by_screw @ (np.eye(count) - 1.0 / count)
-            yield self._uniform(
-                "thermal", "thermal_gradient", "screws warmer or colder than their mean", differences * between
-            )
+            differences = by_screw @ (np.eye(count) - 1.0 / count) * between
+            yield self._uniform("thermal_gradient", "screws warmer or colder than their mean", differences)
         bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
         if bent.any():
-            yield self._uniform("thermal", "thermal_bending", "members bent by gradients across them", bent)
+            yield self._uniform("thermal_bending", "members bent by gradients across them", bent)
 
     def _bent(self) -> Array:
         """What each kelvin across each member does, over its expansion, shape=(n, 6, 2 members that bend)."""
@@ -333,7 +311,7 @@ class _SourcesAtPoses:
         under_weight = np.zeros((len(self._poses), 6))
         if load.own_weight or load.payload_kg:
             under_weight = weight.displacements(self._poses)
-            yield self._source("stiffness", "weight", "deflection under weight, and the payload's", shift=under_weight)
+            yield self._source("weight", "deflection under weight, and the payload's", shift=under_weight)
         if sources.wrench.any():
             wrenches = np.tile(sources.wrench, (len(self._poses), 1))
             if sources.large:
@@ -341,7 +319,7 @@ class _SourcesAtPoses:
             else:
                 deflection = ElasticDeflection(own_weight=False).displacements(self._poses, wrenches)
             size = "large" if sources.large else "small"
-            yield self._source("stiffness", "wrench", f"deflection under the wrench at work ({size})", shift=deflection)
+            yield self._source("wrench", f"deflection under the wrench at work ({size})", shift=deflection)
 
     def _drives(self) -> Iterator[SourceErrors]:
         numbers, slides, drift = self._numbers.drives, self._sources.slides, self._numbers.drift
@@ -349,28 +327,22 @@ class _SourcesAtPoses:
         step = np.where(slides, numbers.encoder_step_m, numbers.encoder_step_rad)
         if backlash.any():
             effects = self._by_drives * (0.5 * backlash)
-            yield self._source("drives", "backlash", "backlash of the drives", effects=effects, repeats=False)
+            yield self._source("backlash", "backlash of the drives", effects, repeats=False)
         if step.any():
-            yield self._uniform(
-                "drives", "encoder", "steps of the encoders", self._by_drives * (0.5 * step), repeats=False
-            )
+            yield self._uniform("encoder", "steps of the encoders", self._by_drives * (0.5 * step), repeats=False)
         yield from self._servo()
         if self._names("clearance"):
             reach = self._others("clearance") * self._numbers.clearance.play_m
-            yield self._uniform("drives", "clearance", "clearance of passive joints", reach, repeats=False)
+            yield self._uniform("clearance", "clearance of passive joints", reach, repeats=False)
         rates = np.where(slides, drift.zeros_m_per_h, drift.zeros_rad_per_h)
         if rates.any() and drift.hours:
-            yield self._drift("drives", "drift", "zeros of the drives drifting during the job", self._by_drives * rates)
+            yield self._drift("drift", "zeros of the drives drifting during the job", self._by_drives * rates)
 
     def _servo(self) -> Iterator[SourceErrors]:
         """Drives that follow with an error as large as their load over the servo's stiffness."""
         numbers, slides = self._numbers.drives, self._sources.slides
-        stiffness = np.array(
-            [
-                (numbers.servo_stiffness_N_per_m if sliding else numbers.servo_stiffness_Nm_per_rad) or np.inf
-                for sliding in slides
-            ]
-        )
+        linear, angular = numbers.servo_stiffness_N_per_m, numbers.servo_stiffness_Nm_per_rad
+        stiffness = np.where(slides, linear or np.inf, angular or np.inf)
         if np.isinf(stiffness).all():
             return
         load = self._numbers.load
@@ -380,21 +352,14 @@ class _SourcesAtPoses:
         if load.own_weight:
             pushed -= actuator_forces(self._robot, self._poses)
         shift = np.einsum("nij,nj->ni", self._by_drives, pushed / stiffness)
-        yield self._source("drives", "servo", "servos giving way under weight and wrench", shift=shift)
+        yield self._source("servo", "servos giving way under weight and wrench", shift=shift)
 
     def _vibration(self) -> Iterator[SourceErrors]:
         vibration = self._sources.vibration
         words = {"tool": "of the tool", "motors": "of the motors", "axes": "of the system's axes, by the floor"}
         for cause, covariance in ({} if vibration is None else vibration.covariances_by_cause(self._poses)).items():
-            effects = covariance_root(covariance)
-            yield self._source(
-                "vibration",
-                f"vibration_{cause}",
-                words[cause],
-                effects=effects,
-                greatest=GREATEST_VIBRATION,
-                repeats=False,
-            )
+            name, effects = f"vibration_{cause}", covariance_root(covariance)
+            yield self._source(name, words[cause], effects, greatest=GREATEST_VIBRATION, repeats=False)
 
     def _names(self, group: str) -> list[str]:
         return [parameter.name for parameter in self._sources.others.parameters if parameter.group == group]

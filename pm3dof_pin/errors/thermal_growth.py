@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import AXES
-from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, unit_vector
+from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, axis_parameters
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.typing import Array, Vector
+from pm3dof_pin.typing import Array, Motion, Vector
 
 STEEL_EXPANSION = 11.5e-6
 """Thermal expansion of steel [1/K]."""
@@ -64,7 +64,7 @@ class ThermalGrowth:
         parameters, per_kelvin = self.growth(robot)
         return GeometricErrors(robot, parameters).apply(temperature_rise * per_kelvin)
 
-    def growth(self, robot: Robot) -> tuple[tuple[GeometricParameter, ...], Vector]:
+    def growth(self, robot: Robot) -> tuple[list[GeometricParameter], Vector]:
         """Return how the ends of members move as error parameters, and by how much for each kelvin [m/K, rad/K]."""
         moved = self.growth_per_kelvin(robot)
         for place, member in self.bending.items():
@@ -75,7 +75,7 @@ class ThermalGrowth:
         return parameters, np.array([moved.get(parameter.name, 0.0) for parameter in parameters])
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
-        """Return how far the end of each member moves, by the names of :func:`translation_errors` [m/K]."""
+        """Return how far the end of each member moves, by the names of :func:`displacement_names` [m/K]."""
         growth: dict[str, float] = {}
         for place, share in self.members.items():
             placement = _placement_on_body(robot, place)
@@ -101,8 +101,15 @@ class ThermalGrowth:
         return from_first(distance) - from_first(np.zeros(1))
 
 
-def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple[GeometricParameter, ...]:
-    """Return the translations of joints or frames along their own axes as error parameters, with unit tolerances.
+def displacement_names(place: str) -> list[str]:
+    """Return the names of the displacements of a place along its own axes, then about them."""
+    return [f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES]
+
+
+def displacement_errors(
+    robot: Robot, places: Iterable[str], group: str, motions: Sequence[Motion] = ("translation", "rotation")
+) -> list[GeometricParameter]:
+    """Return the displacements of joints or frames in their own axes as error parameters, with unit tolerances.
 
     Raises:
         FrameNotFoundError: the robot has no such joint or frame.
@@ -110,27 +117,7 @@ def translation_errors(robot: Robot, places: Iterable[str], group: str) -> tuple
     places = list(places)
     for place in places:
         _placement_on_body(robot, place)
-    return tuple(
-        GeometricParameter(f"{place}.t{axis}", place, "translation", unit_vector(axis), group, 1.0)
-        for place in places
-        for axis in AXES
-    )
-
-
-def displacement_names(place: str) -> list[str]:
-    """Return the names of the displacements of a place along its own axes, then about them."""
-    return [f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES]
-
-
-def displacement_errors(robot: Robot, places: Iterable[str], group: str) -> tuple[GeometricParameter, ...]:
-    """Return the translations and rotations of joints or frames in their own axes, with unit tolerances.
-
-    Raises:
-        FrameNotFoundError: the robot has no such joint or frame.
-    """
-    shifts = translation_errors(robot, places, group)
-    turns = [replace(p, name=f"{p.place}.r{p.name[-1]}", motion="rotation") for p in shifts]
-    return (*shifts, *turns)
+    return [p for place in places for motion in motions for p in axis_parameters(place, motion, group, 1.0)]
 
 
 def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, float] | None = None) -> Array:

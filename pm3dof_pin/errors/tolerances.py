@@ -16,7 +16,7 @@ import numpy as np
 import scipy.optimize
 
 from pm3dof_pin.errors.error_map import ErrorMap
-from pm3dof_pin.errors.error_parameters import HALF_WIDTH, GeometricParameter
+from pm3dof_pin.errors.error_parameters import HALF_WIDTH, Distribution
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError
 from pm3dof_pin.typing import Array
 
@@ -65,16 +65,34 @@ def allocate_tolerances(
     if target > limit:
         expected = f"a small error in metres, below {limit:.2g} for a machine of this size: 100 µm are 1e-4"
         raise InvalidValueError("target", target, expected)
-    names, squares, costs = _classes(error_map, compensated)
+    effects = error_map.uncompensable if compensated else error_map.weighted
+    labels = [f"{parameter.group} [{parameter.unit}]" for parameter in error_map.errors.parameters]
+    names = list(dict.fromkeys(labels))
+    members = np.equal.outer(names, labels).astype(float)
+    # what unit tolerances of each class do to the squared tip error at each pose
+    squares = np.sum(effects**2, axis=1) @ members.T
+    squares[squares < _RELATIVE_TOLERANCE * squares.max()] = 0.0
+    costs = members @ error_map.errors.tolerances
     active = np.flatnonzero(squares.max(axis=0) > 0.0)
     scaled = squares[:, active] / target**2
-    sigmas = np.full(len(names), np.inf)
-    sigmas[active] = (
-        1.0 / np.sqrt(scaled.mean(axis=0)) if rule == "equal_contributions" else _cheap(scaled, costs[active])
+    equal = rule == "equal_contributions"
+    sigmas = 1.0 / np.sqrt(scaled.mean(axis=0)) if equal else _cheap(scaled, costs[active])
+    sigmas /= np.sqrt((scaled @ sigmas**2).max())
+    if coverage is not None:
+        if not 0.0 < coverage < 1.0:
+            raise InvalidValueError("coverage", coverage, "a part of the machines between 0 and 1, such as 0.95")
+        greatest = _greatest_tips(effects * (sigmas @ members[active]), error_map.distribution)
+        sigmas *= target / float(np.quantile(greatest, coverage))
+    parts = squares[:, active] * sigmas**2
+    tolerances, shares = np.full(len(names), np.inf), np.zeros(len(names))
+    tolerances[active] = sigmas * (1.0 if error_map.distribution == "normal" else HALF_WIDTH)
+    shares[active] = parts.mean(axis=0) / parts.mean(axis=0).sum()
+    return _Allocation(
+        tolerances=dict(zip(names, tolerances.tolist(), strict=True)),
+        shares=dict(zip(names, shares.tolist(), strict=True)),
+        cost=float(np.sum(costs[active] / tolerances[active])),
+        tip_rms=np.sqrt(parts.sum(axis=1)),
     )
-    sigmas[active] /= np.sqrt((scaled @ sigmas[active] ** 2).max())
-    sigmas *= _narrowing(error_map, compensated, dict(zip(names, sigmas, strict=True)), target, coverage)
-    return _allocation(error_map, names, squares, costs, sigmas)
 
 
 def _cheap(scaled: Array, costs: Array) -> Array:
@@ -108,76 +126,23 @@ def _cheapest(costs: Array, rows: Array, start: Array, step: int) -> Array:
         "fun": lambda y: -np.log(rows @ np.exp(2.0 * y)),
         "jac": lambda y: -2.0 * rows * np.exp(2.0 * y) / (rows @ np.exp(2.0 * y))[:, None],
     }
-    result = scipy.optimize.minimize(
-        cost,
-        start,
-        jac=True,
-        method="SLSQP",
-        constraints=[constraint],
-        options={"ftol": 1e-12, "maxiter": 500},
-    )
+    options = {"ftol": 1e-12, "maxiter": 500}
+    result = scipy.optimize.minimize(cost, start, jac=True, method="SLSQP", constraints=[constraint], options=options)
     if not result.success:
         raise ConvergenceError(f"tolerance allocation ({result.message})", float(result.fun), "of the cost", step)
     return np.asarray(result.x)
 
 
-def _classes(error_map: ErrorMap, compensated: bool) -> tuple[list[str], Array, Array]:
-    """Return names of the classes, what unit tolerances of each do to the squared tip error, and their costs."""
-    squares = np.sum(_effects(error_map, compensated) ** 2, axis=1)
-    labels = [_class_of(p) for p in error_map.errors.parameters]
-    names = list(dict.fromkeys(labels))
-    members = np.array([[label == name for label in labels] for name in names], dtype=float)
-    sums = squares @ members.T
-    sums[sums < _RELATIVE_TOLERANCE * sums.max()] = 0.0
-    return names, sums, members @ error_map.errors.tolerances
+def _greatest_tips(effects: Array, distribution: Distribution) -> Array:
+    """Return the greatest tip error over the poses of machines drawn at random, to first order, shape=(machines,).
 
-
-def _class_of(parameter: GeometricParameter) -> str:
-    return f"{parameter.group} [{parameter.unit}]"
-
-
-def _effects(error_map: ErrorMap, compensated: bool) -> Array:
-    return error_map.uncompensable if compensated else error_map.weighted
-
-
-def _narrowing(
-    error_map: ErrorMap, compensated: bool, sigmas: dict[str, float], target: float, coverage: float | None
-) -> float:
-    """Return what standard deviations of the classes are multiplied by so that they cover so many machines."""
-    if coverage is None:
-        return 1.0
-    if not 0.0 < coverage < 1.0:
-        raise InvalidValueError("coverage", coverage, "a part of the machines between 0 and 1, such as 0.95")
-    found = [sigmas[_class_of(p)] for p in error_map.errors.parameters]
-    each = np.where(np.isfinite(found), found, 0.0)
-    return target / float(np.quantile(_greatest_tips(error_map, compensated, each), coverage))
-
-
-def _greatest_tips(error_map: ErrorMap, compensated: bool, sigmas: Array) -> Array:
-    """Return the greatest tip error over the poses of machines drawn at random, to first order, shape=(machines,)."""
-    effects = (_effects(error_map, compensated) * sigmas).reshape(-1, len(sigmas))
+    Effects are tip-weighted, of each parameter at one standard deviation, shape=(n, 6, parameters) [m].
+    """
+    flat = effects.reshape(-1, effects.shape[2])
     generator, greatest = np.random.default_rng(0), []
     for _ in range(_MACHINES // _CHUNK):
-        shape = (len(sigmas), _CHUNK)
-        drawn = (
-            generator.standard_normal(shape)
-            if error_map.distribution == "normal"
-            else generator.uniform(-HALF_WIDTH, HALF_WIDTH, shape)
-        )
-        tips = (effects @ drawn).reshape(-1, 6, _CHUNK)
+        shape, normal = (effects.shape[2], _CHUNK), distribution == "normal"
+        drawn = generator.standard_normal(shape) if normal else generator.uniform(-HALF_WIDTH, HALF_WIDTH, shape)
+        tips = (flat @ drawn).reshape(-1, 6, _CHUNK)
         greatest.append(np.sqrt(np.max(np.einsum("nim,nim->nm", tips, tips), axis=0)))
     return np.concatenate(greatest)
-
-
-def _allocation(error_map: ErrorMap, names: list[str], squares: Array, costs: Array, sigmas: Array) -> _Allocation:
-    finite = np.isfinite(sigmas)
-    parts = squares[:, finite] * sigmas[finite] ** 2
-    shares = np.zeros(len(names))
-    shares[finite] = parts.mean(axis=0) / parts.mean(axis=0).sum()
-    tolerances = sigmas * (1.0 if error_map.distribution == "normal" else HALF_WIDTH)
-    return _Allocation(
-        tolerances=dict(zip(names, tolerances.tolist(), strict=True)),
-        shares=dict(zip(names, shares.tolist(), strict=True)),
-        cost=float(np.sum(costs[finite] / tolerances[finite])),
-        tip_rms=np.sqrt(parts.sum(axis=1)),
-    )

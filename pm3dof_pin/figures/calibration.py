@@ -11,7 +11,8 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator
 
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
+from pm3dof_pin.calibration.judging import HeldOut
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.color_scale import color_scale
 from pm3dof_pin.figures.labels import axis_label, parameter_words
 from pm3dof_pin.figures.outlined_mesh import draw_map, outlined_mesh

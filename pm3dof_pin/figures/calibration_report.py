@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.elastic_term import STIFFNESS_SIGMA
 from pm3dof_pin.calibration.identification import Identification
-from pm3dof_pin.calibration.judging import HeldOut, WorkspaceErrors
+from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.results import statistics
 from pm3dof_pin.calibration.verdict import Verdict
+from pm3dof_pin.calibration.workspace_errors import WorkspaceErrors
 from pm3dof_pin.figures.calibration import calibration_pictures
 from pm3dof_pin.figures.style import house_style
 

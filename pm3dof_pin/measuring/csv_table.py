@@ -101,16 +101,16 @@ class CsvTable:
             return np.full((len(self), len(names)), missing)
         return np.column_stack([np.empty((len(self), 0)), *(self.columns[name] for name in names)])
 
-    def require(self, wanted: Sequence[str]) -> None:
+    def require(self, names: Sequence[str]) -> None:
         """Check that columns are there.
 
         Raises:
             MeasurementError: some are missing.
         """
-        missing = [name for name in wanted if name not in self.header]
+        missing = [name for name in names if name not in self.header]
         if missing:
             problem = (
-                f"no column {', '.join(missing)}; expected {','.join(wanted)}, the file has {','.join(self.header)}"
+                f"no column {', '.join(missing)}; expected {','.join(names)}, the file has {','.join(self.header)}"
             )
             raise MeasurementError(self.path, problem, [1])
 

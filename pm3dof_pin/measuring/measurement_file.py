@@ -134,12 +134,12 @@ class _Reader:
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self._path, self._robot = path, robot
-        self._own = command_columns(robot)
-        self._table = CsvTable(path, self._own)
+        self._command_columns = command_columns(robot)
+        self._table = CsvTable(path, self._command_columns)
         self._joints = encoder_joints(self._table, robot)
         self._encoders = [encoder_column(robot, joint) for joint in self._joints]
         self._check_header()
-        self._seen, whole = self._settle_what_was_measured()
+        self._seen, whole = self._flags_of_measured()
         whole &= np.isfinite(self._table.matrix(self._needed())).all(axis=1)
         self._table.keep(whole)
         self._seen = self._seen[whole]
@@ -149,7 +149,9 @@ class _Reader:
         points = table.matrix(POINT_COLUMNS, missing=0.0)
         whole = POSITION_COLUMNS if {*POSITION_COLUMNS} <= {*table.columns} else ()
         measured = [name for name in (*whole, *QUATERNION_COLUMNS) if whole and name in table]
-        warn_of_copies(table, np.hstack([table.matrix(self._own), points, self._seen]), table.matrix(measured))
+        warn_of_copies(
+            table, np.hstack([table.matrix(self._command_columns), points, self._seen]), table.matrix(measured)
+        )
         commands = commands_of(table, self._robot)
         rotations = self._rotations()
         check_points(table, points, self._robot.characteristic_length)
@@ -225,8 +227,8 @@ class _Reader:
         fixed, begun, on_sphere = np.isfinite(origins).all(axis=1), np.isfinite(starts).all(axis=1), spheres >= 0
         unclear = far & (fixed.astype(int) + begun + on_sphere != 1)
         if unclear.any():
-            ways = f"{','.join(ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {SPHERE_COLUMN}"
-            problem = f"from where is {DISTANCE_COLUMN}? Expected {ways}"
+            origins_in_words = f"{','.join(ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {SPHERE_COLUMN}"
+            problem = f"from where is {DISTANCE_COLUMN}? Expected {origins_in_words}"
             raise MeasurementError(self._path, problem, table.lines_where(unclear))
         if found.registration is not None and fixed.any():
             origins[fixed] = found.registration.positions(origins[fixed])
@@ -283,7 +285,7 @@ class _Reader:
     def _check_header(self) -> None:
         header = self._table.header
         measured = self._measured_columns(header)
-        wanted = [*self._own, *measured]
+        expected = [*self._command_columns, *measured]
         for group in (
             ORIGIN_COLUMNS,
             start_columns(self._robot),
@@ -298,9 +300,9 @@ class _Reader:
             *((name,) for encoder in self._encoders for name in (encoder, f"sigma_{encoder}")),
         ):
             if set(group) & set(header):
-                wanted += group
-        self._table.require(wanted)
-        unknown = [name for name in header if name not in wanted and not is_condition(name)]
+                expected += group
+        self._table.require(expected)
+        unknown = [name for name in header if name not in expected and not is_condition(name)]
         if unknown:
             angles = QUATERNION_COLUMNS[0] not in header and any(name.endswith("_rad") for name in unknown)
             hint = f"; an orientation is expected in {','.join(QUATERNION_COLUMNS)}" if angles else ""
@@ -317,12 +319,12 @@ class _Reader:
         if self._encoders:
             return positions
         beside = (*POINT_COLUMNS, *SIGMA_COLUMNS[:3]) if positions else (*QUATERNION_COLUMNS, *SIGMA_COLUMNS[3:])
-        known = {*self._own, *positions, *beside, _TIME_COLUMN, *approach_columns(self._robot)}
+        known = {*self._command_columns, *positions, *beside, _TIME_COLUMN, *approach_columns(self._robot)}
         some = positions or QUATERNION_COLUMNS[0] in header
         alone = some and all(name in known or is_condition(name) for name in header)
         return positions if alone else POSITION_COLUMNS
 
-    def _settle_what_was_measured(self) -> tuple[Mask, Mask]:
+    def _flags_of_measured(self) -> tuple[Mask, Mask]:
         """Make whole columns of what was measured, and say which was: flags of x, y, z, angles, distance, encoders.
 
         Not measured is a coordinate without a column or with an infinite sigma, and a position, an orientation or a
@@ -336,17 +338,17 @@ class _Reader:
         infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in SIGMA_COLUMNS])
         seen, broken = np.zeros((count, 7 + len(self._encoders)), dtype=bool), np.zeros(count, dtype=bool)
         if present := [name for name in POSITION_COLUMNS if name in table]:
-            there = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
+            given = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
             for name in present:
                 place = POSITION_COLUMNS.index(name)
-                seen[:, place] = there & ~infinite[:, place]
+                seen[:, place] = given & ~infinite[:, place]
                 broken |= seen[:, place] & ~np.isfinite(table[name])
         if QUATERNION_COLUMNS[0] in table:
             cells = table.matrix(QUATERNION_COLUMNS)
-            there = np.asarray(~np.isnan(cells).all(axis=1))
-            broken |= there & ~np.isfinite(cells).all(axis=1)
-            seen[:, 3:6] = there[:, None] & ~infinite[:, 3:]
-            whole = np.where(there[:, None], cells, [1.0, 0.0, 0.0, 0.0])
+            given = np.asarray(~np.isnan(cells).all(axis=1))
+            broken |= given & ~np.isfinite(cells).all(axis=1)
+            seen[:, 3:6] = given[:, None] & ~infinite[:, 3:]
+            whole = np.where(given[:, None], cells, [1.0, 0.0, 0.0, 0.0])
             table.columns |= dict(zip(QUATERNION_COLUMNS, whole.T, strict=True))
         if DISTANCE_COLUMN in table:
             seen[:, 6] = ~np.isnan(table[DISTANCE_COLUMN])
@@ -384,9 +386,9 @@ class _Reader:
         Of several ways that which brings the tool nearest to where it was seen, or all where it was not.
         """
         mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
-        ways = {"all drives": mirrored}
-        ways |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(np.diag(every))}
-        found = {name: self._robot.forward(other, on_failure="nan") for name, other in ways.items()}
+        turned = {"all drives": mirrored}
+        turned |= {f"u{k + 1}": np.where(one, mirrored, commands) for k, one in enumerate(np.diag(every))}
+        found = {name: self._robot.forward(other, on_failure="nan") for name, other in turned.items()}
         found = {name: poses for name, poses in found.items() if poses.solved.all()}
         if not {*POSITION_COLUMNS} <= {*self._table.columns}:
             return " or ".join(found)

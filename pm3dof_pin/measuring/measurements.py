@@ -11,12 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import finite_array, real_array
-from pm3dof_pin.errors.pose_error import pose_difference, rotation_matrix, rotation_vector_rates
+from pm3dof_pin.errors.pose_error import (
+    TIP_LENGTH,
+    pose_difference,
+    rotation_matrix,
+    rotation_vector_rates,
+    tip_weights,
+)
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.encoders import joint_coordinates
 from pm3dof_pin.measuring.instrument import Instrument, Measured
-from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration
+from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.typing import Array, Indices, Mask
 
 _SAME = 1e-9  # [m, rad], commands that differ by less are one pose
@@ -246,10 +252,7 @@ class Measurements:
         return _numbered(self.points)
 
     def in_moved_base(self, twist: Array) -> Measurements:
-        """Return them in the axes of a base that stands elsewhere: they come into it as from another registration.
-
-        Args:
-            twist: where that base is in the axes of this one, [translation; rotation vector], shape=(6,) [m, rad].
+        """Return them in the axes of a base that stands at [translation; rotation vector] in this one, shape=(6,).
 
         Raises:
             InvalidValueError: they were measured in the axes of the base, which leaves nothing to move.
@@ -276,6 +279,11 @@ class Measurements:
             origins=None if self.origins is None else registration.positions(self.origins),
         )
 
+    def registered_at(self, poses: Poses, eta: float = TIP_LENGTH) -> Registration:
+        """Find the base by where a machine is at poses, one for each row; see :func:`register`."""
+        rotations = (None, None) if self.rotations is None else (self.rotations, poses.rotations)
+        return register(self.positions, self.points_on(poses), *rotations, eta=eta)
+
     def _own_frame(self) -> Registration:
         if self.registration is None:
             expected = "those of an instrument with its own frame"
@@ -296,12 +304,10 @@ class Measurements:
         return replace(self, joints=joints, readings=readings, sigmas=np.concatenate([tool, sigmas], axis=1))
 
     def without_motions(self, poses: Poses, motions: Array) -> Measurements:
-        """Return what would have been seen had the tool not made some motions.
+        """Return what would have been seen had the tool, at the machine's poses, not made some motions.
 
-        Args:
-            poses: of the machine, at the commands of the measurements.
-            motions: [translation; rotation vector] of the tool at each row, then of the joints with encoders or not,
-                shape=(n, 6 or 6 + joints) [m, rad].
+        They are [translation; rotation vector] of the tool at each row, then of the joints with encoders or not,
+        shape=(n, 6 or 6 + joints) [m, rad].
         """
         turns = rotation_matrix(motions[:, 3:6])
         offsets = self._offsets(poses)
@@ -324,13 +330,10 @@ class Measurements:
         return np.asarray(np.einsum("nij,nj->ni", poses.rotations, self.points))
 
     def residuals(self, poses: Poses) -> Array:
-        """Return what was measured minus what a machine does, shape=(n, 3 or 6, and one for each encoder) [m, rad].
+        """Return what was measured minus what a machine does at its poses, shape=(n, 3 or 6, then encoders) [m, rad].
 
         Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
         measured; world axes. Then readings minus the joints' coordinates.
-
-        Args:
-            poses: of the machine, at the commands of the measurements.
         """
         positions = self.positions - self.points_on(poses)
         if self.distances is not None:
@@ -346,13 +349,16 @@ class Measurements:
             parts.append(self.readings - joint_coordinates(poses, tuple(self.joints)))
         return np.concatenate(parts, axis=1)
 
+    def tip_misfits(self, poses: Poses, eta: float = TIP_LENGTH) -> Array:
+        """Return the tip-weighted size of the residuals of the tool, shape=(n,) [m]; see :meth:`residuals`."""
+        tool = self.tool_columns
+        residuals = self.residuals(poses)[:, :tool] * tip_weights(eta)[:tool]
+        return np.asarray(np.linalg.norm(np.where(self.seen[:, :tool], residuals, 0.0), axis=1))
+
     def derivatives(self, poses: Poses, tool_motions: Array) -> Array:
         """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, rows, k).
 
-        Args:
-            poses: of the machine, at the commands of the measurements.
-            tool_motions: derivatives of the tool's pose, then of the joints with encoders where these move too,
-                shape=(n, 6 or 6 + joints, k).
+        It moves the machine's poses, then the joints with encoders or not, by shape=(n, 6 or 6 + joints, k).
         """
         offsets = self._offsets(poses)
         linear, angular = tool_motions[:, :3], tool_motions[:, 3:6]

@@ -60,8 +60,8 @@ def check_extent(table: CsvTable, expected: Array, positions: Array) -> None:
     Raises:
         MeasurementError: they spread a thousand times as far as the machine moves.
     """
-    seen, wanted = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (positions, expected))
-    if seen > _THOUSANDFOLD * wanted:
+    seen, nominal = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (positions, expected))
+    if seen > _THOUSANDFOLD * nominal:
         problem = "look like millimetres: they spread a thousand times as far as the machine moves"
         raise MeasurementError(table.path, f"{','.join(POSITION_COLUMNS)} {problem}")
 

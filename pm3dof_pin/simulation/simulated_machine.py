@@ -101,28 +101,17 @@ class SimulatedMachine:
         everything: bool = True,
         distribution: Distribution = "normal",
     ) -> SimulatedMachine:
-        """Draw a machine whose geometry is wrong within tolerances.
+        """Draw a machine whose geometry is wrong within the tolerances of parameters that somebody means to identify.
 
-        Args:
-            errors: the parameters somebody means to identify, with their tolerances.
-            generator: source of the random numbers.
-            everything: whether all six errors of every joint and frame are wrong, not only what `errors` lists; the
-                others within the smallest tolerances that `errors` has.
-            distribution: of the errors.
+        With `everything` all six errors of every joint and frame are wrong, not only what `errors` lists; the others
+        within the smallest tolerances that `errors` has.
         """
         truth = with_all_parameters(errors) if everything else errors
         source = GeometricSource(truth, truth.sample(generator, distribution))
         return cls(errors.robot, source)
 
     def only(self, source: str) -> SimulatedMachine:
-        """Return the machine with one of its sources of error alone.
-
-        Args:
-            source: "geometric", "waviness", "thermal", "elastic", "vibration" or "drift".
-
-        Raises:
-            InvalidValueError: there is no such source.
-        """
+        """Return the machine with one of its sources alone, "geometric" ... "drift"; InvalidValueError for others."""
         sources = tuple(field.name for field in fields(self) if field.name != "nominal")
         if source not in sources:
             raise InvalidValueError("source", source, f"one of {', '.join(sources)}")
@@ -130,14 +119,11 @@ class SimulatedMachine:
         return SimulatedMachine(self.nominal, **alone)
 
     def poses(self, commands: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Return where the tool really is, without any scatter.
+        """Return where the tool really is, without any scatter: homogeneous transforms, shape=(n, 4, 4).
 
         Args:
             commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
             conditions: temperatures and loads; the same for all commands or one each.
-
-        Returns:
-            Homogeneous transforms, shape=(n, 4, 4).
 
         Raises:
             ConvergenceError: the loops do not close at a command.
@@ -153,28 +139,18 @@ class SimulatedMachine:
         conditions: Conditions | None = None,
         instrument: Instrument | None = None,
     ) -> Array:
-        """Return what an instrument sees: the poses with vibration and its own noise.
+        """Return what an instrument sees: :meth:`poses` with vibration and its own noise.
 
-        Args:
-            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
-            generator: source of the random numbers.
-            conditions: temperatures and loads.
-            instrument: whose noise is added; poses come out whole even of one that sees positions only.
-
-        Returns:
-            Homogeneous transforms, shape=(n, 4, 4).
-
-        Raises:
-            PM3DofError: see :meth:`poses`.
+        Poses come out whole even of an instrument that sees positions only.
         """
-        wanted = real_array("commands", commands)
-        if wanted.ndim != 2:
-            raise InvalidValueError("commands", f"an array of shape {wanted.shape}", "shape (n, number of commands)")
-        noise = correlated_normal((instrument or Instrument()).covariance, len(wanted), generator)
+        given = real_array("commands", commands)
+        if given.ndim != 2:
+            raise InvalidValueError("commands", f"an array of shape {given.shape}", "shape (n, number of commands)")
+        noise = correlated_normal((instrument or Instrument()).covariance, len(given), generator)
         if self.vibration is not None:
-            noise = noise + self.vibration.tool_displacements(self.nominal.forward(wanted), generator)
-            wanted = wanted + self._scales * self.vibration.travel_errors(len(wanted), wanted.shape[1], generator)
-        return moved_pose(self._carried_out(wanted, conditions or Conditions()), noise)
+            noise = noise + self.vibration.tool_displacements(self.nominal.forward(given), generator)
+            given = given + self._scales * self.vibration.travel_errors(len(given), given.shape[1], generator)
+        return moved_pose(self._carried_out(given, conditions or Conditions()), noise)
 
     @property
     def _scales(self) -> Array:

@@ -142,7 +142,9 @@ class World:
         conditions = self.conditions(len(commands), generator) | dict(given or {})
         surroundings = self._surroundings(commands, conditions)
         seen = self.machine.measure(commands, generator, surroundings, instrument)
-        return replace(Measurements.of_poses(commands, seen, instrument), conditions=conditions)
+        measurements = Measurements.of_poses(commands, seen, instrument)
+        rows = len(measurements) // max(1, len(commands))  # of each pose, one for each target
+        return replace(measurements, conditions={name: np.repeat(v, rows) for name, v in conditions.items()})
 
     def _surroundings(self, commands: Array, conditions: Mapping[str, Array]) -> Conditions:
         surroundings = Conditions()

@@ -26,9 +26,9 @@ from machines_apart import Arm, Machine, Rods, Tripod
 from scipy.spatial.transform import Rotation
 
 import pm3dof_pin as pm
-from pm3dof_pin.calibration.calibrate import Options, calibrate
+from pm3dof_pin.calibration.calibrate import SMOOTH, Options, calibrate
 from pm3dof_pin.calibration.identification import Identification, identify
-from pm3dof_pin.calibration.judging import SMOOTH, held_out_errors, tip_interval
+from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.scatter import Scatter
@@ -190,7 +190,7 @@ def one(case: Case, count: int) -> dict[str, object]:
         answer.error_bound,
         answer.commands - best,
         judged.excess,
-        (tip_interval(calibration, tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
+        (calibration.tip_interval(tests) or _NOT_SAID, judged.excess_interval or _NOT_SAID),
     )
     return row(case, calibration.identification, compared, judged.scatter) | {
         "refused": int(bool(objections(calibration, judged)))

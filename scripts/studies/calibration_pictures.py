@@ -9,7 +9,8 @@ import argparse
 from pathlib import Path
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate
-from pm3dof_pin.calibration.judging import held_out_errors, workspace_errors
+from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.calibration.workspace_errors import workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.figures.calibration import held_out_picture, workspace_picture
 from pm3dof_pin.figures.style import save_figure

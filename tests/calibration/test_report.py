@@ -15,8 +15,9 @@ import pytest
 import yaml
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
-from pm3dof_pin.calibration.judging import HeldOut, held_out_errors, workspace_errors
+from pm3dof_pin.calibration.judging import HeldOut, held_out_errors
 from pm3dof_pin.calibration.results import read_compensation, write_calibration
+from pm3dof_pin.calibration.workspace_errors import workspace_errors
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import energy as pose_energy
 from pm3dof_pin.exceptions import DescriptionError, OutputError

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate, identified_compensation
 from pm3dof_pin.calibration.caution import HARM, Gain
-from pm3dof_pin.calibration.judging import chance_of_harm, part_corrected
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.planning import order_with_references
 from pm3dof_pin.calibration.repeatability import drift_and_hysteresis
@@ -169,9 +168,9 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     assert 0.05 < chance < 0.5
     assert chance == pytest.approx(harmed[0], abs=0.1)
     # what is left out of the correction is the price of that: on average all of it gains more
-    assert chance_of_harm(found) <= HARM + 1e-12
+    assert found.chance_of_harm <= HARM + 1e-12
     assert harmed[1] <= 5 / 150  # of 1 % of them, which more than so many are once in 200 draws
     assert 0.0 < gained[1] < gained[0]
-    assert 0.1 < part_corrected(found) < 0.95
+    assert 0.1 < found.part_corrected < 0.95
     assert not any("worse than none" in reason for reason in objections(found, None))
-    assert chance_of_harm(calibrate(measured, tripod_errors, Options("lm"))) < 1e-6
+    assert calibrate(measured, tripod_errors, Options("lm")).chance_of_harm < 1e-6

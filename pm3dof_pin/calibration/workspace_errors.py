@@ -1,0 +1,93 @@
+"""How good a calibration is over the workspace, as far as it knows itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pm3dof_pin.calibration.calibrate import Calibration
+from pm3dof_pin.errors.command_correction import nearest_poses
+from pm3dof_pin.errors.error_map import section_grid
+from pm3dof_pin.errors.pose_error import pose_difference, tip_error
+from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceErrors:
+    """Tip errors over two coordinates, the others in the middle of their ranges; NaN beyond the limits.
+
+    Attributes:
+        names: the two coordinates.
+        units: their units, "rad" or "m".
+        coordinates: their values, shape=(points,) each [m, rad].
+        before: tip error with the commands of the description, shape=(points, points) [m].
+        after: tip error expected with corrected commands [m].
+        floor: part of `before` that no command corrects, as the calibrated model has it [m]; None without parameters,
+            which alone tell it.
+        within: from points of the section, shape=(n, 2), to whether they are within the limits; its exact edge.
+    """
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    coordinates: tuple[Array, Array]
+    before: Array
+    after: Array
+    floor: Array | None
+    within: Callable[[Array], Mask] | None = None
+
+
+def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors | None:
+    """Compute errors over the first two coordinates with ranges, or None, under the mean measured conditions."""
+    compensation = calibration.compensation
+    robot = compensation.errors.robot
+    grid = section_grid(robot, points=points)
+    if grid is None or len(grid.dims) < 2:
+        return None
+    poses = robot.solve(grid, on_failure="nan")
+    within = poses.within_limits
+    conditions = {name: float(values.mean()) for name, values in calibration.measurements.conditions.items()}
+    used = () if compensation.learned is None else compensation.learned.inputs.conditions
+    known = {name: conditions[name] for name in used}
+    expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
+    # next to singular poses the machine may not get as far as its description
+    taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
+    inside = tuple(indices[taken] for indices in np.nonzero(within))
+    nominal, expected = poses[inside], expected[taken]
+    seen = compensation.poses(nominal, conditions).transforms
+
+    def spread(values: Array) -> Array:
+        field = np.full(grid.shape, np.nan)
+        field[inside] = values
+        return field
+
+    floor = None
+    if compensation.values is not None:
+        nearest = nearest_poses(nominal, seen, compensation.eta, on_failure="nan").transforms
+        floor = spread(tip_error(pose_difference(nearest, seen), compensation.eta))
+    first, second = grid.dims
+    return WorkspaceErrors(
+        (first, second),
+        (robot.coordinate(first).unit, robot.coordinate(second).unit),
+        (grid.axes[first], grid.axes[second]),
+        spread(tip_error(pose_difference(nominal.transforms, seen), compensation.eta)),
+        spread(expected),
+        floor,
+        _within(robot, grid),
+    )
+
+
+def _within(robot: Robot, grid: Grid) -> Callable[[Array], Mask]:
+    """Return the limits over the coordinates of a grid, the others as they stand in it."""
+    fixed = np.array([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates])
+    columns = [[coordinate.name for coordinate in robot.coordinates].index(name) for name in grid.dims]
+
+    def within(points: Array) -> Mask:
+        values = np.tile(fixed, (len(points), 1))
+        values[:, columns] = points
+        return robot.solve(values, on_failure="nan").within_limits
+
+    return within
