@@ -16,7 +16,7 @@ from pm3dof_pin.calibration.identification import PRIOR, Identification, identif
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart, fitted_model
 from pm3dof_pin.calibration.linearisation import Loss
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
-from pm3dof_pin.calibration.scatter import Scatter, scatter_of
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
@@ -80,7 +80,7 @@ class Calibration:
         """What corrections gain over the measured commands; None for a method without parameters."""
         if not self.options.identifies:
             return None
-        whole = identified_compensation(self.identification, self.options.eta)
+        whole = Compensation.of(self.identification, self.options.eta)
         return Gain.of(whole, self.measurements.visits.commands)
 
     @property
@@ -106,6 +106,11 @@ class Calibration:
     def tip_interval(self, wanted: Poses) -> tuple[float, float] | None:
         """Return :meth:`~pm3dof_pin.calibration.compensation.Compensation.rms_interval` if it :attr:`scatters`."""
         return self.compensation.rms_interval(wanted) if self.scatters else None
+
+    @property
+    def can_be_judged(self) -> bool:
+        """Whether there are enough poses for a cross-validation, each part of them with enough to learn from."""
+        return int(self.measurements[self.identification.trusted].pose_numbers.max(initial=-1)) > LEAST_POSES
 
     def with_scatter(self, scatter: Scatter) -> Calibration:
         """Return it with what a cross-validation says is left of errors."""
@@ -172,22 +177,11 @@ def _scatter(compensation: Compensation, shown: Measurements, identification: Id
     if compensation.learned is not None:
         across = found.seen.shown - found.control @ control_inverse(found.control)
         covariances = across @ found.seen.covariances @ np.swapaxes(across, 1, 2)
-        return scatter_of(found.left, covariances, across, np.zeros_like(control), units)
+        return Scatter.of(found.left, covariances, across, np.zeros_like(control), units)
     used = float(len(identification.errors)) if compensation.values is not None else 0.0
     freedom = max(0.2, 1.0 - used / max(1.0, float(np.einsum("nii->", found.seen.shown))))
     seen = found.at_commands
-    return scatter_of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
-
-
-def identified_compensation(identification: Identification, eta: float) -> Compensation:
-    """Return what corrects commands by all that was identified, sure or not."""
-    return Compensation(
-        identification.errors,
-        identification.values,
-        identification.seen_covariance,
-        eta=eta,
-        stiffness=identification.stiffness,
-    )
+    return Scatter.of(seen.errors / np.sqrt(freedom), seen.covariances, seen.shown, control, units)
 
 
 def compensation_from(
@@ -205,7 +199,7 @@ def compensation_from(
     """
     compensation = Compensation(errors, eta=options.eta)
     if identification is not None:
-        whole = identified_compensation(identification, options.eta)
+        whole = Compensation.of(identification, options.eta)
         compensation = cautious(whole, measurements.visits.commands)
         measurements = compensation.without_loads(measurements)
     if not options.learns:

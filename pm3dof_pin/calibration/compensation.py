@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import frozen, real_array
+from pm3dof_pin.calibration.identification import Identification
 from pm3dof_pin.calibration.learned_part import LearnedPart
 from pm3dof_pin.calibration.rms_interval import COVERAGE, rms_interval
 from pm3dof_pin.calibration.scatter import Scatter
@@ -73,6 +74,11 @@ class Compensation:
     #: by spring, how many times stiffer it was found than described, and the standard deviation of the logarithm of
     #: that; springs not named are as described
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Identification, eta: float = TIP_LENGTH) -> Compensation:
+        """Return what corrects commands by all that was identified, sure or not."""
+        return cls(found.errors, found.values, found.seen_covariance, eta=eta, stiffness=found.stiffness)
 
     @cached_property
     def model(self) -> Robot:

@@ -72,6 +72,20 @@ class GaussianProcess(LearnedModel):
         ]
         return cls(inputs, deviations, noise, np.array(chosen))
 
+    @staticmethod
+    def typical_covariance(first: Array, second: Array, drive: int) -> Array:
+        """Return what a drive's deviations at scaled inputs have in common beforehand, shape=(n, m).
+
+        The kernel at the amplitudes and scales that fitting starts from, in units of the deviations' own variance.
+        """
+        scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
+        return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
+
+    @staticmethod
+    def typical_variance(inputs: Array) -> Array:
+        """Return the diagonal of :meth:`typical_covariance` of inputs and themselves, shape=(n,)."""
+        return _own_variance(inputs, np.log(_STARTS[0]))
+
     def deviations(self, inputs: Array) -> Array:
         """Return the mean of du, shape=(n, number of commands) [m, rad]."""
         return np.stack([process.mean(inputs) for process in self._processes], axis=1)
@@ -80,20 +94,6 @@ class GaussianProcess(LearnedModel):
         """Return the standard deviation of du, shape=(n, number of commands) [m, rad]."""
         variances = np.stack([process.variance(inputs) for process in self._processes], axis=1)
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
-
-
-def typical_covariance(first: Array, second: Array, drive: int) -> Array:
-    """Return what a drive's deviations at scaled inputs have in common beforehand, shape=(n, m).
-
-    The kernel at the amplitudes and scales that fitting starts from, in units of the deviations' own variance.
-    """
-    scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
-    return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
-
-
-def typical_variance(inputs: Array) -> Array:
-    """Return the diagonal of :func:`typical_covariance` of inputs and themselves, shape=(n,)."""
-    return _own_variance(inputs, np.log(_STARTS[0]))
 
 
 class _Exact:

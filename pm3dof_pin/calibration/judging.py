@@ -13,7 +13,7 @@ from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.identification import identify
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors, seen_errors
 from pm3dof_pin.calibration.rms_interval import COVERAGE, excess_interval
-from pm3dof_pin.calibration.scatter import Scatter, scatter_of
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
 from pm3dof_pin.errors.pose_error import pose_difference, weighted_energy
@@ -98,7 +98,7 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
     units = [command.unit for command in errors.robot.commands]
     scores = _Scores.joined(parts)[np.argsort(np.concatenate(starts))].that_show_the_tool()
     seen = (scores.missed, scores.covariances, scores.shown, scores.control, units)
-    return _together(calibration, rows, scores, scatter_of(*seen), scatter_of(*seen, least=1.0))
+    return _together(calibration, rows, scores, Scatter.of(*seen), Scatter.of(*seen, least=1.0))
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
@@ -204,9 +204,3 @@ def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter:
     within = float(np.mean(np.linalg.norm(scores.missed, axis=1) <= bounds))
     interval = excess_interval(scores.effects, sure, scores.control) if calibration.scatters else None
     return HeldOut(rows, before, after, floor, noise, excess, interval, scatter, within, np.array(energies))
-
-
-def can_be_judged(calibration: Calibration) -> bool:
-    """Tell whether there are enough poses for :func:`held_out_errors`, each part of them with enough to learn from."""
-    numbers = calibration.measurements[calibration.identification.trusted].pose_numbers
-    return int(numbers.max(initial=-1)) > LEAST_POSES

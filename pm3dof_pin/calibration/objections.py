@@ -10,7 +10,7 @@ import numpy as np
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.causes import change_in_the_middle, likely_cause
 from pm3dof_pin.calibration.identification import PRIOR, Identification
-from pm3dof_pin.calibration.judging import HeldOut, can_be_judged, held_out_errors
+from pm3dof_pin.calibration.judging import HeldOut, held_out_errors
 from pm3dof_pin.calibration.linearisation import UNKNOWN
 from pm3dof_pin.calibration.pseudo_error import seen_errors
 from pm3dof_pin.calibration.rms_interval import COVERAGE
@@ -62,7 +62,7 @@ def calibrate_and_object(
     try:
         calibration = calibrate(measurements, errors, options)
         progress(1, 2)
-        held_out = held_out_errors(calibration) if can_be_judged(calibration) else None
+        held_out = held_out_errors(calibration) if calibration.can_be_judged else None
         if held_out is not None:
             calibration = calibration.with_scatter(held_out.scatter)
         reasons = objections(calibration, held_out)

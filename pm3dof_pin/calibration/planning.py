@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from pm3dof_pin.arrays import require_kind
 from pm3dof_pin.calibration.calibrate import Method
 from pm3dof_pin.calibration.elastic_term import ElasticTerm
-from pm3dof_pin.calibration.gaussian_process import typical_covariance, typical_variance
+from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.identifiability import (
     Identifiability,
     identifiability,
@@ -300,8 +300,8 @@ class PlanningProblem:
         """Take the candidate that lessens the variance of a Gaussian process over the test poses most, and again."""
         drives = range(self.candidates.commands.shape[1])
         inputs, tests = (poses.inputs[:, : len(drives)] for poses in (self.measured, self.tested))
-        across = [typical_covariance(inputs, tests, drive) for drive in drives]
-        own = [typical_variance(inputs) for _ in drives]
+        across = [GaussianProcess.typical_covariance(inputs, tests, drive) for drive in drives]
+        own = [GaussianProcess.typical_variance(inputs) for _ in drives]
         seen: list[list[Array]] = [[] for _ in drives]  # rows of the Cholesky factor, over the candidates
         chosen: list[int] = []
         taken = np.zeros(len(self.candidates), dtype=bool)
@@ -316,7 +316,7 @@ class PlanningProblem:
             chosen.append(best)
             taken |= self._near(best)
             for drive in drives:
-                column = typical_covariance(inputs, inputs[best][None], drive)[:, 0]
+                column = GaussianProcess.typical_covariance(inputs, inputs[best][None], drive)[:, 0]
                 column -= sum((row * row[best] for row in seen[drive]), np.zeros(len(column)))
                 scale = np.sqrt(own[drive][best] + _PROCESS_NOISE**2)
                 row, step = column / scale, across[drive][best] / scale

@@ -31,35 +31,34 @@ class Repeatability:
     #: RP of each, mean distance from that mean and three standard deviations of it, shape=(k,) [m]
     repeatability: Array
 
+    @classmethod
+    def of(cls, calibration: Calibration) -> Repeatability | None:
+        """Judge how a machine repeats itself; None if no pose was visited twice.
 
-def repeatability(calibration: Calibration) -> Repeatability | None:
-    """Judge how a machine repeats itself; None if no pose was visited twice.
-
-    Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
-    """
-    found, eta = calibration.identification, calibration.options.eta
-    measured, settled = found.measurements[found.trusted], found.settled[found.trusted]
-    visits = settled.visits
-    numbers = visits.pose_numbers
-    counts = np.bincount(numbers)
-    if counts.max(initial=0) < 2:
-        return None
-    nominal = calibration.compensation.errors.robot.forward(visits.commands)
-    seen, raw = seen_errors(settled, nominal, eta), seen_errors(measured, nominal, eta).errors
-    means = np.array([seen.errors[numbers == k].mean(axis=0) for k in range(len(counts))])
-    freedom = int(np.sum(counts - 1))
-    scatter = float(np.sum((seen.errors - means[numbers]) ** 2)) / freedom
-    noise = float(np.mean(np.einsum("nii->n", seen.covariances)))
-    often = np.flatnonzero(counts >= _LEAST_VISITS)
-    accuracy, spread = [], []
-    for pose in often:
-        positions = raw[numbers == pose][:, :3]
-        distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
-        accuracy.append(float(np.linalg.norm(positions.mean(axis=0))))
-        spread.append(float(distances.mean() + 3.0 * distances.std(ddof=1)))
-    return Repeatability(
-        float(np.sqrt(max(0.0, scatter - noise))), freedom, often, counts[often], np.array(accuracy), np.array(spread)
-    )
+        Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
+        """
+        found, eta = calibration.identification, calibration.options.eta
+        measured, settled = found.measurements[found.trusted], found.settled[found.trusted]
+        visits = settled.visits
+        numbers = visits.pose_numbers
+        counts = np.bincount(numbers)
+        if counts.max(initial=0) < 2:
+            return None
+        nominal = calibration.compensation.errors.robot.forward(visits.commands)
+        seen, raw = seen_errors(settled, nominal, eta), seen_errors(measured, nominal, eta).errors
+        means = np.array([seen.errors[numbers == k].mean(axis=0) for k in range(len(counts))])
+        freedom = int(np.sum(counts - 1))
+        scatter = float(np.sum((seen.errors - means[numbers]) ** 2)) / freedom
+        noise = float(np.mean(np.einsum("nii->n", seen.covariances)))
+        often = np.flatnonzero(counts >= _LEAST_VISITS)
+        accuracy, spread = [], []
+        for pose in often:
+            positions = raw[numbers == pose][:, :3]
+            distances = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+            accuracy.append(float(np.linalg.norm(positions.mean(axis=0))))
+            spread.append(float(distances.mean() + 3.0 * distances.std(ddof=1)))
+        tip_sigma = float(np.sqrt(max(0.0, scatter - noise)))
+        return cls(tip_sigma, freedom, often, counts[often], np.array(accuracy), np.array(spread))
 
 
 @dataclass(frozen=True)
@@ -71,27 +70,27 @@ class Systematic:
     tip_sigma: float  #: standard deviation of that by the parameters' covariance [m]
     sure: bool  #: whether it is more than chance
 
-
-def drift_and_hysteresis(calibration: Calibration) -> list[Systematic]:
-    """Return what times and directions of approach tell; nothing where there are none."""
-    found = calibration.identification
-    drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
-    answers = []
-    for kind in ("drift", "hysteresis"):
-        columns = found.nuisances.columns(kind)
-        if not columns.size:
-            continue
-        values = found.nuisance_values[columns]
-        covariance = found.nuisance_covariance(kind)
-        whole = np.concatenate([datum_motions(found.poses)[:, :, :6], drives], axis=2) if kind == "drift" else drives
-        effects = whole * weights[:, None]
-        tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
-        sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
-        # what was learned beyond the knowledge beforehand, of as many parameters as were determined
-        scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
-        gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
-        determined = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
-        statistic = float(values @ gained @ values)
-        sure = bool(scipy.special.gammaincc(0.5 * determined, 0.5 * max(statistic, 0.0)) < _SURE)
-        answers.append(Systematic(kind, tip, sigma, sure))
-    return answers
+    @classmethod
+    def all_of(cls, calibration: Calibration) -> list[Systematic]:
+        """Return what times and directions of approach tell; nothing where there are none."""
+        found = calibration.identification
+        drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
+        answers = []
+        for kind in ("drift", "hysteresis"):
+            columns = found.nuisances.columns(kind)
+            if not columns.size:
+                continue
+            values = found.nuisance_values[columns]
+            covariance = found.nuisance_covariance(kind)
+            base = datum_motions(found.poses)[:, :, : 6 if kind == "drift" else 0]
+            effects = np.concatenate([base, drives], axis=2) * weights[:, None]
+            tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
+            sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
+            # what was learned beyond the knowledge beforehand, of as many parameters as were determined
+            scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
+            gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
+            determined = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))
+            statistic = float(values @ gained @ values)
+            sure = bool(scipy.special.gammaincc(0.5 * determined, 0.5 * max(statistic, 0.0)) < _SURE)
+            answers.append(cls(kind, tip, sigma, sure))
+        return answers

@@ -44,6 +44,53 @@ class Scatter:
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
+    @classmethod
+    def of(
+        cls,
+        errors: Array,
+        covariances: Array,
+        shown: Array,
+        control: Array,
+        units: Sequence[str],
+        *,
+        least: float = 0.0,
+    ) -> Scatter:
+        """Estimate the scatter in errors of which a part is known.
+
+        Args:
+            errors: tip-weighted, shape=(n, 6) [m].
+            covariances: what is known of them, K, shape=(n, 6, 6) [m^2].
+            shown: projections on the directions they were seen in, shape=(n, 6, 6).
+            control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
+            units: of the drives' joints, "m" or "rad".
+            least: standard errors, as the estimate has them, below which a part counts as none.
+        """
+        unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
+        if not shown.any():
+            return cls()
+        squares, same = np.mean(np.sum(control**2, axis=1), axis=0), np.equal.outer(units, units)
+        effects = np.sqrt((same @ squares) / same.sum(axis=1))  # of each kind of drive, rms
+        alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
+        by_drives = shown @ (control * alike)
+        whole = np.mean(np.einsum("nii->n", shown)) > _WHOLE
+        directions = shown @ (_DIRECTIONS if whole else np.eye(6)[None])[:, None] @ shown
+        parts = np.concatenate([directions, [by_drives @ np.swapaxes(by_drives, 1, 2)]])
+        known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
+        kept, variances, uncertainty = list(range(len(parts))), np.zeros(len(parts)), np.zeros(0)
+        while kept:
+            found, covariance = _variances(products, known, shown, parts[kept])
+            standard_errors = np.sqrt(np.diag(covariance))
+            uncertainty = uncertainty if uncertainty.size else covariance
+            weakest = int(np.argmin(found - least * standard_errors))
+            if found[weakest] >= least * standard_errors[weakest]:
+                variances[kept] = found
+                break
+            kept.pop(weakest)
+        everywhere, drives = np.resize(unit * variances[:-1], 2), unit * float(variances[-1])
+        tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
+        places = [0, len(parts) - 2, len(parts) - 1]
+        return cls(everywhere, drives * alike**2, tip_error, alike, unit**2 * uncertainty[np.ix_(places, places)])
+
     def covariances(self, control: Array) -> Array:
         """Return the covariance of tip-weighted errors, shape=(n, 6, 6) [m^2].
 
@@ -63,46 +110,6 @@ class Scatter:
         parts = gains[:, :, :3], gains[:, :, 3:], gains @ (control * (self.alike if self.alike.size else 0.0))
         squares = np.array([np.sum(part**2) for part in parts]) / len(gains)
         return float(squares @ self.uncertainty @ squares)
-
-
-def scatter_of(
-    errors: Array, covariances: Array, shown: Array, control: Array, units: Sequence[str], *, least: float = 0.0
-) -> Scatter:
-    """Estimate the scatter in errors of which a part is known.
-
-    Args:
-        errors: tip-weighted, shape=(n, 6) [m].
-        covariances: what is known of them, K, shape=(n, 6, 6) [m^2].
-        shown: projections on the directions they were seen in, shape=(n, 6, 6).
-        control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
-        units: of the drives' joints, "m" or "rad".
-        least: standard errors, as the estimate has them, below which a part counts as none.
-    """
-    unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
-    if not shown.any():
-        return Scatter()
-    squares, same = np.mean(np.sum(control**2, axis=1), axis=0), np.equal.outer(units, units)
-    effects = np.sqrt((same @ squares) / same.sum(axis=1))  # of each kind of drive, rms
-    alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
-    by_drives = shown @ (control * alike)
-    whole = np.mean(np.einsum("nii->n", shown)) > _WHOLE
-    directions = shown @ (_DIRECTIONS if whole else np.eye(6)[None])[:, None] @ shown
-    parts = np.concatenate([directions, [by_drives @ np.swapaxes(by_drives, 1, 2)]])
-    known, products = covariances / unit, errors[:, :, None] * errors[:, None, :] / unit
-    kept, variances, uncertainty = list(range(len(parts))), np.zeros(len(parts)), np.zeros(0)
-    while kept:
-        found, covariance = _variances(products, known, shown, parts[kept])
-        standard_errors = np.sqrt(np.diag(covariance))
-        uncertainty = uncertainty if uncertainty.size else covariance
-        weakest = int(np.argmin(found - least * standard_errors))
-        if found[weakest] >= least * standard_errors[weakest]:
-            variances[kept] = found
-            break
-        kept.pop(weakest)
-    everywhere, drives = np.resize(unit * variances[:-1], 2), unit * float(variances[-1])
-    tip_error = float(np.sqrt(3.0 * everywhere.sum() + drives * np.count_nonzero(alike)))
-    places = [0, len(parts) - 2, len(parts) - 1]
-    return Scatter(everywhere, drives * alike**2, tip_error, alike, unit**2 * uncertainty[np.ix_(places, places)])
 
 
 def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tuple[Array, Array]:

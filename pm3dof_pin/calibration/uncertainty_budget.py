@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Calibration
-from pm3dof_pin.calibration.repeatability import repeatability
+from pm3dof_pin.calibration.repeatability import Repeatability
 from pm3dof_pin.errors.command_correction import command_jacobians, nearest_poses
 from pm3dof_pin.errors.pose_error import pose_difference, tip_weights
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -48,7 +48,7 @@ def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, floa
         control = command_jacobians(model) * weights[:, None]
         spread = compensation.learned.uncertainties(model.commands, conditions)
         parts["learned"] = float(np.mean(np.sum((control * spread[:, None, :]) ** 2, axis=(1, 2))))
-    repeated = repeatability(calibration)
+    repeated = Repeatability.of(calibration)
     scatter = compensation.scatter.tip_error**2
     parts["repeatability"] = 0.0 if repeated is None else min(scatter, repeated.tip_sigma**2)
     parts["unmodelled"] = scatter - parts["repeatability"]

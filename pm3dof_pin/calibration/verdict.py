@@ -10,7 +10,7 @@ import numpy as np
 from pm3dof_pin.calibration.calibrate import Calibration
 from pm3dof_pin.calibration.judging import HeldOut
 from pm3dof_pin.calibration.pseudo_error import control_inverse, pseudo_errors
-from pm3dof_pin.calibration.repeatability import Repeatability, Systematic, drift_and_hysteresis, repeatability
+from pm3dof_pin.calibration.repeatability import Repeatability, Systematic
 from pm3dof_pin.calibration.rms_interval import COVERAGE
 from pm3dof_pin.calibration.uncertainty_budget import uncertainty_budget
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -78,8 +78,8 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
         bound,
         interval,
         budget,
-        drift_and_hysteresis(calibration),
-        repeatability(calibration),
+        Systematic.all_of(calibration),
+        Repeatability.of(calibration),
     )
 
 

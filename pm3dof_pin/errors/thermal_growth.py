@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.error_file import AXES
-from pm3dof_pin.errors.error_parameters import GeometricErrors, GeometricParameter, axis_parameters
+from pm3dof_pin.errors.error_parameters import GeometricParameter, axis_parameters
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Motion, Vector
@@ -56,13 +56,6 @@ class ThermalGrowth:
         """Return how much too far drives go, shape=(n, drives) [m], at coordinates [m] and screws' rises [K]."""
         distance = travels - finite_array("bearings", self.bearings, (travels.shape[1],))
         return self.expansion * temperature_rises * self._integral(distance)
-
-    def grown(self, robot: Robot, temperature_rise: float) -> Robot:
-        """Return a robot with members grown and bent by a mean rise [K]."""
-        if not (self.members or self.bending) or temperature_rise == 0.0:
-            return robot
-        parameters, per_kelvin = self.growth(robot)
-        return GeometricErrors(robot, parameters).apply(temperature_rise * per_kelvin)
 
     def growth(self, robot: Robot) -> tuple[list[GeometricParameter], Vector]:
         """Return how the ends of members move as error parameters, and by how much for each kelvin [m/K, rad/K]."""

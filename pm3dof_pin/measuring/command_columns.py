@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import MeasurementError
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.csv_table import CsvTable, is_condition
+from pm3dof_pin.measuring.csv_table import CsvTable
 from pm3dof_pin.typing import Array
 
 _BEYOND_LIMITS = 0.2  # of a joint's range
@@ -29,19 +29,6 @@ def approach_columns(robot: Robot) -> tuple[str, ...]:
 def start_columns(robot: Robot) -> tuple[str, ...]:
     """Return the columns of the commands of the pose at which a distance begins: from_u1_m ..."""
     return tuple(f"from_{name}" for name in command_columns(robot))
-
-
-def conditions_of(table: CsvTable) -> dict[str, Array]:
-    """Return temperatures and loads by the name of their column, shape=(n,) each.
-
-    Raises:
-        MeasurementError: one is missing in a row.
-    """
-    found = {name: values for name, values in table.columns.items() if is_condition(name)}
-    for name, values in found.items():
-        if not np.isfinite(values).all():
-            raise MeasurementError(table.path, f"{name} is missing", table.lines_where(~np.isfinite(values)))
-    return found
 
 
 def commands_of(table: CsvTable, robot: Robot) -> Array:

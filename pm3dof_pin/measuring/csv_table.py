@@ -101,6 +101,18 @@ class CsvTable:
             return np.full((len(self), len(names)), missing)
         return np.column_stack([np.empty((len(self), 0)), *(self.columns[name] for name in names)])
 
+    def conditions(self) -> dict[str, Array]:
+        """Return temperatures and loads by the name of their column, shape=(n,) each.
+
+        Raises:
+            MeasurementError: one is missing in a row.
+        """
+        found = {name: values for name, values in self.columns.items() if is_condition(name)}
+        for name, values in found.items():
+            if not np.isfinite(values).all():
+                raise MeasurementError(self.path, f"{name} is missing", self.lines_where(~np.isfinite(values)))
+        return found
+
     def require(self, names: Sequence[str]) -> None:
         """Check that columns are there.
 

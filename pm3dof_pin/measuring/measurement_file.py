@@ -18,7 +18,6 @@ from pm3dof_pin.measuring.command_columns import (
     approach_columns,
     command_columns,
     commands_of,
-    conditions_of,
     start_columns,
 )
 from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text, is_condition
@@ -185,7 +184,7 @@ class _Reader:
             rotations,
             sigmas,
             points,
-            conditions_of(table),
+            table.conditions(),
             tuple(table.lines),
             tuple(table.warnings),
             registration,

@@ -11,7 +11,7 @@ from pm3dof_pin.errors.pose_error import quaternion
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.measuring.command_columns import command_columns, commands_of, conditions_of
+from pm3dof_pin.measuring.command_columns import command_columns, commands_of
 from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
 from pm3dof_pin.typing import Array
 
@@ -48,7 +48,7 @@ def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
         MeasurementError: see :func:`read_commands`; or a temperature or load is missing in a row.
     """
     table = _table(path, robot)
-    return commands_of(table, robot), conditions_of(table)
+    return commands_of(table, robot), table.conditions()
 
 
 def _table(path: Path | str, robot: Robot) -> CsvTable:

@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.identification import PRIOR, Identification, prior_f
 from pm3dof_pin.calibration.linearisation import Linearisation, tool_motions_by_drives
 from pm3dof_pin.calibration.pseudo_error import control_inverse, seen_errors
 from pm3dof_pin.calibration.rms_interval import excess_interval, rms_interval
-from pm3dof_pin.calibration.scatter import Scatter, scatter_of
+from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.errors.normal_vectors import covariance_root, norm_quantiles
 from pm3dof_pin.errors.pose_error import TIP_LENGTH, tip_weights
@@ -176,7 +176,7 @@ def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, 
         uncertain[own] = effects @ covariance @ np.swapaxes(effects, 1, 2)
     known = seen.covariances + seen.shown @ uncertain @ seen.shown
     given = (missed, known, seen.shown, station.control, units)
-    scatter, sure = scatter_of(*given), scatter_of(*given, least=1.0)
+    scatter, sure = Scatter.of(*given), Scatter.of(*given, least=1.0)
     gains = control_inverse(station.control)
     spread = correction.covariances(station) + sure.covariances(station.control)
     interval = excess_interval(correction.standard_effects(station), sure, station.control)

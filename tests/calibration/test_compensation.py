@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.compensation import Compensation
-from pm3dof_pin.calibration.judging import can_be_judged, held_out_errors
+from pm3dof_pin.calibration.judging import held_out_errors
 from pm3dof_pin.calibration.learned_part import InputScale, LearnedPart
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.kinematics import inverse_kinematics, placement
@@ -322,7 +322,7 @@ def test_tilts_that_positions_do_not_show_are_expected_to_be_off(
 def test_all_rows_of_one_pose_are_hidden_together(measured: Measurements, tripod_errors: GeometricErrors) -> None:
     """Measured twice, a pose may not be predicted from its own copy: judged are as many as there are poses."""
     twice = measured[[*range(5), *range(5)]]
-    assert not can_be_judged(calibrate(twice, tripod_errors, Options("lm")))
+    assert not calibrate(twice, tripod_errors, Options("lm")).can_be_judged
     once = held_out_errors(calibrate(measured[:12], tripod_errors, Options("lm", loss="squares")))
     again = held_out_errors(calibrate(measured[[*range(12)] * 2], tripod_errors, Options("lm", loss="squares")))
     np.testing.assert_allclose(again.after[:12], again.after[12:], rtol=1e-9)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate, identified_compensation
+from pm3dof_pin.calibration.calibrate import Calibration, Options, calibrate
 from pm3dof_pin.calibration.caution import HARM, Gain
+from pm3dof_pin.calibration.compensation import Compensation
 from pm3dof_pin.calibration.objections import objections
 from pm3dof_pin.calibration.planning import order_with_references
-from pm3dof_pin.calibration.repeatability import drift_and_hysteresis
+from pm3dof_pin.calibration.repeatability import Systematic
 from pm3dof_pin.calibration.verdict import Verdict, verdict
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.normal_vectors import norm_quantiles
@@ -117,7 +118,7 @@ def test_warming_and_backlash_are_said(
     growth = 8.0 * 12e-6 * part[:, None] * reached[:, :3, 3]
     reached[:, :3, 3] += growth + generator.normal(0.0, 7.5e-6, growth.shape)
     seen = replace(Measurements.of_poses(commands, reached), times=3600.0 * part, approaches=side)
-    found = {each.kind: each for each in drift_and_hysteresis(calibrate(seen, tripod_errors, Options("lm")))}
+    found = {each.kind: each for each in Systematic.all_of(calibrate(seen, tripod_errors, Options("lm")))}
     slid = np.abs(
         machine.forward(commands + 10e-6 * side, guess=nominal.q).positions - machine.forward(commands).positions
     )
@@ -151,7 +152,7 @@ def test_the_chance_of_harm_is_that_of_machines_drawn(tripod_errors: GeometricEr
     measured = Measurements.of_poses(poses.commands, truth.transforms)
     heights = replace(measured, rotations=None, sigmas=np.tile([np.inf, np.inf, 7.5e-6], (12, 1)))
     found = calibrate(heights, tripod_errors, Options("lm", prior=1.0))
-    whole = identified_compensation(found.identification, found.options.eta)
+    whole = Compensation.of(found.identification, found.options.eta)
     corrections = [compensation.corrected(poses) for compensation in (whole, found.compensation)]
     gains = []
     for values in generator.multivariate_normal(found.identification.values, found.identification.covariance, 150):
