@@ -119,11 +119,12 @@ def _noise_in_words(calibration: Calibration) -> str:
     if found.noise_factor > _LOUD:
         return f"residuals are {found.noise_factor:.3g} times the noise"
     squares, expected = found.normalized_residuals[found.trusted] ** 2, found.expected_squares[found.trusted]
-    for what, columns in (("positions and distances", slice(0, 3)), ("orientations", slice(3, 6))):
+    groups = np.split(np.arange(squares.shape[1]), [3, found.measurements.tool_columns])
+    for name, columns in zip(("positions and distances", "orientations", "encoders"), groups, strict=True):
         freedom = float(expected[:, columns].sum())
         size = float(np.sqrt(np.nansum(squares[:, columns]) / max(freedom, _ENOUGH)))
         if freedom > _ENOUGH and size < _QUIET:
-            return f"residuals of {what} are {size:.2g} times the noise: their sigmas are in another unit, or too large"
+            return f"residuals of {name} are {size:.2g} times the noise: their sigmas are in another unit, or too large"
     return ""
 
 

@@ -365,8 +365,7 @@ class _SourcesAtPoses:
         return [parameter.name for parameter in self._sources.others.parameters if parameter.group == group]
 
     def _others(self, group: str) -> Array:
-        chosen = [k for k, parameter in enumerate(self._sources.others.parameters) if parameter.group == group]
-        return self._moved.errors[:, :, chosen]
+        return self._moved.errors[:, :, [parameter.group == group for parameter in self._sources.others.parameters]]
 
 
 def _of_waves(count: int) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from pm3dof_pin.calibration.calibrate import Options
 from pm3dof_pin.calibration.identifiability import identifiability, stacked_regressor
 from pm3dof_pin.calibration.identification import identify
-from pm3dof_pin.calibration.objections import calibrate_and_object
+from pm3dof_pin.calibration.objections import _noise_in_words, calibrate_and_object
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.pose_error import pose_difference, tip_error
 from pm3dof_pin.errors.sensitivity import sensitivities
@@ -167,3 +168,16 @@ def test_what_is_wrong_with_encoders_is_named(tripod_nominal: Poses, tmp_path: P
     path.write_text("\n".join(",".join(line[k] for k in keep) for line in lines) + "\n")
     only = read_measurements(path, robot)
     assert only.seen.tolist() == 5 * [[False, False, False, True]]
+
+
+def test_noise_of_encoders_that_is_said_to_be_too_large_is_named_as_theirs() -> None:
+    """Beside positions their readings stand where whole poses have orientations."""
+    found = SimpleNamespace(
+        noise_factor=1.0,
+        trusted=np.arange(20),
+        normalized_residuals=np.tile([1.0, 1.0, 1.0, 0.1], (20, 1)),
+        expected_squares=np.ones((20, 4)),
+        measurements=SimpleNamespace(tool_columns=3),
+    )
+    text = _noise_in_words(SimpleNamespace(identification=found))  # type: ignore[arg-type]
+    assert text.startswith("residuals of encoders are 0.1 times the noise")
