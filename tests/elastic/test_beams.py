@@ -242,11 +242,12 @@ def test_a_portal_closed_by_a_weld(
     """Statically indeterminate six times, less one for each hinge."""
     model, expected = portal(rigid_tree, feet, hinge, motor)
     q = np.zeros(model.rigid.model.nq)
-    result = cartesian_compliance(model, q)
+    is_compiled = (motor is None) == (feet[0] == feet[1])  # each kind of portal compiles programs of its own
+    result = cartesian_compliance(model, q, engine="program" if is_compiled else "pinocchio")
     assert result.motions.relation_rank.rank == (6 if hinge is None else 5)
     assert_same(result.compliance, expected)
     assert_same(result.stiffness, np.linalg.inv(expected))
-    if (motor is None) == (feet[0] == feet[1]):  # each kind of portal compiles a program of its own
+    if is_compiled:
         assert_same(compliance(model, [q])[0], expected)
 
 

@@ -23,7 +23,7 @@ from pm3dof_pin.kinematics.robot import Robot
 Positions = Callable[[np.ndarray], np.ndarray]
 RigidTree = Callable[..., Robot]
 
-some = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+some = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 stiffness_factors = st.floats(-3.0, 3.0).map(lambda exponent: 10.0**exponent)
 tilts = st.floats(-0.6, 0.6)
 poses = st.tuples(tilts, tilts, st.floats(0.41, 0.56)).map(np.array)

@@ -139,46 +139,45 @@ class LoadedTripod:
         self.scale = np.array([1e-4] * 3 + [1e-4] * 2 + [1e-2] * 3 + [1e-2] * 2 + [1e-4])
 
     def platform(self, unknowns: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        x = self.scale * unknowns
-        bent = Rotation.from_euler("XYZ", x[5:8])
-        turned = Rotation.from_euler("XYZ", [self.pose[0] + x[8], self.pose[1] + x[9], 0.0])
-        return np.array([x[3], x[4], self.pose[2] + x[10]]), bent * turned
+        """Return where the platform is at n sets of unknowns, shape=(n, 11)."""
+        x = (self.scale * unknowns).T
+        bent = Rotation.from_euler("XYZ", x[5:8].T)
+        turned = Rotation.from_euler("XYZ", np.stack([self.pose[0] + x[8], self.pose[1] + x[9], 0.0 * x[9]], axis=-1))
+        return np.stack([x[3], x[4], self.pose[2] + x[10]], axis=-1), bent * turned
 
-    def potential(self, unknowns: np.ndarray) -> float:
-        p, x = self.tripod.parameters, self.scale * unknowns
+    def potential(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the energy at n sets of unknowns, shape=(n,)."""
+        p, x = self.tripod.parameters, (self.scale * unknowns).T
         position, rotation = self.platform(unknowns)
-        sliders = self.tripod.base_joints + (self.travel + x[:3])[:, None] * self.tripod.guide_directions
-        stretch = np.linalg.norm(rotation.apply(self.joints) + position - sliders, axis=1) - p.link_length
-        length, ei = position[2] - self.tripod.clamp_height, p.bending_stiffness
+        sliders = self.tripod.base_joints + (self.travel + x[:3].T)[..., None] * self.tripod.guide_directions
+        joints = np.einsum("nij,kj->nki", rotation.as_matrix(), self.joints) + position[:, None]
+        stretch = np.linalg.norm(joints - sliders, axis=-1) - p.link_length
+        length, ei = position[:, 2] - self.tripod.clamp_height, p.bending_stiffness
         # cubic beam: 12 w^2 - 12 w L slope + 4 L^2 slope^2, over 2 L^3
         bend = sum(
             ei / length**3 * (6.0 * w**2 - 6.0 * w * length * slope + 2.0 * (length * slope) ** 2)
             for w, slope in ((x[3], x[6]), (x[4], -x[5]))
         )
         twist = 0.5 * p.torsional_stiffness / length * x[7] ** 2
-        legs = 0.5 * p.actuator_stiffness * x[:3] @ x[:3] + 0.5 * p.link_stiffness * stretch @ stretch
-        work = self.force @ (position - np.array([0.0, 0.0, self.pose[2]]))
-        return float(legs + bend + twist - work)
+        legs = 0.5 * p.actuator_stiffness * (x[:3] ** 2).sum(axis=0) + 0.5 * p.link_stiffness * (stretch**2).sum(axis=1)
+        work = (position - np.array([0.0, 0.0, self.pose[2]])) @ self.force
+        return np.asarray(legs + bend + twist - work)
 
     def gradient(self, unknowns: np.ndarray) -> np.ndarray:
-        steps = 1e-3 * np.eye(len(unknowns))
-        return (
-            np.array(
-                [
-                    (8.0 * (self.potential(unknowns + s) - self.potential(unknowns - s)))
-                    - (self.potential(unknowns + 2 * s) - self.potential(unknowns - 2 * s))
-                    for s in steps
-                ]
-            )
-            / 12e-3
-        )
+        step = 1e-3 * np.eye(11)
+        points = unknowns + np.concatenate([step, -step, 2.0 * step, -2.0 * step])
+        ahead, behind, far_ahead, far_behind = self.potential(points).reshape(4, 11)
+        return np.asarray(8.0 * (ahead - behind) - (far_ahead - far_behind)) / 12e-3
 
     def displacement(self) -> np.ndarray:
-        found = minimize(self.potential, np.zeros(11), jac=self.gradient, method="BFGS", options={"gtol": 1e-7})
+        def energy(unknowns: np.ndarray) -> float:
+            return float(self.potential(unknowns[None])[0])
+
+        found = minimize(energy, np.zeros(11), jac=self.gradient, method="BFGS", options={"gtol": 1e-7})
         polished = least_squares(self.gradient, found.x, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        position, rotation = self.platform(polished.x)
+        (position,), rotation = self.platform(polished.x[None])
         rest = Rotation.from_euler("XYZ", [self.pose[0], self.pose[1], 0.0])
-        return np.concatenate([position - np.array([0.0, 0.0, self.pose[2]]), (rotation * rest.inv()).as_rotvec()])
+        return np.concatenate([position - np.array([0.0, 0.0, self.pose[2]]), (rotation * rest.inv()).as_rotvec()[0]])
 
 
 def test_equilibrium_is_the_minimum_of_the_potential(
