@@ -25,4 +25,4 @@ print(f"felt along z: {float(felt.min()):.3g} to {float(felt.max()):.3g} N/µm")
 
 C = pm.compliance(robot, robot.home)  # the whole matrix: [v; omega] = C [f; m] at the tool
 print(f"at home {1e-6 / C[2, 2]:.3g} N/µm")
-save_figure(atlas_pictures(found, robot)["felt_stiffness_z"], "stiffness_map.png")
+save_figure(atlas_pictures(found.sel(axis=["z"]), robot)["felt_stiffness_z"], "stiffness_map.png")

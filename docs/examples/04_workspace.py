@@ -13,7 +13,7 @@ from pm3dof_pin.maps.limit_space import robot_space
 from pm3dof_pin.maps.workspace import workspace
 
 robot = pm.load("pm3dof")
-found = workspace(robot_space(robot), levels=15, directions=120)  # the first three coordinates; others stay at home
+found = workspace(robot_space(robot), levels=11, directions=72)  # the first three coordinates; others stay at home
 low, high = found.level_range
 print(f"{found.space.names[2]} from {low:.4f} to {high:.4f} m")
 for name, (least, greatest) in zip(found.space.names, np.degrees(found.ranges), strict=False):

@@ -23,7 +23,7 @@ def main() -> None:
     with pm.open_atlas("atlas.nc") as data:
         felt = 1e-3 * data.felt_stiffness.sel(axis="ry").isel(z_e=7)
         print(dict(data.sizes), f"felt about y: {float(felt.min()):.1f} to {float(felt.max()):.1f} kN m/rad")
-        save_figure(atlas_pictures(data, robot)["felt_stiffness_ry"], "atlas.png")
+        save_figure(atlas_pictures(data.sel(axis=["ry"]), robot)["felt_stiffness_ry"], "atlas.png")
 
 
 if __name__ == "__main__":

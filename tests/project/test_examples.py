@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import runpy
 import signal
 from functools import partial
@@ -35,8 +36,8 @@ def test_examples_run_in_an_empty_folder(
 
     monkeypatch.chdir(tmp_path)
     if "distributed" in path.read_text(encoding="utf-8"):
-        distributed = pytest.importorskip("distributed")  # threads do here; tests/maps has a cluster of processes
-        monkeypatch.setattr(distributed, "LocalCluster", partial(distributed.LocalCluster, processes=False))
+        deploy = pytest.importorskip("distributed.deploy")  # threads do here; tests/maps has a cluster of processes
+        monkeypatch.setattr(deploy, "LocalCluster", partial(deploy.LocalCluster, processes=False))
     with plt.rc_context({"backend": "agg"}):
         runpy.run_path(str(path), run_name="__main__")
         plt.close("all")
@@ -44,14 +45,19 @@ def test_examples_run_in_an_empty_folder(
     assert any(made.stat().st_size > 8000 for made in tmp_path.iterdir() if made.suffix in (".png", ".html"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_run(path: Path, tmp_path: Path) -> None:
+def test_notebooks_run(tmp_path: Path) -> None:
+    """One after the other in one kernel, as it takes longer to start than they do; each with nothing of the others."""
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    notebook = nbformat.read(path, as_version=4)
-    nbformat.validate(notebook)
-    assert not any(cell.get("outputs") for cell in notebook.cells)  # committed without results, which change
+    together, ends = nbformat.v4.new_notebook(), [0]
+    for path in NOTEBOOKS:
+        notebook = nbformat.read(path, as_version=4)
+        nbformat.validate(notebook)
+        assert not any(cell.get("outputs") for cell in notebook.cells)  # committed without results, which change
+        together.cells += [nbformat.v4.new_code_cell("%reset -f"), *notebook.cells]
+        ends.append(len(together.cells))
     interrupt = signal.getsignal(signal.SIGINT)
-    nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(together, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
     signal.signal(signal.SIGINT, interrupt)  # the client leaves Python's, whatever it was
-    drawn = [output for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output]
-    assert any("image/png" in output["data"] for output in drawn)
+    for first, last in itertools.pairwise(ends):
+        outputs = [output for cell in together.cells[first:last] for output in cell.get("outputs", [])]
+        assert any("image/png" in output.get("data", {}) for output in outputs)
