@@ -154,13 +154,13 @@ def report_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the command the pictures of a calibration's report and most poses of its maps, half of what it takes."""
     from matplotlib.figure import Figure
 
-    from pm3dof_pin.calibration import judging
+    from pm3dof_pin.calibration import workspace_errors
     from pm3dof_pin.figures import calibration, calibration_report
 
     names = ("tip_error_validation", "tip_error_held_out", "residuals", "workspace", "parameters")
     monkeypatch.setattr(calibration, "calibration_pictures", lambda *_, **__: dict.fromkeys(names, Figure()))
     monkeypatch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
-    monkeypatch.setattr(judging, "workspace_errors", partial(judging.workspace_errors, points=7))
+    monkeypatch.setattr(workspace_errors, "workspace_errors", partial(workspace_errors.workspace_errors, points=7))
 
 
 @pytest.fixture(scope="session")
