@@ -12,7 +12,7 @@ from pm3dof_pin.calibration.gaussian_process import GaussianProcess
 from pm3dof_pin.calibration.learned_model import LearnedModel
 from pm3dof_pin.calibration.neural_network import NeuralNetwork
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.kinematics.reachable_poses import coordinate_ranges
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array

@@ -28,4 +28,4 @@ def felt_stiffness(tripod: Tripod, poses: ArrayLike) -> Array:
     Arguments, result and errors as of :func:`held_stiffness`.
     """
     flexibility = inverse_definite(elastic_stiffness(tripod, poses))
-    return indices.felt_stiffness(np.diagonal(flexibility, axis1=-2, axis2=-1))[..., _ROWS]
+    return indices.axis_stiffness(np.diagonal(flexibility, axis1=-2, axis2=-1))[..., _ROWS]

@@ -74,11 +74,11 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
 
     from pm3dof_pin.description.closures import ClosuresSchema
     from pm3dof_pin.description.error_file import ErrorFileSchema
-    from pm3dof_pin.description.parameters import ParameterSchema
+    from pm3dof_pin.description.parameters import Parameter
     from pm3dof_pin.elastic.springs import SPRING_SCHEMAS
 
     schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
-    schemas = [schema or ParameterSchema, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
+    schemas = [schema or Parameter, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
     (root, *springs), parts = msgspec.json.schema_components(schemas, ref_template="#/$defs/{name}")
     if kind == "parameters":  # a file of the tripod: a name and other texts, and sections of parameters
         section = {"if": {"type": "object"}, "then": {"additionalProperties": root}}

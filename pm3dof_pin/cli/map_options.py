@@ -166,20 +166,12 @@ def robot_grid(
 
 
 def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
-    """Return the ranges of coordinates as `--range` takes them, with the number of values of each.
-
-    A joint that turns without end, or further than once around, makes one turn. What has no declared range goes from
-    home as far as the limits allow.
-    """
-    from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+    """Return the ranges of coordinates as `--range` takes them, with the number of values of each."""
+    from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 
     ranges = []
     for coordinate, count in zip(coordinates, counts, strict=True):
-        lower, upper = robot.range_of(coordinate)
-        if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:
-            lower, upper = -math.pi, math.pi
-        if not math.isfinite(upper - lower):
-            lower, upper = coordinate_span(robot, coordinate) or (lower, upper)
+        lower, upper = coordinate_range(robot, coordinate)
         if not math.isfinite(upper - lower):
             raise typer.BadParameter(
                 f"{coordinate.name} of {robot.name}: its description gives no range, and from home limits give none: "

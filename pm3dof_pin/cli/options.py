@@ -275,4 +275,4 @@ def with_groups(function: Callable[..., None]) -> Callable[..., None]:
 
 def payloads_of(robot: Robot, payload: float) -> dict[str, float]:
     """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
-    return {robot.model.frames[robot.tool_frame_id].name: payload} if payload else {}
+    return {robot.frame_name(): payload} if payload else {}

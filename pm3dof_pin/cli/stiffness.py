@@ -113,10 +113,10 @@ def _columns(elastic: ElasticModel, poses: Poses) -> dict[str, Array]:
     import numpy as np
 
     from pm3dof_pin.elastic.batch import compliance
-    from pm3dof_pin.elastic.indices import felt_stiffness
+    from pm3dof_pin.elastic.indices import axis_stiffness
 
     matrices = compliance(elastic, poses, on_failure="nan")
-    felt = felt_stiffness(np.einsum("nii->ni", matrices))
+    felt = axis_stiffness(np.einsum("nii->ni", matrices))
     columns = {column_of(f"felt_{axis}", UNITS[k]): felt[:, k] for k, axis in enumerate(TOOL_COMPONENTS)}
     for row, column in itertools.combinations_with_replacement(range(6), 2):
         unit = ("m/N", "1/N", "rad/(N m)")[(row >= 3) + (column >= 3)]
@@ -140,10 +140,10 @@ def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dic
     """Return what is read from a compliance; an axis that is rigid feels infinitely stiff and has no shares."""
     import numpy as np
 
-    from pm3dof_pin.elastic.indices import felt_stiffness
+    from pm3dof_pin.elastic.indices import axis_stiffness
     from pm3dof_pin.elastic.shares import shares
 
-    felt = felt_stiffness(np.diag(compliance))
+    felt = axis_stiffness(np.diag(compliance))
     with np.errstate(divide="ignore", invalid="ignore"):
         parts = shares(contributions[None], np.eye(6))  # a unit force or moment along each axis in turn
     parts[np.isinf(felt)] = np.nan

@@ -143,9 +143,10 @@ class _Reader:
 
     def read(self) -> Mjcf:
         worlds = self.root.findall("worldbody")
-        for index, body in enumerate(body for world in worlds for body in world.iter("body")):
+        bodies = self.root.findall("worldbody//body")
+        for index, body in enumerate(bodies):
             body.attrib.setdefault("name", f"body{index + 1}")
-        self.taken = {WORLD} | {body.attrib["name"] for world in worlds for body in world.iter("body")}
+        self.taken = {WORLD} | {body.attrib["name"] for body in bodies}
         root = ElementTree.Element("body", name=WORLD)
         for world in worlds:
             for child in list(world):
@@ -231,7 +232,7 @@ class _Reader:
         self.joints[joint.attrib["name"]] = _JointSettings(stiffness, unlimited, limits)
 
     def _equalities(self) -> Iterator[EqualityConstraint]:
-        for index, element in enumerate(element for section in self.root.findall("equality") for element in section):
+        for index, element in enumerate(self.root.findall("equality/*")):
             name = element.get("name") or f"{element.tag}{index + 1}"
             if element.get("active") == "false":
                 continue
@@ -257,7 +258,7 @@ class _Reader:
 
     def _actuators(self) -> dict[str, str]:
         actuators: dict[str, str] = {}
-        for element in (element for section in self.root.findall("actuator") for element in section):
+        for element in self.root.findall("actuator/*"):
             joint = element.get("joint") or element.get("jointinparent")
             if joint is None:
                 name = f" '{element.get('name')}'" if "name" in element.attrib else ""

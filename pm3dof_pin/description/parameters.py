@@ -9,12 +9,13 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 
 from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.physical_bounds import ANGLE, ANY, LENGTH, MASS, MOMENT, NOT_NEGATIVE, STIFFNESS
 from pm3dof_pin.description.robots import DESCRIPTION_SUFFIX, robot_names, robots_directory
-from pm3dof_pin.description.schema import Name, Schema, checked
+from pm3dof_pin.description.schema import Name, checked
 from pm3dof_pin.description.yaml_file import merged, read_mapping
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
 from pm3dof_pin.typing import Vector
@@ -47,15 +48,14 @@ _BOUNDS = {
 }
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One entry of the YAML file: a number or numbers in `unit`, with their origin."""
 
     value: float | tuple[float, ...]
-    unit: str
-    symbol: str  #: the chapter's sign, or "none"
-    status: str  #: "printed", "inferred" or "chosen"
+    unit: Unit
+    status: Literal["printed", "inferred", "chosen"]
     source: str  #: table, equation or reason
+    symbol: str = "none"  #: the chapter's sign
 
     @property
     def si(self) -> float | tuple[float, ...]:
@@ -178,7 +178,7 @@ class TripodParameters:
         tilt_range, height_range = (reader.interval(f"printed_working_range.{key}") for key in ("tilt", "height"))
         bar = _section(reader)
         return cls(
-            name=_name(path, sections),
+            name=checked(sections.get("name"), Name, path, "name"),
             base_joint_angles=alpha,
             platform_joint_angles=reader.vector("geometry.platform_joint_angles", len(alpha)),
             base_radius=reader.positive("geometry.base_radius"),
@@ -256,34 +256,19 @@ def read_quantities(path: Path | str) -> dict[str, Parameter]:
     return _quantities(path, read_parameters(path))
 
 
-class ParameterSchema(Schema):
-    """The keys of one parameter and their forms."""
-
-    value: float | list[float]
-    unit: Unit
-    status: Literal["printed", "inferred", "chosen"]
-    source: str
-    symbol: str = "none"
-
-
-def _name(path: Path, sections: Mapping[str, Any]) -> str:
-    return checked(sections.get("name"), Name, path, "name")
-
-
 def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Parameter]:
     """Every quantity of a parameter file, keyed "section.name"."""
     return {
-        (key := f"{section}.{name}"): _quantity(path, key, checked(entry, ParameterSchema, path, key))
+        (key := f"{section}.{name}"): _quantity(path, key, entry)
         for section, entries in sections.items()
         if isinstance(entries, dict)
         for name, entry in entries.items()
     }
 
 
-def _quantity(path: Path, key: str, entry: ParameterSchema) -> Parameter:
-    value = tuple(entry.value) if isinstance(entry.value, list) else entry.value
-    quantity = Parameter(value, entry.unit, entry.symbol, entry.status, entry.source)
-    bounds = _BOUNDS.get(entry.unit, ANY)
+def _quantity(path: Path, key: str, entry: object) -> Parameter:
+    quantity = checked(entry, Parameter, path, key)
+    bounds = _BOUNDS.get(quantity.unit, ANY)
     for number in np.atleast_1d(quantity.si):
         if problem := bounds.problem(float(number)):
             raise DescriptionError(path, f"{key}.value", problem)

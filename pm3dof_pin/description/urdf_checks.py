@@ -10,6 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import NoReturn
 from xml.etree import ElementTree
 
 from pm3dof_pin.description.inertia_checks import inertia_matrix, inertia_problem, is_reversed
@@ -92,9 +93,9 @@ class _Checks:
     def names(self, kind: str, elements: list[ElementTree.Element]) -> None:
         names = [element.get("name") or "" for element in elements]
         if "" in names:
-            raise DescriptionError(self._path, f"<{kind}>", "has no name, expected one")
+            self._fail(f"<{kind}>", "has no name, expected one")
         if twice := next((name for name, count in Counter(names).items() if count > 1), None):
-            raise DescriptionError(self._path, f"{kind} '{twice}'", "stands there twice, expected every name once")
+            self._fail(f"{kind} '{twice}'", "stands there twice, expected every name once")
 
     def link(self, link: ElementTree.Element, place: str) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
@@ -111,7 +112,7 @@ class _Checks:
         kind = joint.get("type")
         if kind not in _JOINT_TYPES:
             expected = f"expected one of {', '.join(_JOINT_TYPES)}"
-            raise DescriptionError(self._path, place, f"{expected}, not {'no type' if kind is None else repr(kind)}")
+            self._fail(place, f"{expected}, not {'no type' if kind is None else repr(kind)}")
         self._origin(joint, place)
         for tag, attributes in _JOINT_NUMBERS.items():
             if (element := joint.find(tag)) is not None:
@@ -133,8 +134,6 @@ class _Checks:
         mass_element, inertia = inertial.find("mass"), inertial.find("inertia")
         if mass_element is None or inertia is None:
             self._fail(place, f"expected <{'mass' if mass_element is None else 'inertia'}> in it")
-        assert mass_element is not None
-        assert inertia is not None
         mass = self._number(mass_element, "value", MASS, f"{place}: mass")
         place = f"{place}: inertia"
         moments = [self._number(inertia, key, PRODUCT, place) for key in MOMENTS]
@@ -193,7 +192,7 @@ class _Checks:
         element.set(key, " ".join(element.attrib[key].split()))
         return numbers
 
-    def _fail(self, place: str, expected: str) -> None:
+    def _fail(self, place: str, expected: str) -> NoReturn:
         raise DescriptionError(self._path, place, expected)
 
 

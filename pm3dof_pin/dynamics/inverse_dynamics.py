@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,25 +13,25 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.arrays import finite_array, frozen, listed
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.dynamics.mass_matrix import mass_matrix
-from pm3dof_pin.dynamics.statics import weight_scale
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom, Restriction
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
-from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
+from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
 from pm3dof_pin.typing import Matrix, Vector
 
 _CONSISTENT = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """Velocity and acceleration of all joints."""
+class _JointMotion(NamedTuple):
+    """Velocity and acceleration of all joints: v and dv/dt, shape=(nv,) [SI].
 
-    velocity: Vector  #: v, shape=(nv,) [m/s, rad/s]
-    acceleration: Vector  #: dv/dt, shape=(nv,) [m/s^2, rad/s^2]
-    #: motions left when the given joints are at rest, the actuated joints and the tool then being so too, such as the
-    #: spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In `velocity` and `acceleration`
-    #: they have the share that makes these shortest in scaled numbers
+    `idle` are motions left when the given joints are at rest, the actuated joints and the tool then being so too, such
+    as the spin of a link about its own axis, shape=(nv, k), orthonormal in scaled numbers. In velocity and acceleration
+    they have the share that makes these shortest in scaled numbers.
+    """
+
+    velocity: Vector
+    acceleration: Vector
     idle: Matrix
 
 
@@ -107,21 +108,10 @@ def loop_motion(
     accelerations: ArrayLike,
     *,
     joints: Iterable[str] | None = None,
-) -> JointMotion:
+) -> _JointMotion:
     """Compute the motion of all joints from that of some, with the loops kept closed: G v = 0, G dv/dt + dG/dt v = 0.
 
-    Args:
-        configuration: an assembled configuration.
-        rates: of the given joints, shape=(number of them,) [m/s, rad/s].
-        accelerations: of the given joints, shape=(number of them,) [m/s^2, rad/s^2].
-        joints: single-DoF joints; the actuated joints by default.
-
-    Raises:
-        SingularConfigurationError: actuated joints or the tool can move while the given joints are at rest.
-        InvalidValueError: the loops do not allow these rates or accelerations, or are not closed; or an argument is not
-            finite or has the wrong shape.
-        JointNotFoundError: the model has no such joint.
-        DescriptionError: the mechanism has no tool frame.
+    Arguments and errors are those of :func:`inverse_dynamics`.
     """
     mechanism = mechanism_of(configuration)
     names = mechanism.actuated_joints if joints is None else tuple(joints)
@@ -139,7 +129,7 @@ def loop_motion(
     v = _reached("rates", given, start, np.zeros_like(dof.scale), units)
     drift = _closure_acceleration(configuration, dof.scale * v)
     a = _reached("accelerations", given, wanted, -dof.closures.inverse @ (drift / mechanism.closure_scale), units)
-    return JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
+    return _JointMotion(frozen(dof.scale * v), frozen(dof.scale * a), frozen(dof.scale[:, None] * given.motions))
 
 
 def _closure_acceleration(configuration: Configuration, velocity: Vector) -> Vector:

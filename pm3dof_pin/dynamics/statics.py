@@ -7,8 +7,7 @@ import pinocchio as pin
 
 from pm3dof_pin.dynamics.force_balance import ActuatorForces, balance
 from pm3dof_pin.mechanism.configuration import Configuration, mechanism_of
-from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads
-from pm3dof_pin.typing import Vector
+from pm3dof_pin.mechanism.loads import Payloads, Wrenches, generalised_forces, model_with_payloads, weight_scale
 
 
 def holding_forces(
@@ -46,10 +45,3 @@ def holding_forces(
     reference = weight_scale(model, mechanism.characteristic_length)
     reference += float(np.linalg.norm(mechanism.velocity_scale * external))
     return balance(configuration, gravity - external, reference=reference)
-
-
-def weight_scale(model: pin.Model, length: float) -> float:
-    """Return the weight of all moving bodies times a length [N m]."""
-    mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
-    gravity: Vector = model.gravity.linear
-    return float(mass * np.linalg.norm(gravity) * length)

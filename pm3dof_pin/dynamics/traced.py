@@ -127,7 +127,7 @@ def vibrations(elastic: ElasticModel, model: pin.Model, q: Matrix, threads: int 
 
     Lower triangles, as `eigvalsh` reads them, shape=(n, e, e) [s^2]; and where nothing is in doubt, shape=(n,).
     """
-    frame = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name
+    frame = elastic.mechanism.frame_name()
 
     def trace() -> Program:
         doubt, tree = Doubt(), elastic_tree(Graph(), elastic, frame)

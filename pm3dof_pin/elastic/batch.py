@@ -98,8 +98,7 @@ def evaluate(
 ) -> PoseValues:
     """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`."""
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
-    name = elastic.mechanism.model.frames[elastic.mechanism.tool_frame_id].name if frame is None else frame
-    elastic.mechanism.frame_id(name)
+    name = elastic.mechanism.frame_name(frame)
     closed = isinstance(poses, Poses)
     return evaluate_at(
         elastic.rigid,

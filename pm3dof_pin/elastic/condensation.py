@@ -169,7 +169,7 @@ class CartesianCompliance:
         """
         if self.free_directions.size:
             raise FreeDirectionError(self._message("moves freely, with all springs at rest", self.free_directions))
-        scale = np.repeat([self.configuration.mechanism.characteristic_length, 1.0], 3)[:, None]
+        scale = self.configuration.mechanism.twist_scale[:, None]
         targets = finite_array("twists", twists, (6, np.shape(twists)[-1])) / scale
         strains = np.linalg.lstsq(self.decomposition.twists / scale, targets, rcond=RANK_TOLERANCE**2)[0]
         missed = np.abs(self.decomposition.twists @ strains / scale - targets).max(initial=0.0)
@@ -191,9 +191,8 @@ def condensed(
 
     Arguments and errors as for :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
     """
-    name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
-    report = CartesianCompliance(model, given, name)
+    report = CartesianCompliance(model, given, model.mechanism.frame_name(frame))
     _ = report.decomposition  # errors come at once
     return report
 
@@ -201,7 +200,7 @@ def condensed(
 def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -> _Decomposition:
     motions = elastic_motions(model, configuration)
     jacobian = configuration.frame_jacobian(frame)
-    twist_scale = np.repeat([model.mechanism.characteristic_length, 1.0], 3)
+    twist_scale = model.mechanism.twist_scale
     scaled = jacobian / twist_scale[:, None]
     reference = RANK_TOLERANCE * float(np.linalg.norm(scaled * model.mechanism.velocity_scale, 2))
     free, spanned = range_and_complement(scaled @ motions.unstrained, reference)
@@ -213,16 +212,9 @@ def _decomposed(model: ElasticModel, configuration: Configuration, frame: str) -
     return _Decomposition(
         motions=motions,
         spring_forces=frozen(np.linalg.solve(root.T, strains)),
-        contributions=frozen(_contributions(model, strains)),
+        contributions=frozen(np.stack([strains[rows].T @ strains[rows] for rows in model.spring_slices])),
         free_directions=frozen(twist_scale[:, None] * free),
         rigid_directions=frozen(twist_scale[:, None] * (spanned @ rigid)),
         twists=frozen(twists),
         moved=frozen(spanned @ moved / twist_scale[:, None]),
     )
-
-
-def _contributions(model: ElasticModel, strains: Matrix) -> Matrix:
-    """Return each spring's part of the compliance out of its strains in units of the springs, shape=(s, 6)."""
-    ends = np.cumsum([len(block.indices) for block in model.blocks])
-    parts = np.split(strains, ends[:-1])
-    return np.stack([part.T @ part for part in parts])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.arrays import frozen, require_kind
@@ -79,6 +79,7 @@ class ElasticModel:
         springs: the springs.
         blocks: the stiffness of each spring over its joints.
         spring_indices: entries of v of `mechanism` that springs are at, block after block, shape=(s,).
+        spring_slices: which of these are each block's.
         locked_indices: entries of v of actuated joints without a spring.
         passive_indices: all other entries of v.
         rigid_indices: index in q of `mechanism` of each entry of q of `rigid`.
@@ -105,6 +106,8 @@ class ElasticModel:
         self.rigid_velocity_indices: Indices = virtual.v_indices
         self.blocks = tuple(_block(self.mechanism, spring, virtual.joints.get(spring.name)) for spring in self.springs)
         self.spring_indices: Indices = frozen(np.concatenate([block.indices for block in self.blocks]))
+        ends = np.cumsum([0, *(len(block.indices) for block in self.blocks)]).tolist()
+        self.spring_slices = tuple(slice(first, last) for first, last in pairwise(ends))
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
         springs_and_locked = np.concatenate([self.spring_indices, self.locked_indices])
         self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), springs_and_locked))
@@ -137,7 +140,8 @@ class ElasticModel:
     @cached_property
     def spring_coordinates(self) -> tuple[str, ...]:
         """Name of the joint of each entry of :attr:`spring_indices`."""
-        names = {self.mechanism.single_joint(joint).v_index: joint for joint in _single_joints(self.mechanism.model)}
+        model = self.mechanism.model
+        names = {joint.idx_v: name for name, joint in zip(model.names, model.joints, strict=True) if joint.nv == 1}
         return tuple(names[int(index)] for index in self.spring_indices)
 
     def embed(self, q: ArrayLike) -> Vector:
@@ -266,12 +270,9 @@ class ElasticModel:
         """
         size = len(self.spring_indices)
         root, powers = np.zeros((size, size)), np.zeros(size)
-        start = 0
-        for block in self.blocks:
-            rows = slice(start, start + len(block.indices))
+        for block, rows in zip(self.blocks, self.spring_slices, strict=True):
             root[rows, rows] = _compliance_root(block.coefficients)
             powers[rows] = -0.5 * block.exponents.diagonal()
-            start = rows.stop
         return frozen(root), frozen(powers)
 
     def scaled_compliance_root(self, configuration: Configuration) -> Matrix:
@@ -373,7 +374,3 @@ def _compliance_root(stiffness: Matrix) -> Matrix:
     upper = np.linalg.cholesky(scaled[::-1, ::-1])[::-1, ::-1]
     root: Matrix = scale[:, None] * np.linalg.inv(upper).T
     return root
-
-
-def _single_joints(model: pin.Model) -> list[str]:
-    return [name for name, joint in list(zip(model.names, model.joints, strict=True))[1:] if joint.nv == 1]

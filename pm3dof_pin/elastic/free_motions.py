@@ -14,8 +14,8 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import SingularConfigurationError
 from pm3dof_pin.kinematics.actuation import motion_components, tool_motions
 from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
-from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.typing import Matrix
 
 
@@ -79,7 +79,7 @@ def _coordinate_twists(
 ) -> Matrix:
     """Return the tool's twists at unit rates of coordinates, shape=(6, p)."""
     jacobian, nv = configuration.tool_jacobian, configuration.mechanism.model.nv
-    angles = angles_of_rotation(configuration.tool_placement.rotation)
+    angles = tool_components(configuration.tool_placement.homogeneous)[3:]
     components = np.vstack([jacobian[:3], angle_rates(angles) @ jacobian[3:]])
     rows = np.zeros((len(coordinates), nv))
     for row, coordinate in zip(rows, coordinates, strict=True):

@@ -43,7 +43,7 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
     return inverse
 
 
-def felt_stiffness(compliances: ArrayLike) -> Array:
+def axis_stiffness(compliances: ArrayLike) -> Array:
     """Return the stiffness along and about each axis, all other motions free, shape=(..., 6) [N/m, N m/rad].
 
     Axes that give less than rounding beside the softest of their kind are rigid: infinitely stiff.

@@ -42,6 +42,7 @@ from pm3dof_pin.elastic.loaded_state import LoadedState
 from pm3dof_pin.elastic.loads import Loads
 from pm3dof_pin.exceptions import DeflectionRangeError, FreeDirectionError, InvalidValueError, RigidDirectionError
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 
@@ -104,10 +105,8 @@ class LoadedEquilibrium:
             FrameNotFoundError: the model has no such frame.
             DescriptionError: no frame is given, and the mechanism has no tool frame.
         """
-        before, after = (
-            configuration.tool_placement if frame is None else configuration.frame_placement(frame)
-            for configuration in (self.state.rest, self.configuration)
-        )
+        name = self._mechanism.frame_name(frame)
+        before, after = (placed.frame_placement(name) for placed in (self.state.rest, self.configuration))
         turned = pin.log3(after.rotation @ before.rotation.T)
         return frozen(np.concatenate([after.translation - before.translation, turned]))
 
@@ -120,10 +119,11 @@ class LoadedEquilibrium:
             FreeDirectionError: the frame moves freely in some direction.
             PM3DofError: there is no such frame, see :meth:`displacement`.
         """
-        jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
+        name, unit = self._mechanism.frame_name(frame), self._mechanism.twist_scale[:, None]
+        jacobian = self.configuration.frame_jacobian(name)
         free = range_and_complement(jacobian @ self.state.idle_motions / unit, self._threshold(jacobian))[0]
         if free.size:
-            raise FreeDirectionError(f"{self._named(frame)} moves freely under load: {direction_names(unit * free)}")
+            raise FreeDirectionError(f"frame '{name}' moves freely under load: {direction_names(unit * free)}")
         twists = jacobian @ self.state.bearing_motions
         compliance: Matrix = twists @ np.linalg.solve(self.state.tangent, twists.T)
         return frozen(compliance)
@@ -135,30 +135,25 @@ class LoadedEquilibrium:
             RigidDirectionError: no spring gives in some direction.
             PM3DofError: see :meth:`tangent_compliance`.
         """
-        jacobian, unit = self._jacobian(frame), self._twist_unit[:, None]
+        name, unit = self._mechanism.frame_name(frame), self._mechanism.twist_scale[:, None]
+        jacobian = self.configuration.frame_jacobian(name)
         motions = self.state.motions
         moved = jacobian @ np.hstack([motions.kinematic, motions.unstrained])
         rigid = range_and_complement(moved / unit, self._threshold(jacobian))[1]
         if rigid.size:
-            raise RigidDirectionError(f"{self._named(frame)} is rigid: {direction_names(unit * rigid)}")
-        compliance = self.tangent_compliance(frame)
+            raise RigidDirectionError(f"frame '{name}' is rigid: {direction_names(unit * rigid)}")
+        compliance = self.tangent_compliance(name)
         scale: Vector = 1.0 / np.linalg.norm(jacobian @ self.state.bearing_motions, axis=1)
         scales = np.outer(scale, scale)
         stiffness: Matrix = scales * np.linalg.inv(scales * compliance)
         return frozen(stiffness)
 
     @property
-    def _twist_unit(self) -> Vector:
-        return np.repeat([self.state.model.mechanism.characteristic_length, 1.0], 3)
-
-    def _jacobian(self, frame: str | None) -> Matrix:
-        return self.configuration.tool_jacobian if frame is None else self.configuration.frame_jacobian(frame)
-
-    def _named(self, frame: str | None) -> str:
-        return f"frame '{frame or self.state.model.mechanism.tool_frame}'"
+    def _mechanism(self) -> Robot:
+        return self.state.model.mechanism
 
     def _threshold(self, jacobian: Matrix) -> float:
-        scaled = jacobian * self.state.model.mechanism.velocity_scale / self._twist_unit[:, None]
+        scaled = jacobian * self._mechanism.velocity_scale / self._mechanism.twist_scale[:, None]
         return RANK_TOLERANCE * float(np.linalg.norm(scaled, 2))
 
 

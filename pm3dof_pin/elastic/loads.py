@@ -13,7 +13,7 @@ from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.mechanism.loads import Payloads, add_payloads
+from pm3dof_pin.mechanism.loads import Payloads, add_payloads, weight_scale
 from pm3dof_pin.typing import Matrix, Vector
 
 _WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointModelUniversal")
@@ -57,18 +57,16 @@ class AppliedLoads:
         weightless.gravity = pin.Motion.Zero()
         self._weightless = (weightless, weightless.createData())
         self._weights: list[tuple[pin.Model, pin.Data]] = []
-        length = mechanism.characteristic_length
         self.size = 0.0
         for factor, load in loads:
             for name, wrench in load.wrenches.items():
                 array = factor * finite_array(f"wrench on {name}", wrench, (6,))
                 self._wrenches.append((mechanism.frame_id(name), array))
-                self.size += float(np.abs(array) @ np.repeat([length, 1.0], 3))
+                self.size += float(np.abs(array) @ mechanism.twist_scale)
             if load.own_weight or load.payloads:
                 model = _weight_model(mechanism, load, factor)
                 self._weights.append((model, model.createData()))
-                mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
-                self.size += float(mass * np.linalg.norm(model.gravity.linear)) * length
+                self.size += weight_scale(model, mechanism.characteristic_length)
 
     def forces(self, configuration: Configuration) -> Vector:
         """Return the generalised forces of the loads, shape=(nv,) [N, N m]."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -137,13 +136,12 @@ CONDITIONING = ElasticQuantity("conditioning", (7,), _conditioning, _computed_co
 
 def spring_shares(model: ElasticModel) -> ElasticQuantity:
     """Return the share of each spring in the deflection under a unit wrench along each axis, shape=(6, springs)."""
-    starts = np.cumsum([0, *(len(block.indices) for block in model.blocks)])
 
     def traced(roots: Roots) -> Objects:
         squares = roots.compliance_by_spring * roots.compliance_by_spring
         shares = zeros(6, len(model.blocks))
         for i, row in enumerate(squares):
-            parts = [total(list(row[a:b])) for a, b in pairwise(starts)]
+            parts = [total(list(row[spring])) for spring in model.spring_slices]
             inverse = math.nan if is_zero(whole := total(parts)) else 1.0 / whole
             shares[i] = [part * inverse for part in parts]
         return shares
@@ -154,6 +152,16 @@ def spring_shares(model: ElasticModel) -> ElasticQuantity:
             return np.asarray(parts / parts.sum(axis=1, keepdims=True))
 
     return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)
+
+
+def spring_contributions(model: ElasticModel) -> ElasticQuantity:
+    """Return the compliance that each spring adds, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
+    return ElasticQuantity(
+        "contributions",
+        (len(model.blocks), 6, 6),
+        lambda roots: np.stack([_matrix(roots.compliance_by_spring[:, spring]) for spring in model.spring_slices]),
+        lambda report: report.contributions,
+    )
 
 
 def free_stiffness(model: ElasticModel, components: tuple[ToolComponent, ...] = ()) -> ElasticQuantity:

@@ -48,7 +48,7 @@ def cartesian_compliance(
     require_choice("engine", engine, Engine)
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     tool = model.mechanism.tool_frame
-    name = model.mechanism.model.frames[model.mechanism.tool_frame_id].name if frame is None else frame
+    name = model.mechanism.frame_name(frame)
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
     matrices = None
     if engine == "program" and name == tool:

@@ -7,24 +7,11 @@ same parts are the derivatives: dC / dk_j = -C_j / k_j.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
-
-
-@dataclass(frozen=True)
-class _SpringShare:
-    """One spring's part in the deflection under a load."""
-
-    spring: str  #: its name
-    share: float  #: its part of W^T C W, between 0 and 1
-    #: W^T C_j W / |W|, the displacement along the load that it alone causes [m or rad for a unit wrench]
-    deflection: float
 
 
 def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
@@ -35,27 +22,9 @@ def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
     Raises:
         InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.
     """
-    parts = _energies(contributions, wrench)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        total: Array = parts / parts.sum(axis=-1, keepdims=True)
-    return total
-
-
-def ranking(names: Sequence[str], contributions: ArrayLike, wrench: ArrayLike) -> list[_SpringShare]:
-    """Return the springs of one pose in the order of their :func:`shares`: the first is the critical component.
-
-    Raises:
-        InvalidValueError: the wrench is not of shape (6,), not finite or zero.
-    """
-    parts = _energies(contributions, wrench)
-    size = float(np.linalg.norm(np.asarray(wrench, dtype=float)))
-    order = np.argsort(-parts, kind="stable")
-    return [_SpringShare(names[j], float(parts[j] / parts.sum()), float(parts[j]) / size) for j in order]
-
-
-def _energies(contributions: ArrayLike, wrench: ArrayLike) -> Array:
     w = np.asarray(wrench, dtype=float)
     if w.shape[-1:] != (6,) or not np.all(np.isfinite(w)) or not np.all(np.any(w != 0.0, axis=-1)):
         raise InvalidValueError("wrench", w.tolist(), "six finite numbers [f; m], not all zero")
     energies: Array = np.einsum("...i,...sij,...j->...s", w, np.asarray(contributions, dtype=float), w)
-    return energies
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(energies / energies.sum(axis=-1, keepdims=True))

@@ -18,14 +18,15 @@ axes of `at` (of the closure's first frame), in the order x, y, z, rx, ry, rz [N
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.physical_bounds import STIFFNESS
 from pm3dof_pin.description.schema import Length, Name, PositiveLength, Schema, Stiffness, checked
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError
@@ -69,12 +70,11 @@ class AxialSpring:
         _require_positive("stiffness", self.stiffness)
 
 
-@dataclass(frozen=True)
-class JointLength:
+class JointLength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A length that a prismatic joint changes, L = at_zero + q [m]."""
 
-    joint: str
-    at_zero: float
+    joint: Name
+    at_zero: Length
 
     def __post_init__(self) -> None:
         """Check the number."""
@@ -142,82 +142,62 @@ Spring: TypeAlias = JointSpring | AxialSpring | CantileverSpring | BeamSpring | 
 
 
 class _Entry(Schema):
+    makes: ClassVar[type[Spring]]
     name: Name
 
 
 class _Joint(_Entry):
+    makes = JointSpring
     type: Literal["joint"]
     joint: Name
     stiffness: Stiffness
     unit: JointSpringUnit
 
-    def spring(self) -> Spring:
-        return JointSpring(self.name, self.joint, self.stiffness, self.unit)
-
 
 class _Axial(_Entry):
+    makes = AxialSpring
     type: Literal["axial"]
     at: Name
     axis: tuple[float, float, float]
     stiffness: Stiffness
     unit: Literal["N/m"]
 
-    def spring(self) -> Spring:
-        return AxialSpring(self.name, self.at, self.axis, self.stiffness)
-
-
-class _Length(Schema):
-    joint: Name
-    at_zero: Length
-
 
 class _Cantilever(_Entry):
+    makes = CantileverSpring
     type: Literal["cantilever"]
     at: Name
     axis: tuple[float, float, float]
     bending_stiffness: Stiffness
     torsional_stiffness: Stiffness
-    length: PositiveLength | _Length
+    length: PositiveLength | JointLength
     unit: Literal["N m^2"]
     axial_stiffness: Stiffness | None = None
     elements: int = 1
 
-    def spring(self) -> Spring:
-        length = (
-            JointLength(self.length.joint, self.length.at_zero) if isinstance(self.length, _Length) else self.length
-        )
-        stiffness = (self.bending_stiffness, self.torsional_stiffness)
-        return CantileverSpring(self.name, self.at, self.axis, *stiffness, length, self.axial_stiffness, self.elements)
-
 
 class _Beam(_Entry):
+    makes = BeamSpring
     type: Literal["beam"]
     at: Name
     matrix: list[list[float]]
 
-    def spring(self) -> Spring:
-        return BeamSpring(self.name, self.at, _square(self.matrix))
-
 
 class _Closure(_Entry):
+    makes = ClosureSpring
     type: Literal["closure"]
     closure: Annotated[int, msgspec.Meta(ge=0)]
     matrix: list[list[float]]
 
-    def spring(self) -> Spring:
-        return ClosureSpring(self.name, self.closure, _square(self.matrix))
 
-
-SpringSchema: TypeAlias = _Joint | _Axial | _Cantilever | _Beam | _Closure
-"""The forms of an entry of `springs`."""
-
-SPRING_SCHEMAS: dict[str, type[SpringSchema]] = {
+SPRING_SCHEMAS: dict[str, type[_Entry]] = {
     "joint": _Joint,
     "axial": _Axial,
     "cantilever": _Cantilever,
     "beam": _Beam,
     "closure": _Closure,
 }
+"""The forms of an entry of `springs`, by type."""
 
 
 def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tuple[Spring, ...]:
@@ -239,17 +219,12 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
                 source, f"{element}.type", f"expected one of {', '.join(SPRING_SCHEMAS)}, not {kind}"
             )
         try:
-            springs.append(checked(entry, SPRING_SCHEMAS[kind], source, element).spring())
+            form = checked(entry, SPRING_SCHEMAS[kind], source, element)
+            springs.append(form.makes(**{field.name: getattr(form, field.name) for field in fields(form.makes)}))
         except InvalidValueError as error:
             place = f"{element}.{error.name}"
             raise DescriptionError(source, place, f"is {error.value}, expected {error.expected}") from error
     return tuple(springs)
-
-
-def _square(rows: list[list[float]]) -> Matrix:
-    if any(len(row) != len(rows) for row in rows):
-        raise InvalidValueError("matrix", rows, "rows as long as there are rows")
-    return np.array(rows)
 
 
 def _require_positive(name: str, value: float) -> None:
@@ -268,14 +243,10 @@ def _unit_vector(axis: ArrayLike) -> tuple[float, float, float]:
 
 def _positive_definite(name: str, matrix: ArrayLike, sizes: tuple[int, ...]) -> Matrix:
     """Return a read-only, exactly symmetric copy. Judged at a unit diagonal: N/m stands beside N m/rad."""
-    array = np.array(matrix, dtype=float)
-    if array.shape not in {(size, size) for size in sizes}:
-        expected = " or ".join(f"{size} x {size}" for size in sizes)
-        raise InvalidValueError(name, f"of shape {array.shape}", expected)
+    array = finite_array(name, matrix, *((size, size) for size in sizes))
     diagonal = array.diagonal()
-    in_reach = (diagonal >= STIFFNESS.least).all() and (np.abs(array) <= STIFFNESS.greatest).all()
-    if not np.isfinite(array).all() or not in_reach:
-        expected = f"finite numbers and a diagonal from {STIFFNESS.least:g} to {STIFFNESS.greatest:g}"
+    if (diagonal < STIFFNESS.least).any() or (np.abs(array) > STIFFNESS.greatest).any():
+        expected = f"numbers and a diagonal from {STIFFNESS.least:g} to {STIFFNESS.greatest:g}"
         raise InvalidValueError(name, array.tolist(), expected)
     scale = np.sqrt(diagonal)
     scaled = array / np.outer(scale, scale)

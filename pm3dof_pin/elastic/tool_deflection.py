@@ -7,21 +7,17 @@ k_j changes C by dC / d ln k_j = -C_j, whether the mechanism is statically deter
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
-from pm3dof_pin.elastic.elastic_model import ElasticModel
-from pm3dof_pin.elastic.quantities import ElasticQuantity
-from pm3dof_pin.elastic.traced import Roots
+from pm3dof_pin.elastic.quantities import spring_contributions
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.programs.elimination import total, zeros
-from pm3dof_pin.typing import Array, Engine, Objects
+from pm3dof_pin.typing import Array, Engine
 
 _PROGRAM_FROM = 100  # poses
 _STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "matrix")
@@ -41,7 +37,7 @@ def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None =
     checked = finite_array("wrenches", wrenches, (len(poses), 6))
     model = elastic_model(poses.robot)
     chosen: Engine = engine or ("program" if len(poses) >= _PROGRAM_FROM else "pinocchio")
-    parts = evaluate(model, poses, _contributions(model), engine=chosen).values
+    parts = evaluate(model, poses, spring_contributions(model), engine=chosen).values
     return np.asarray(np.einsum("nsij,nj->nsi", parts, checked))
 
 
@@ -64,31 +60,8 @@ def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str
     """Return the entries of springs, as in a closures file, with those named stiffer by factors."""
     return [
         {
-            key: _scaled(value, factors.get(str(entry.get("name")), 1.0)) if key in _STIFFNESSES else value
+            key: (factor * np.asarray(value, dtype=float)).tolist() if key in _STIFFNESSES else value
             for key, value in entry.items()
         }
-        for entry in springs
+        for entry, factor in ((entry, factors.get(str(entry.get("name")), 1.0)) for entry in springs)
     ]
-
-
-def _scaled(value: object, factor: float) -> object:
-    return (factor * np.asarray(value, dtype=float)).tolist()
-
-
-def _contributions(model: ElasticModel) -> ElasticQuantity:
-    """Return the compliance that each spring adds, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
-    starts = np.cumsum([0, *(len(block.indices) for block in model.blocks)])
-    count = len(model.blocks)
-
-    def traced(roots: Roots) -> Objects:
-        columns = roots.compliance_by_spring
-        parts: Objects = np.empty((count, 6, 6), dtype=object)
-        for k, (first, last) in enumerate(pairwise(starts)):
-            parts[k] = zeros(6, 6)
-            for i in range(6):
-                for j in range(i, 6):
-                    products = [columns[i, c] * columns[j, c] for c in range(first, last)]
-                    parts[k, i, j] = parts[k, j, i] = total(products)
-        return parts
-
-    return ElasticQuantity("contributions", (count, 6, 6), traced, lambda report: report.contributions)

@@ -195,64 +195,44 @@ def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Dou
 def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
     """Record the root U of the springs' compliance, v_s = U y, slides in units of length, shape=(s, s)."""
     values = spring_parameters(model)
-    size = len(model.spring_indices)
-    root = zeros(size, size)
+    root = zeros(len(model.spring_indices), len(model.spring_indices))
     _, powers = model.compliance_root
-    start = 0
-    for block in model.blocks:
-        stop = start + len(block.indices)
-        length = _length(graph, model, tree, block, values)
-        for i in range(start, stop):
-            factor = 1.0 if length is None else _power(length, powers[i])
-            for j in range(start, i + 1):
-                if name := _root_name(values, block, i - start, j - start):
-                    root[i, j] = graph.parameter(name, values[name]) * factor
-        start = stop
+    for block, rows in zip(model.blocks, model.spring_slices, strict=True):
+        length: Scalar = 1.0
+        if block.length is not None:
+            name = f"spring/{block.name}/length"
+            joint = model.mechanism.single_joint(block.length.joint)
+            length = graph.parameter(name, values[name]) + tree.q[joint.q_index]
+        for (i, j), name in _root_entries(block).items():
+            if name in values:
+                factor = 1.0 if block.length is None else _power(length, powers[rows][i])
+                root[rows, rows][i, j] = graph.parameter(name, values[name]) * factor
     return root
 
 
 def spring_parameters(model: ElasticModel) -> dict[str, float]:
     """Return the numbers of the springs that are parameters of programs, by name."""
-    root, _ = model.compliance_root
-    slides = np.array([_slides(model, int(index)) for index in model.spring_indices])
-    scaled = root / np.where(slides, model.mechanism.length_unit, 1.0)[:, None]
+    slides = model.mechanism.velocity_scale[model.spring_indices] != 1.0
+    scaled = model.compliance_root[0] / np.where(slides, model.mechanism.length_unit, 1.0)[:, None]
     values: dict[str, float] = {}
-    start = 0
-    for block in model.blocks:
-        for i in range(len(block.indices)):
-            for j in range(i + 1):
-                if scaled[start + i, start + j] != 0.0:
-                    values[f"spring/{block.name}/U{i}{j}"] = float(scaled[start + i, start + j])
+    for block, rows in zip(model.blocks, model.spring_slices, strict=True):
+        entries = {name: float(scaled[rows, rows][place]) for place, name in _root_entries(block).items()}
+        values |= {name: entry for name, entry in entries.items() if entry != 0.0}
         if block.length is not None:
             values[f"spring/{block.name}/length"] = block.length.at_zero
-        start += len(block.indices)
     return values
+
+
+def _root_entries(block: SpringBlock) -> dict[tuple[int, int], str]:
+    """Name the entries of a spring's lower triangular root."""
+    size = len(block.indices)
+    return {(i, j): f"spring/{block.name}/U{i}{j}" for i in range(size) for j in range(i + 1)}
 
 
 def has_like_springs(model: ElasticModel) -> bool:
     """Tell whether the springs are like enough in stiffness to appear in pivots, lengths and angles scaled."""
     sizes = np.abs([value for name, value in spring_parameters(model).items() if not name.endswith("/length")])
     return bool(sizes.max() < _LIKE * sizes.min())
-
-
-def _slides(model: ElasticModel, index: int) -> bool:
-    """Tell whether an entry of v is the rate of a slide."""
-    return bool(model.mechanism.velocity_scale[index] != 1.0)
-
-
-def _root_name(values: dict[str, float], block: SpringBlock, i: int, j: int) -> str | None:
-    name = f"spring/{block.name}/U{i}{j}"
-    return name if name in values else None
-
-
-def _length(
-    graph: Graph, model: ElasticModel, tree: Tree, block: SpringBlock, values: dict[str, float]
-) -> Scalar | None:
-    if block.length is None:
-        return None
-    joint = model.mechanism.single_joint(block.length.joint)
-    name = f"spring/{block.name}/length"
-    return graph.parameter(name, values[name]) + tree.q[joint.q_index]  # type: ignore[no-any-return]
 
 
 def _power(length: Scalar, power: float) -> Scalar:

@@ -66,5 +66,5 @@ class ElasticDeflection:
 
 
 def _tool(poses: Poses) -> str:
-    name: str = poses.robot.model.frames[poses.robot.tool_frame_id].name
+    name: str = poses.robot.frame_name()
     return name

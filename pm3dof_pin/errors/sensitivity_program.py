@@ -101,7 +101,7 @@ def _traced(
     poses = samples_near_home(robot)
     verify(robot, poses)
     places = [parameter.place for parameter in errors.parameters]
-    graph, tool = Graph(), robot.model.frames[robot.tool_frame_id].name
+    graph, tool = Graph(), robot.frame_name()
     tree = Tree(graph, robot, poses, [place for place in places if not robot.model.existJointName(place)])
     driven = robot.actuated_indices
     passive = joint_columns(tree, np.setdiff1d(np.arange(robot.model.nv), driven), tool)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
-from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation, rotation_of_angles
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.tool_components import angle_rates, rotation_of_angles, tool_components
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
 CLOSURE_TOLERANCE = 1e-12
@@ -128,8 +128,7 @@ class _Equations:
         self._target = finite_array("tool placement", list(tool.values()), (len(tool),))
         self._turned = {"rx", "ry", "rz"} <= set(tool)
         self._tool = mechanism.tool_frame_id if tool else 0
-        scale = np.repeat([mechanism.characteristic_length, 1.0], 3)[self._rows]
-        self._scale = np.concatenate([mechanism.closure_scale, scale])
+        self._scale = np.concatenate([mechanism.closure_scale, mechanism.twist_scale[self._rows]])
         self._velocity_scale = mechanism.velocity_scale[free]
 
     def at(self, q: Vector) -> _Point:
@@ -149,8 +148,8 @@ class _Equations:
     def _tool_equations(self, q: Vector) -> tuple[Vector, Matrix]:
         placement = self._kinematics.frame_placement(q, self._tool)
         jacobian = self._kinematics.frame_jacobian(q, self._tool, pin.LOCAL_WORLD_ALIGNED)
-        angles = angles_of_rotation(placement.rotation)
-        error = np.concatenate([placement.translation, angles])[self._rows] - self._target
+        components = tool_components(placement.homogeneous)
+        error = components[self._rows] - self._target
         turns = np.array(self._rows) >= 3
         if self._turned:  # by the rotation that is left, which is regular where the angles are not
             angles_of_target = np.empty(3)
@@ -159,7 +158,7 @@ class _Equations:
             jacobian[3:] = np.linalg.solve(pin.Jexp3(-left), jacobian[3:])
             error[turns] = left[np.array(self._rows)[turns] - 3]
         elif turns.any():
-            jacobian[3:] = angle_rates(angles) @ jacobian[3:]
+            jacobian[3:] = angle_rates(components[3:]) @ jacobian[3:]
             error[turns] = np.remainder(error[turns] + np.pi, 2.0 * np.pi) - np.pi
         return error, jacobian[self._rows]
 

@@ -36,7 +36,7 @@ from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.mechanism.mechanism import Mechanism
-from pm3dof_pin.programs.closing import Task, regularity_and_mode, tool_components
+from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.drivers import HISTORY
 from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
@@ -86,10 +86,9 @@ class Continuation:
         self._nq = mechanism.model.nq
         self._coordinates = tuple(coordinates)
         self._given = [mechanism.single_joint(c.joint) for c in self._coordinates if c.joint is not None]
-        self._joint_columns = [k for k, c in enumerate(self._coordinates) if c.joint is not None]
-        self._tool_columns = [k for k, c in enumerate(self._coordinates) if c.joint is None]
         self._tool = tuple(c.tool for c in self._coordinates if c.tool is not None)
-        self._order = [*self._joint_columns, *self._tool_columns]  # in which the program takes the coordinates
+        # in which the program takes the coordinates, joints first
+        self._order = sorted(range(len(self._coordinates)), key=lambda k: self._coordinates[k].joint is None)
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
         self._units, turns = units_of(mechanism, self._coordinates), turns_of(mechanism, self._coordinates)
@@ -128,17 +127,7 @@ class Continuation:
 
     def read(self, q: Matrix) -> Matrix:
         """Read the coordinates off closed configurations, shape=(n, number of coordinates) [m, rad]."""
-        values = np.empty((len(q), len(self._coordinates)))
-        for k, joint in zip(self._joint_columns, self._given, strict=True):
-            first = joint.q_index
-            values[:, k] = np.arctan2(q[:, first + 1], q[:, first]) if joint.is_continuous else q[:, first]
-        if self._tool:
-            transforms = self._check(q).transforms
-            assert transforms is not None
-            values[:, self._tool_columns] = tool_components(transforms[:, :3, :3], transforms[:, :3, 3], self._tool)
-        values *= self._scales
-        values += self._offsets
-        return values
+        return self._robot.read(self._coordinates, q, self._check(q).transforms if self._tool else None)
 
     # walking
 

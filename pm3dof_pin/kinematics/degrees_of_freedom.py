@@ -61,7 +61,7 @@ class DegreesOfFreedom:
         mechanism = configuration.mechanism
         require_assembled(configuration)
         self.scale = mechanism.velocity_scale
-        self.twist_scale = np.repeat([mechanism.characteristic_length, 1.0], 3)
+        self.twist_scale = mechanism.twist_scale
         self._configuration = configuration
         closures = configuration.constraint_jacobian * self.scale / mechanism.closure_scale[:, None]
         self.closures = Restriction(closures, np.eye(mechanism.model.nv))

@@ -11,7 +11,7 @@ import numpy as np
 from pm3dof_pin.arrays import require_count, require_kind, with_neighbours
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_ranges
 from pm3dof_pin.kinematics.coordinate_units import units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.poses import Poses
@@ -77,20 +77,6 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
             found = np.concatenate([found, draws.within_limits(batch, generator)])
             drawn += batch
     raise UnreachablePoseError(f"{robot.name}: hardly any random pose is within all joint limits")
-
-
-def coordinate_ranges(robot: Robot, coordinates: tuple[Coordinate, ...]) -> tuple[Array, Array]:
-    """Return the least and greatest values of coordinates [m, rad].
-
-    A joint without limits turns once around; the tool goes, where nothing is declared, as far as the limits allow.
-    """
-    ends = [robot.range_of(c) for c in coordinates]
-    for place, coordinate in enumerate(coordinates):
-        if coordinate.joint is None and not np.isfinite(ends[place]).all():
-            ends[place] = coordinate_span(robot, coordinate) or ends[place]
-    lower, upper = np.array(ends).T
-    unlimited = np.isinf(lower) | np.isinf(upper)
-    return np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
 
 
 def _has_ranges(robot: Robot) -> bool:

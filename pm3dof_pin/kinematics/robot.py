@@ -23,11 +23,11 @@ from pm3dof_pin.kinematics.careful import assemble_at, close_all
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
 from pm3dof_pin.kinematics.poses import REACH, Poses
-from pm3dof_pin.kinematics.tool_angles import angles_of_rotation
 from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.mechanism.robot_description import read_description
+from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.typing import Array, Engine, Matrix, OnFailure, Vector
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ class Robot(Mechanism):
         array = real_array("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
         if array.shape[-2:] == (4, 4):
             _require_placements(array)
-            values = np.concatenate([array[..., :3, 3], angles_of_rotation(array[..., :3, :3])], axis=-1)
+            values = tool_components(array)
         else:
             values = array
         components = TOOL_COMPONENTS if array.shape[-2:] == (4, 4) else TOOL_COMPONENTS[:3]
@@ -339,9 +339,7 @@ class Robot(Mechanism):
         Returns:
             shape=(..., number of coordinates) [m, rad].
         """
-        tool = None
-        if transforms is not None:
-            tool = np.concatenate([transforms[..., :3, 3], angles_of_rotation(transforms[..., :3, :3])], axis=-1)
+        tool = None if transforms is None else tool_components(transforms)
         columns = []
         for coordinate in coordinates:
             if coordinate.joint is None:

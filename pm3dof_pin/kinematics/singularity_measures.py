@@ -100,7 +100,7 @@ def _compiled(robot: Robot) -> Compiled:
         poses = samples_near_home(robot)
         verify(robot, poses)
         tree, unit = Tree(Graph(), robot, poses), robot.characteristic_length
-        jacobian = tree.jacobian(robot.model.frames[robot.tool_frame_id].name)
+        jacobian = tree.jacobian(robot.frame_name())
         jacobian[:3] = jacobian[:3] * (1.0 / unit)
         jacobian[:, tree.slides] = jacobian[:, tree.slides] * unit
         tool = jacobian[[TOOL_COMPONENTS.index(name) for name in robot.tool_motions]]

@@ -20,7 +20,7 @@ from pm3dof_pin.dynamics.batch import actuator_forces, drive_mass_matrices, natu
 from pm3dof_pin.elastic.batch import evaluate
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.free_motions import FreeMotionStiffness, free_motion_stiffness
-from pm3dof_pin.elastic.indices import felt_stiffness
+from pm3dof_pin.elastic.indices import axis_stiffness
 from pm3dof_pin.elastic.quantities import (
     AXIS_COMPLIANCE,
     COMPLIANCE,
@@ -243,7 +243,7 @@ for _names, _source, _unit, _long_name in (
     long_name="felt stiffness, all other motions free",
 )
 def _felt_stiffness(evaluation: Evaluation) -> Array:
-    return felt_stiffness(evaluation.elastic(AXIS_COMPLIANCE))
+    return axis_stiffness(evaluation.elastic(AXIS_COMPLIANCE))
 
 
 for _name, _row, _unit, _long_name in (

@@ -155,7 +155,7 @@ def _add_joint(
             link = child if suffix == parts[-1][0] else f"{name}_{moves}_{axis}"
             if link != child:
                 carrier = ElementTree.SubElement(robot, "link", name=link)
-                _add_inertial(carrier, pin.Inertia(NEGLIGIBLE_MASS, np.zeros(3), NEGLIGIBLE_MOMENT * np.eye(3)))
+                _add_inertial(carrier, pin.Inertia.Zero())
             along = np.eye(3)["xyz".index(axis)]
             _add_hinge(robot, name + suffix, moves, parent, link, placement, along, _LIMITS[moves])
             parent, placement = link, pin.SE3.Identity()

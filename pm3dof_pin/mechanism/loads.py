@@ -58,6 +58,12 @@ def generalised_forces(configuration: Configuration, wrenches: Wrenches | None) 
     return forces
 
 
+def weight_scale(model: pin.Model, length: float) -> float:
+    """Return the weight of all moving bodies times a length [N m]."""
+    mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
+    return float(mass * np.linalg.norm(model.gravity.linear) * length)
+
+
 def _inertia(frame: str, payload: float | pin.Inertia) -> pin.Inertia:
     mass = float(finite_array(f"payload on {frame}", getattr(payload, "mass", payload), ()))
     if mass < 0.0:

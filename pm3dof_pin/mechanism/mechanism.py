@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -90,7 +90,7 @@ class Mechanism:
         characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
             are decided [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
-        source: file the names come from, for messages; by default that of `files`.
+        source: file that the names of frames, joints and springs come from, for messages; by default that of `files`.
         files: the files that it was read from, if any.
 
     Attributes:
@@ -103,7 +103,8 @@ class Mechanism:
         named_configurations: joint configurations by name, each of shape=(nq,).
         velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
             shape=(nv,).
-        closure_scale: the same for the entries of the closure error, shape=(m,).
+        twist_scale, closure_scale: the same for the entries of a twist, shape=(6,), and of the closure error,
+            shape=(m,).
         loop_kinematics: the mechanism's work space, one for each thread.
 
     Raises:
@@ -138,7 +139,7 @@ class Mechanism:
         self.tool_frame = tool_frame
         self.springs = tuple(springs)
         self.files = files
-        self._source = str(source or (files.source if files is not None else model.name))
+        self.source = str(source or (files.source if files is not None else model.name))
         self._frame_ids = _frame_ids(self.model)
         translates = _is_translation(self.model)
         self._single_joints = _single_joints(self.model, translates)
@@ -160,7 +161,7 @@ class Mechanism:
         )
 
         if tool_frame is not None:
-            self._frame_id(tool_frame, f"{self._source}: tool_frame")
+            self._frame_id(tool_frame, f"{self.source}: tool_frame")
         self.loop_kinematics = LoopKinematics(
             self.model, [self._constraint(index, loop) for index, loop in enumerate(self.closures)]
         )
@@ -169,7 +170,9 @@ class Mechanism:
             raise InvalidValueError("characteristic_length", length, "a positive length [m]")
         self.characteristic_length = float(length)
         self.velocity_scale = frozen(np.where(translates, self.characteristic_length, 1.0))
-        self.closure_scale = frozen(self._closure_scale())
+        self.twist_scale = frozen(np.repeat([self.characteristic_length, 1.0], 3))
+        sizes = [rows.stop - rows.start for rows in self.loop_kinematics.rows]
+        self.closure_scale = frozen(np.concatenate([np.zeros(0), *(self.twist_scale[:size] for size in sizes)]))
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
         self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
         self._description: dict[str, Any] = {
@@ -182,15 +185,10 @@ class Mechanism:
             "limit_groups": self.limit_groups,
             "tool_motions": self.tool_motions,
             "characteristic_length": self.characteristic_length,
-            "source": self._source,
+            "source": self.source,
             "files": files,
         }
         self._described = frozenset(vars(self)) | {"_described"}  # and not what is kept with it once it is known
-
-    @property
-    def source(self) -> str:
-        """File that the names of frames, joints and springs come from, for messages."""
-        return self._source
 
     def __repr__(self) -> str:
         return (
@@ -200,7 +198,7 @@ class Mechanism:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (type(self), self.model, self.closures, self._description)
+        return partial(type(self), **self._description), (self.model, self.closures)
 
     def replace(
         self, *, model: pin.Model | None = None, closures: Iterable[LoopClosure] | None = None, **changes: Any
@@ -246,7 +244,7 @@ class Mechanism:
     def require_possible_inertias(self) -> None:
         """Raise DescriptionError if a moving body has moments that no body has: see :attr:`impossible_inertias`."""
         for name, problem in self.impossible_inertias.items():
-            path = self._source if self.files is None else self.files.path
+            path = self.source if self.files is None else self.files.path
             raise DescriptionError(path, f"link '{name}', with what is fixed to it: inertia", problem)
 
     @cached_property
@@ -259,13 +257,18 @@ class Mechanism:
         """Pinocchio's index of the tool frame; DescriptionError where the mechanism has none."""
         if self.tool_frame is None:
             raise DescriptionError(
-                self._source, "tool_frame", "is missing: --tool-frame NAME, or tool_frame in a closures file"
+                self.source, "tool_frame", "is missing: --tool-frame NAME, or tool_frame in a closures file"
             )
         return self._frame_ids[self.tool_frame]
 
     def frame_id(self, name: str) -> int:
         """Return Pinocchio's index of a frame, a link before a joint of its name; FrameNotFoundError without either."""
         return self._frame_id(name, self.name)
+
+    def frame_name(self, name: str | None = None) -> str:
+        """Return the name of a frame that is there, by default the tool's; errors as of the indices above."""
+        index = self.tool_frame_id if name is None else self.frame_id(name)
+        return str(self.model.frames[index].name)
 
     def single_joint(self, name: str) -> _SingleJoint:
         """Return where the coordinate and rate of a single-DoF joint stand.
@@ -328,11 +331,11 @@ class Mechanism:
     def _constraint(
         self, index: int, loop: LoopClosure
     ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
-        element = f"{self._source}: closed_loop[{index}]"
+        element = f"{self.source}: closed_loop[{index}]"
         frame_a, frame_b = (self.model.frames[self._frame_id(name, element)] for name in (loop.frame_a, loop.frame_b))
         if frame_a.parentJoint == frame_b.parentJoint and not (self.springs and _meet(frame_a, frame_b, loop.type)):
             raise DescriptionError(
-                self._source,
+                self.source,
                 f"closed_loop[{index}]",
                 f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two, or in one place "
                 "with springs between them",
@@ -342,9 +345,9 @@ class Mechanism:
 
     def _checked_joints(self, names: tuple[str, ...], element: str) -> tuple[str, ...]:
         for name in names:
-            self._require_joint(name, f"{self._source}: {element}")
+            self._require_joint(name, f"{self.source}: {element}")
             if name not in self._single_joints:
-                raise DescriptionError(self._source, element, f"'{name}' has several degrees of freedom, expected one")
+                raise DescriptionError(self.source, element, f"'{name}' has several degrees of freedom, expected one")
         return names
 
     def _checked_commands(self, commands: tuple[Command, ...]) -> tuple[Command, ...]:
@@ -352,8 +355,8 @@ class Mechanism:
         declared = {command.joint: command for command in commands}
         for joint in declared:
             if joint not in self.actuated_joints:
-                self._require_joint(joint, f"{self._source}: commands")
-                raise DescriptionError(self._source, "commands", f"'{joint}' is not actuated, expected one of name_mot")
+                self._require_joint(joint, f"{self.source}: commands")
+                raise DescriptionError(self.source, "commands", f"'{joint}' is not actuated, expected one of name_mot")
         return tuple(
             declared.get(name, Command(name, name, self._single_joints[name].unit)) for name in self.actuated_joints
         )
@@ -366,7 +369,7 @@ class Mechanism:
         joints = {joint for group in groups for joint in group.joints}
         for group in groups:
             for name in group.joints:
-                self._require_joint(name, f"{self._source}: limit_groups: {group.name}")
+                self._require_joint(name, f"{self.source}: limit_groups: {group.name}")
         closures = {index for group in groups for index in group.closures}
         found: dict[str, LimitGroup] = {}
 
@@ -411,24 +414,12 @@ class Mechanism:
         radius = float(np.sqrt(np.mean(np.sum((points - np.mean(points, axis=0)) ** 2, axis=1))))
         return radius if radius > np.sqrt(np.finfo(float).eps) else 1.0
 
-    def _closure_scale(self) -> Vector:
-        scale = np.ones(self.loop_kinematics.row_count)
-        for rows in self.loop_kinematics.rows:
-            scale[rows.start : rows.start + 3] = self.characteristic_length
-        return scale
-
 
 def _meet(frame_a: pin.Frame, frame_b: pin.Frame, kind: str) -> bool:
     """Tell whether two frames of one body are where a closure wants them."""
     apart = frame_a.placement.actInv(frame_b.placement)
     rows = pin.log6(apart).vector if kind == "6d" else apart.translation
     return bool(np.abs(rows).max() < _MEETING)
-
-
-def _rebuild(
-    kind: type[Mechanism], model: pin.Model, closures: Sequence[LoopClosure], description: Mapping[str, Any]
-) -> Mechanism:
-    return kind(model, closures, **description)
 
 
 def _frame_ids(model: pin.Model) -> dict[str, int]:

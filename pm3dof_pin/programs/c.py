@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.programs.program import Program
 
-_EXPRESSIONS = {
+EXPRESSIONS = {
     "negative": "-{0}",
     "add": "{0} + {1}",
     "subtract": "{0} - {1}",
@@ -30,6 +30,8 @@ _EXPRESSIONS = {
     "not": "!{0}",
     "select": "{0} ? {1} : {2}",
 }
+"""Operations of a program, by operands."""
+
 _CONDITIONS = frozenset(("less", "and", "or", "not"))
 
 
@@ -57,14 +59,14 @@ def c99(
     parts += [f"void {program.name}(const double *x, const double *p, double *y)", "{"]
     names = [f"x[{k}]" for k in range(len(program.inputs))]
     names += [f"p[{k}]" for k in range(len(program.parameters))]
-    names += map(_literal, program.constants)
+    names += map(literal, program.constants)
     used = {number for _, operands in program.lines for number in operands} | set(program.results)
     for argument, numbers in (("x", range(len(program.inputs))), ("p", _parameter_numbers(program))):
         if used.isdisjoint(numbers):
             parts.append(f"  (void){argument};")
     for number, (operation, operands) in enumerate(program.lines, len(names)):
         kind = "int" if operation in _CONDITIONS else "double"
-        expression = _EXPRESSIONS[operation].format(*(names[k] for k in operands))
+        expression = EXPRESSIONS[operation].format(*(names[k] for k in operands))
         parts.append(f"  const {kind} v{number} = {expression};")
         names.append(f"v{number}")
     results = [names[number] for number in program.results]
@@ -115,14 +117,15 @@ def _table(program: Program, values: np.ndarray) -> list[str]:
     if not len(values):
         return []
     rows = (
-        f"  {_literal(value)}, /* {_harmless(name)} */"
+        f"  {literal(value)}, /* {_harmless(name)} */"
         for name, value in zip(program.parameters, values.tolist(), strict=True)
     )
     return [f"const double {program.name}_parameters[{len(values)}] = {{", *rows, "};", ""]
 
 
-def _literal(value: float) -> str:
+def literal(value: float, nan: str = "NAN", infinity: str = "INFINITY") -> str:
+    """Write a number with all its digits; in brackets where a sign before it would make another operator of it."""
     if math.isnan(value):
-        return "NAN"
-    text = "INFINITY" if math.isinf(value) else repr(abs(value))
+        return nan
+    text = infinity if math.isinf(value) else repr(abs(value))
     return f"(-{text})" if math.copysign(1.0, value) < 0.0 else text

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pm3dof_pin.description.coordinates import ToolComponent
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.mechanism import Mechanism
+from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs.elimination import Doubt, eliminate, solve_upper, typical
 from pm3dof_pin.programs.graph import (
     Graph,
@@ -178,31 +179,14 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
     """Add the targets to the inputs; their samples are where the tool is."""
-    placements = [Configuration(mechanism, q).tool_placement for q in samples]
-    rows = np.array([tool_components(p.rotation, p.translation, task.tool) for p in placements])
-    return {name: graph.input(name, rows[:, k]) for k, name in enumerate(task.tool)}
+    rows = tool_components([Configuration(mechanism, q).tool_placement.homogeneous for q in samples])
+    return {name: graph.input(name, rows[:, TOOL_COMPONENTS.index(name)]) for name in task.tool}
 
 
 def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return from `margin` how regular configurations are, in (0, 1), and their assembly modes, 0 the samples'."""
     mode = -np.floor(0.5 * margin)
     return margin + 2.0 * mode, mode
-
-
-def tool_components(
-    rotation: NDArray[np.float64], translation: NDArray[np.float64], components: Iterable[ToolComponent]
-) -> NDArray[np.float64]:
-    """Return components of tool placements, shape=(..., number of components) [m, rad]."""
-    R = rotation
-    values = {
-        "x": translation[..., 0],
-        "y": translation[..., 1],
-        "z": translation[..., 2],
-        "rx": np.arctan2(-R[..., 1, 2], R[..., 2, 2]),
-        "ry": np.arctan2(R[..., 0, 2], np.hypot(R[..., 1, 2], R[..., 2, 2])),
-        "rz": np.arctan2(-R[..., 0, 1], R[..., 0, 0]),
-    }
-    return np.stack([values[name] for name in components], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.programs.c import EXPRESSIONS, literal
 from pm3dof_pin.programs.program import Program
 
-_EXPRESSIONS = {
-    "negative": "-{0}",
-    "add": "{0} + {1}",
-    "subtract": "{0} - {1}",
-    "multiply": "{0} * {1}",
-    "divide": "{0} / {1}",
+_EXPRESSIONS = EXPRESSIONS | {
     "sqrt": "Math.sqrt({0})",
     "sin": "Math.sin({0})",
     "cos": "Math.cos({0})",
     "atan2": "Math.atan2({0}, {1})",
     "absolute": "Math.abs({0})",
-    "minimum": "{0} < {1} || {0} !== {0} ? {0} : {1}",
-    "maximum": "{1} < {0} || {0} !== {0} ? {0} : {1}",
-    "less": "{0} < {1}",
-    "and": "{0} && {1}",
-    "or": "{0} || {1}",
-    "not": "!{0}",
-    "select": "{0} ? {1} : {2}",
 }
 
 
@@ -61,8 +48,4 @@ def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
 
 
 def _literal(value: float) -> str:
-    """Write a number with all its digits; in brackets where a sign before it would make another operator of it."""
-    if math.isnan(value):
-        return "NaN"
-    text = "Infinity" if math.isinf(value) else repr(abs(value)).removesuffix(".0")
-    return f"(-{text})" if math.copysign(1.0, value) < 0.0 else text
+    return literal(value, "NaN", "Infinity")

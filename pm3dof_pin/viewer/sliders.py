@@ -110,7 +110,7 @@ class Sliders:
 
         Sizes are as in :meth:`live_ellipsoid`; `width` is half the width of an arrow [m].
         """
-        from pm3dof_pin.dynamics.statics import weight_scale
+        from pm3dof_pin.mechanism.loads import weight_scale
 
         if self._programs.holding is None:
             return None

@@ -394,7 +394,7 @@ class Viewer(ShownScene):
             InvalidValueError: no such quantity, or the workspace has no such shell.
             DescriptionError: the robot has no tool frame.
         """
-        tool = self.mechanism.model.frames[self.mechanism.tool_frame_id].name
+        tool = self.mechanism.frame_name()
         length = tool_length
         if length is None:
             is_position = all(coordinate.unit == "m" for coordinate in self.mechanism.coordinates[:2])

@@ -33,8 +33,8 @@ from pm3dof_pin.kinematics.mobility import generic_configuration
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.tool_angles import angle_rates, angles_of_rotation
 from pm3dof_pin.mechanism.configuration import Configuration
+from pm3dof_pin.mechanism.tool_components import angle_rates, tool_components
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 POSES = 10_000
@@ -221,7 +221,7 @@ def equations(robot: Robot, coordinates: tuple[Coordinate, ...], q: Vector) -> M
     if tool:
         configuration = Configuration(robot, q)
         moved = configuration.tool_jacobian / np.repeat([robot.characteristic_length, 1.0], 3)[:, None]
-        moved[3:] = angle_rates(angles_of_rotation(configuration.tool_placement.rotation)) @ moved[3:]
+        moved[3:] = angle_rates(tool_components(configuration.tool_placement.homogeneous)[3:]) @ moved[3:]
         rows = np.vstack([rows, moved[tool]])
     given = robot.velocity_indices([c.joint for c in coordinates if c.joint is not None])
     return np.delete(rows * robot.velocity_scale, given, axis=1)

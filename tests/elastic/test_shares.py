@@ -10,7 +10,7 @@ import pytest
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.elastic_stiffness import contribution_names, elastic_stiffness, spring_contributions
 from pm3dof_pin.elastic.definite_inverse import inverse_definite
-from pm3dof_pin.elastic.shares import ranking, shares
+from pm3dof_pin.elastic.shares import shares
 from pm3dof_pin.exceptions import InvalidValueError
 
 
@@ -82,14 +82,11 @@ def test_level_platform_pushed_down(tripod: Tripod) -> None:
     assert parts.sum() == pytest.approx(1.0)
 
 
-def test_ranking_names_the_critical_component(tripod: Tripod) -> None:
-    """A sideways force bends the passive leg."""
-    ranked = ranking(contribution_names(tripod), spring_contributions(tripod, tripod.home), [100.0, 0, 0, 0, 0, 0])
-    assert ranked[0].spring == "passive_leg"
-    assert ranked[0].share > 0.5
-    assert sum(entry.share for entry in ranked) == pytest.approx(1.0)
-    displacement = np.linalg.solve(elastic_stiffness(tripod, tripod.home), [100.0, 0, 0, 0, 0, 0])[0]
-    assert sum(entry.deflection for entry in ranked) == pytest.approx(displacement, rel=1e-9)
+def test_a_sideways_force_bends_the_passive_leg(tripod: Tripod) -> None:
+    parts = shares(spring_contributions(tripod, tripod.home), [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert contribution_names(tripod)[parts.argmax()] == "passive_leg"
+    assert parts.max() > 0.5
+    assert parts.sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("wrench", [[0.0] * 6, [1.0, 2.0], [np.nan, 0, 0, 0, 0, 0]])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pm3dof_pin.kinematics.coordinate_span import coordinate_span
+from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
 
@@ -46,8 +46,7 @@ def test_motors_follow_the_platform(four_rrr: Robot) -> None:
 def test_a_coordinate_goes_until_a_leg_is_stretched(four_rrr: Robot, name: str) -> None:
     """The motor is 0.5 m off both axes, the corner 0.1 m: they part to 2 x 0.35 m."""
     stretched = np.sqrt((2.0 * LINK) ** 2 - (BASE - CORNER) ** 2) - (BASE - CORNER)
-    span = coordinate_span(four_rrr, four_rrr.coordinate(name))
-    assert span is not None
+    span = coordinate_range(four_rrr, four_rrr.coordinate(name))
     step = four_rrr.characteristic_length / 16.0
     for end in np.abs(span):
         assert end - step <= stretched <= end

@@ -12,7 +12,7 @@ from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses as draw
 from pm3dof_pin.kinematics.robot import Robot
-from pm3dof_pin.kinematics.tool_angles import rotation_of_angles
+from pm3dof_pin.mechanism.tool_components import rotation_of_angles
 from pm3dof_pin.typing import Array, Engine
 
 ROBOTS = ("pm3dof", "hexapod", "three_rps")

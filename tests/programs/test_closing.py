@@ -10,9 +10,10 @@ from pm3dof_pin.description.closures import LoopClosure
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.kinematics.assembly import assemble
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.mechanism.tool_components import tool_components
 from pm3dof_pin.programs import geometry
 from pm3dof_pin.programs.checks import checks_program
-from pm3dof_pin.programs.closing import Task, closing_program, tool_components
+from pm3dof_pin.programs.closing import Task, closing_program
 from pm3dof_pin.programs.verification import verify
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -38,8 +39,8 @@ def given_at(robot: Robot, q: np.ndarray, task: Task) -> np.ndarray:
     joints = np.array([[robot.single_joint(name).coordinate(row) for name in task.joints] for row in q])
     if not task.tool:
         return joints
-    placements = [robot.configuration(row).tool_placement for row in q]
-    return np.hstack([joints, [tool_components(p.rotation, p.translation, task.tool) for p in placements]])
+    components = tool_components([robot.configuration(row).tool_placement.homogeneous for row in q])
+    return np.hstack([joints, components[:, [POSE.index(name) for name in task.tool]]])
 
 
 def closed_by_steps(robot: Robot, task: Task, start: np.ndarray, targets: np.ndarray, samples, steps=6):

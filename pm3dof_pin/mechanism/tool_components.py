@@ -1,4 +1,4 @@
-"""The angles rx, ry, rz of the tool: R = Rx(rx) Ry(ry) Rz(rz), in the order of the tripod's equation (8.3)."""
+"""Components of the tool's placement: x, y, z, and rx, ry, rz of R = Rx(rx) Ry(ry) Rz(rz), as in equation (8.3)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ def rotation_of_angles(angles: ArrayLike) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def angles_of_rotation(rotation: ArrayLike) -> Array:
-    """Return rx, ry, rz of rotations, shape=(..., 3) [rad]; ry in [-pi/2, pi/2], at its ends rx and rz not unique."""
-    r = np.asarray(rotation, dtype=float)
+def tool_components(transforms: ArrayLike) -> Array:
+    """Return x, y, z [m], rx, ry, rz [rad] of homogeneous transforms, shape=(..., 4, 4), as shape=(..., 6).
+
+    ry is in [-pi/2, pi/2], at its ends rx and rz are not unique.
+    """
+    r = np.asarray(transforms, dtype=float)
     ry = np.arctan2(r[..., 0, 2], np.hypot(r[..., 0, 0], r[..., 0, 1]))
     rx = np.arctan2(-r[..., 1, 2], r[..., 2, 2])
     rz = np.arctan2(-r[..., 0, 1], r[..., 0, 0])
-    return np.stack([rx, ry, rz], axis=-1)
+    return np.concatenate([r[..., :3, 3], np.stack([rx, ry, rz], axis=-1)], axis=-1)
 
 
 def angle_rates(angles: ArrayLike) -> Matrix:

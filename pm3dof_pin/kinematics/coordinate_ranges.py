@@ -1,4 +1,4 @@
-"""How far a coordinate goes within the limits of a robot, where its description does not say."""
+"""From where to where coordinates go: as declared, within limits, or as far as the robot gets."""
 
 from __future__ import annotations
 
@@ -8,12 +8,34 @@ import numpy as np
 
 from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.typing import Array
 
 _STEPS = 16  # a characteristic length, or half a turn in this many steps
 _FARTHEST = 16.0  # lengths from home [characteristic lengths]
 
 
-def coordinate_span(robot: Robot, coordinate: Coordinate) -> tuple[float, float] | None:
+def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float]:
+    """Return the ends of a coordinate [m, rad]; infinite where neither the description nor limits give any.
+
+    A joint that turns without end, or further than once around, makes one turn. A component of the tool's placement
+    without a declared range goes from home as far as the limits allow.
+    """
+    lower, upper = robot.range_of(coordinate)
+    if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:
+        return -math.pi, math.pi
+    if not math.isfinite(upper - lower) and coordinate in robot.coordinates:
+        return _span(robot, coordinate) or (lower, upper)
+    return lower, upper
+
+
+def coordinate_ranges(robot: Robot, coordinates: tuple[Coordinate, ...]) -> tuple[Array, Array]:
+    """Return least and greatest values of coordinates, as :func:`coordinate_range`; -pi and pi where there are none."""
+    lower, upper = np.array([coordinate_range(robot, coordinate) for coordinate in coordinates]).T
+    unlimited = np.isinf(lower) | np.isinf(upper)
+    return np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
+
+
+def _span(robot: Robot, coordinate: Coordinate) -> tuple[float, float] | None:
     """Return the ends between which a coordinate is within all limits, the others at home [m, rad].
 
     It is moved from home, either way, in steps of a sixteenth of the characteristic length or of half a turn, until a
