@@ -20,11 +20,7 @@ MOST_BYTES = 64 * 2**20
 
 
 def read_bytes(path: Path | str) -> bytes:
-    """Read a regular file of moderate size: no device or pipe, which may give bytes for ever, or none.
-
-    Raises:
-        DescriptionError: it is unreadable, not a regular file, or too large.
-    """
+    """Read a regular file of moderate size; DescriptionError for a pipe or device, which may give bytes for ever."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise DescriptionError(path, "file", "expected an ordinary file, not a folder, pipe or device")
@@ -38,11 +34,7 @@ def read_bytes(path: Path | str) -> bytes:
 
 
 def read_text(path: Path | str) -> str:
-    """Read a text file in UTF-8, with or without a byte order mark, as :func:`read_bytes` does.
-
-    Raises:
-        DescriptionError: see there; or it is no UTF-8 text.
-    """
+    """Read a text file in UTF-8, with or without a byte order mark; errors as of :func:`read_bytes`."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:

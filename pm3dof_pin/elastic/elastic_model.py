@@ -115,15 +115,7 @@ class ElasticModel:
 
     @classmethod
     def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:
-        """Load a mechanism and its springs from its description.
-
-        Args:
-            name_or_path: a robot that comes with the package, or the path of a URDF with its closures file beside it.
-            characteristic_length: see :class:`~pm3dof_pin.kinematics.robot.Robot` [m].
-
-        Raises:
-            PM3DofError: see :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>` and :class:`ElasticModel`.
-        """
+        """Load a robot with its springs, as :meth:`Robot.load <pm3dof_pin.kinematics.robot.Robot.load>` does."""
         return cls(Robot.load(name_or_path, characteristic_length=characteristic_length))
 
     def __repr__(self) -> str:
@@ -145,16 +137,9 @@ class ElasticModel:
         return tuple(names[int(index)] for index in self.spring_indices)
 
     def embed(self, q: ArrayLike) -> Vector:
-        """Return the positions with all virtual joints at zero.
+        """Return q with all virtual joints at zero, shape=(..., nq of `mechanism`), from shape=(..., nq of `rigid`).
 
-        Args:
-            q: positions of the rigid mechanism, shape=(..., nq of `rigid`) [m, rad].
-
-        Returns:
-            shape=(..., nq of `mechanism`).
-
-        Raises:
-            InvalidValueError: q has another shape.
+        InvalidValueError for another shape.
         """
         rigid = np.asarray(q, dtype=np.float64)
         if rigid.shape[-1:] != (self.rigid.model.nq,):
@@ -165,11 +150,7 @@ class ElasticModel:
         return positions
 
     def project(self, q: ArrayLike) -> Vector:
-        """Return the positions of the rigid mechanism's joints, shape=(..., nq of `rigid`), out of those of all joints.
-
-        Raises:
-            InvalidValueError: q has another shape.
-        """
+        """Return the rigid mechanism's entries of q, the inverse of :meth:`embed`; errors as there."""
         elastic = np.asarray(q, dtype=np.float64)
         if elastic.shape[-1:] != (self.mechanism.model.nq,):
             expected = f"shape (..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
@@ -196,11 +177,7 @@ class ElasticModel:
         raise InvalidValueError("configuration", configuration, f"one of {self.rigid} or its elastic model")
 
     def length(self, block: SpringBlock, configuration: Configuration) -> float:
-        """Return the length of a spring whose length a joint changes [m]; 1 for any other spring.
-
-        Raises:
-            InvalidValueError: the length is not positive.
-        """
+        """Return the length of a spring that a joint changes [m], 1 of any other; InvalidValueError unless positive."""
         if block.length is None:
             return 1.0
         length = block.length.at_zero + configuration.joint_position(block.length.joint)
@@ -212,11 +189,7 @@ class ElasticModel:
     def joint_stiffness(self, configuration: Configuration | ArrayLike) -> Matrix:
         """Return K_q over all velocities of :attr:`mechanism`, zero for passive and locked joints, shape=(nv, nv).
 
-        Args:
-            configuration: see :meth:`configuration`.
-
-        Raises:
-            InvalidValueError: a length that a joint changes is not positive, or see :meth:`configuration`.
+        Argument and errors are those of :meth:`configuration`; or a length that a joint changes is not positive.
         """
         where = self.configuration(configuration)
         stiffness = np.zeros((self.mechanism.model.nv, self.mechanism.model.nv))

@@ -137,22 +137,11 @@ class Robot(Mechanism):
         return self.at([self.home.q])[0].coordinates
 
     def configuration(self, q: ArrayLike) -> Configuration:
-        """Make the read-only configuration at q.
-
-        Args:
-            q: joint configuration, shape=(nq,) [m, rad]. The loops need not be closed.
-
-        Raises:
-            InvalidValueError: q has another shape, is not finite, or is not normalised.
-        """
+        """Make the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
         return Configuration(self, q)
 
     def coordinate(self, name: str) -> Coordinate:
-        """Return a coordinate by name.
-
-        Raises:
-            InvalidValueError: the robot has no such coordinate.
-        """
+        """Return a coordinate by name; InvalidValueError if the robot has none such."""
         for coordinate in self.coordinates:
             if coordinate.name == name:
                 return coordinate
@@ -263,17 +252,9 @@ class Robot(Mechanism):
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
-        """Find the poses at commands, as :meth:`solve` does at coordinates.
+        """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` does at coordinates.
 
-        Args:
-            commands: what the drives' counters show, shape=(..., number of commands) [m, rad].
-            guess: see :meth:`solve`; it picks the assembly mode.
-            on_failure: see :meth:`solve`.
-            engine: see :meth:`solve`.
-
-        Raises:
-            UnreachablePoseError: see :meth:`solve`.
-            InvalidValueError: see :meth:`solve`.
+        Commands are what the drives' counters show; a guess picks the assembly mode.
         """
         return self._meet(self.command_coordinates, "commands", commands, guess, on_failure, engine)
 
@@ -287,17 +268,9 @@ class Robot(Mechanism):
     ) -> Poses:
         """Find poses that bring the tool to placements, as :meth:`solve` does to coordinates.
 
-        Args:
-            placements: `pin.SE3` or homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions
-                alone, the orientation being left free, shape=(..., 3) [m].
-            guess: see :meth:`solve`; it picks the assembly mode.
-            on_failure: see :meth:`solve`.
-            engine: see :meth:`solve`.
-
-        Raises:
-            UnreachablePoseError: see :meth:`solve`.
-            DescriptionError: the robot has no tool frame.
-            InvalidValueError: see :meth:`solve`; or a matrix is no placement.
+        Placements are `pin.SE3` or homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions
+        alone, the orientation being left free, shape=(..., 3) [m]. A guess picks the assembly mode. Raises besides
+        DescriptionError without a tool frame, and InvalidValueError for a matrix that is no placement.
         """
         array = real_array("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
         if array.shape[-2:] == (4, 4):
@@ -329,15 +302,9 @@ class Robot(Mechanism):
         return result.configuration
 
     def read(self, coordinates: tuple[Coordinate, ...], q: Array, transforms: Array | None = None) -> Array:
-        """Read coordinates off joint configurations.
+        """Read coordinates off q, shape=(..., nq), as shape=(..., number of coordinates) [m, rad].
 
-        Args:
-            coordinates: the coordinates.
-            q: joint configurations, shape=(..., nq) [m, rad].
-            transforms: placements of the tool, shape=(..., 4, 4), if a coordinate is one of its components.
-
-        Returns:
-            shape=(..., number of coordinates) [m, rad].
+        Placements of the tool, shape=(..., 4, 4), are needed if a coordinate is one of its components.
         """
         tool = None if transforms is None else tool_components(transforms)
         columns = []

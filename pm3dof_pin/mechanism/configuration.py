@@ -111,42 +111,20 @@ class Configuration:
 
     @property
     def tool_placement(self) -> pin.SE3:
-        """Placement of the tool frame in the world.
-
-        Raises:
-            DescriptionError: the mechanism has no tool frame.
-        """
+        """Placement of the tool frame in the world; DescriptionError if the mechanism has none."""
         return self._placement(self._mechanism.tool_frame_id)
 
     @property
     def tool_jacobian(self) -> Matrix:
-        """Jacobian of the tool point J, shape=(6, nv): twist [v; omega] = J v, world axes.
-
-        Raises:
-            DescriptionError: the mechanism has no tool frame.
-        """
+        """Jacobian J of the tool point, shape=(6, nv): twist [v; omega] = J v, world axes; errors as above."""
         return self._jacobian(self._mechanism.tool_frame_id)
 
     def frame_placement(self, name: str) -> pin.SE3:
-        """Compute the placement of a frame in the world.
-
-        Args:
-            name: a link or frame of the model.
-
-        Raises:
-            FrameNotFoundError: the model has no such frame.
-        """
+        """Compute the placement of a link or frame in the world; FrameNotFoundError if the model has none such."""
         return self._placement(self._mechanism.frame_id(name))
 
     def frame_jacobian(self, name: str) -> Matrix:
-        """Compute the Jacobian of a frame's origin, shape=(6, nv): twist [v; omega] = J v, world axes.
-
-        Args:
-            name: a link or frame of the model.
-
-        Raises:
-            FrameNotFoundError: the model has no such frame.
-        """
+        """Compute the Jacobian of a frame's origin, shape=(6, nv), as :attr:`tool_jacobian`; errors as above."""
         return self._jacobian(self._mechanism.frame_id(name))
 
     @property
@@ -158,18 +136,12 @@ class Configuration:
     def joint_position(self, name: str) -> float:
         """Return the coordinate of a single-DoF joint [m, rad]; the angle in (-pi, pi] of a continuous joint.
 
-        Raises:
-            JointNotFoundError: the model has no such joint.
-            InvalidValueError: the joint has several degrees of freedom.
+        Errors are those of :meth:`Mechanism.single_joint <pm3dof_pin.mechanism.mechanism.Mechanism.single_joint>`.
         """
         return self._mechanism.single_joint(name).coordinate(self._q)
 
     def swing(self, closure: int) -> float:
-        """Return the angle between the z axes of a closure's two frames [rad], in [0, pi].
-
-        Args:
-            closure: position of the closure in :attr:`Mechanism.closures`.
-        """
+        """Return the angle between the z axes of a closure's two frames, by its position [rad], in [0, pi]."""
         loop = self._mechanism.closures[closure]
         x, y, z = self.frame_placement(loop.frame_a).actInv(self.frame_placement(loop.frame_b)).rotation[:, 2]
         return math.atan2(math.hypot(x, y), z)
@@ -178,14 +150,9 @@ class Configuration:
         """Return the joints outside their limits and the closures beyond their swing, in the model's order."""
         mechanism, q = self._mechanism, self._q
         outside = (q < mechanism.lower_limits - LIMIT_TOLERANCE) | (q > mechanism.upper_limits + LIMIT_TOLERANCE)
+        lower, upper = mechanism.lower_limits, mechanism.upper_limits
         violations = [
-            LimitViolation(
-                mechanism.q_names[k],
-                "joint",
-                float(q[k]),
-                float(mechanism.lower_limits[k]),
-                float(mechanism.upper_limits[k]),
-            )
+            LimitViolation(mechanism.q_names[k], "joint", float(q[k]), float(lower[k]), float(upper[k]))
             for k in np.flatnonzero(outside)
         ]
         for index, loop in enumerate(mechanism.closures):

@@ -38,9 +38,10 @@ class LoopKinematics(threading.local):
             self._constraints.append(constraint)
             self._constraint_datas.append(constraint.createData())
         self._pairs = list(zip(self._constraints, self._constraint_datas, strict=True))
-        self.rows = _row_slices([constraint.residualSize() for constraint in self._constraints])
+        ends = np.cumsum([0, *(constraint.residualSize() for constraint in self._constraints)]).tolist()
+        self.rows = [slice(first, last) for first, last in pairwise(ends)]
         """Rows of each closure, shape=(number of closures,)."""
-        self.row_count = sum(rows.stop - rows.start for rows in self.rows)
+        self.row_count: int = ends[-1]
         self._details = [
             (rows, constraint_data.extract(), rows.stop - rows.start == 6)
             for rows, constraint_data in zip(self.rows, self._constraint_datas, strict=True)
@@ -81,8 +82,3 @@ class LoopKinematics(threading.local):
         """Compute the Jacobian of a frame, shape=(6, nv), linear part first."""
         jacobian: Matrix = pin.computeFrameJacobian(self._model, self._data, q, frame_id, reference)
         return jacobian.reshape(6, self._model.nv)
-
-
-def _row_slices(sizes: Sequence[int]) -> list[slice]:
-    ends = np.cumsum([0, *sizes])
-    return [slice(int(start), int(end)) for start, end in pairwise(ends)]

@@ -51,7 +51,7 @@ def read_mjcf_model(files: RobotFiles, closures_file: ClosuresFile) -> tuple[pin
             "type": "joint",
             "joint": name,
             "stiffness": settings.stiffness,
-            "unit": _spring_unit(model, name),
+            "unit": "N/m" if _slides(model, name) else "N m/rad",
         }
         for name, settings in mjcf.joints.items()
         if settings.stiffness > 0.0
@@ -146,10 +146,6 @@ def _drives(model: pin.Model, mjcf: Mjcf) -> tuple[Command, ...]:
         else:
             drives.append(Command(name, joint, "m" if _slides(model, joint) else "rad"))
     return tuple(drives)
-
-
-def _spring_unit(model: pin.Model, joint: str) -> str:
-    return "N/m" if _slides(model, joint) else "N m/rad"
 
 
 def _slides(model: pin.Model, joint: str) -> bool:

@@ -32,7 +32,11 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
             :func:`~pm3dof_pin.description.urdf_checks.check_urdf`), or a type of joint is unknown.
         JointNotFoundError: a joint to be replaced is not there.
     """
-    root = _read_urdf_element(urdf)
+    root = read_xml(urdf)
+    if impossible := check_urdf(root, urdf):
+        link, problem = next(iter(impossible.items()))
+        others = f"; so {len(impossible) - 1} more links" if len(impossible) > 1 else ""
+        _logger.warning("%s: link '%s': inertial: %s%s: no equations of motion", urdf, link, problem, others)
     _complete_limits(root)
     try:
         with parser_messages() as complaints:
@@ -45,16 +49,6 @@ def read_model(urdf: Path, *, joint_types: Mapping[str, str] | None = None, sour
     if root.find("joint/mimic") is not None:
         _logger.warning("%s: <mimic> is ignored, these joints are taken as joints of their own", urdf)
     return with_joint_types(model, joint_types, source) if joint_types else model
-
-
-def _read_urdf_element(urdf: Path) -> ElementTree.Element:
-    """Read and check the XML of a URDF; shapes that it does not have are left out."""
-    root = read_xml(urdf)
-    if impossible := check_urdf(root, urdf):
-        link, problem = next(iter(impossible.items()))
-        others = f"; so {len(impossible) - 1} more links" if len(impossible) > 1 else ""
-        _logger.warning("%s: link '%s': inertial: %s%s: no equations of motion", urdf, link, problem, others)
-    return root
 
 
 def _complete_limits(root: ElementTree.Element) -> None:

@@ -209,9 +209,8 @@ class _System:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the rows have full column rank at most of the samples."""
-        matrix = self.reduced({})[0]
-        if len(matrix) < len(self.unknowns):
+        """Whether there are unknowns, and the rows have full column rank at most of the samples."""
+        if not self.unknowns or len(matrix := self.reduced({})[0]) < len(self.unknowns):
             return False
         entries = [x.samples if isinstance(x, Number) else np.array([float(x)]) for x in matrix.ravel()]
         values = np.stack(np.broadcast_arrays(*entries), axis=-1).reshape(-1, *matrix.shape)
@@ -233,8 +232,11 @@ def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
     what is left is joined where it shares joints.
     """
     waiting, found, systems = list(equations), set(held), []
-    while (ready := next(filter(None, (_alone(equation, found) for equation in waiting)), None)) is not None:
-        equation, system = ready
+    while waiting:
+        choices = ((equation, _system(equation, found)) for equation in waiting)
+        equation, system = next((choice for choice in choices if choice[1].is_determined), (None, None))
+        if equation is None or system is None:
+            break
         waiting.remove(equation)
         found |= set(system.unknowns)
         systems.append(system)
@@ -265,11 +267,6 @@ def _union(systems: list[_System]) -> _System:
     }
     unknowns = {k for system in systems for k in system.unknowns}
     return _System(columns, np.concatenate([system.error for system in systems]), tuple(sorted(unknowns)))
-
-
-def _alone(equation: Equations, found: set[int]) -> tuple[Equations, _System] | None:
-    system = _system(equation, found)
-    return (equation, system) if system.unknowns and system.is_determined else None
 
 
 def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:

@@ -38,14 +38,14 @@ def closure_equations(tree: Tree, index: int) -> Equations:
     loop = tree.mechanism.closures[index]
     a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
     support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
-    columns = {k: motion(tree, k, b.translation) for k in support_b if k not in support_a}
-    columns |= {k: -motion(tree, k, a.translation) for k in support_a if k not in support_b}
+    columns = {k: _motion(tree, k, b.translation) for k in support_b if k not in support_a}
+    columns |= {k: -_motion(tree, k, a.translation) for k in support_a if k not in support_b}
     error = b.translation - a.translation
     if loop.type == "3d":
         error, columns = error, {k: column[:3] for k, column in columns.items()}
         return Equations(error, (False,) * 3, columns, largest(error))
     error = objects([*error, *_rotation_error(a.rotation, b.rotation)])
-    return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + far(a.rotation, b.rotation))
+    return Equations(error, (False,) * 3 + (True,) * 3, columns, largest(error) + _far(a.rotation, b.rotation))
 
 
 def closure_residual(tree: Tree) -> Scalar:
@@ -64,7 +64,7 @@ def largest_residual(equations: Iterable[Equations]) -> Scalar:
     return reduce(maximum, residuals) if residuals else 0.0
 
 
-def motion(tree: Tree, index: int, point: Objects) -> Objects:
+def _motion(tree: Tree, index: int, point: Objects) -> Objects:
     """Return the twist [v; omega] that an entry of v gives a point, world axes, shape=(6,)."""
     screw = tree.screws[index]
     return objects([*screw.velocity(point), *screw.angular])
@@ -75,7 +75,7 @@ def _rotation_error(a: Objects, b: Objects) -> Objects:
     return objects(sum(cross(a[:, k], b[:, k]) for k in range(3)) * 0.5)
 
 
-def far(a: Objects, b: Objects) -> Scalar:
+def _far(a: Objects, b: Objects) -> Scalar:
     """Return 1 where two rotations differ by over 90 degrees, else 0: there their error may vanish also."""
     trace = sum(a[:, k] @ b[:, k] for k in range(3))
     return select(less(trace, 1.0), 1.0, 0.0)
@@ -107,7 +107,7 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
     name = tree.mechanism.tool_frame
     assert name is not None
     tool, support = tree.frame(name), tree.support(name)
-    twists = {k: motion(tree, k, tool.translation) for k in support}
+    twists = {k: _motion(tree, k, tool.translation) for k in support}
     errors: list[Scalar] = []
     gradients: list[Objects] = []
     angular: list[bool] = []
@@ -122,7 +122,7 @@ def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str
         errors += list(_rotation_error(target, tool.rotation))
         gradients += [objects(np.eye(6)[3 + axis].tolist()) for axis in range(3)]
         angular += [True] * 3
-        residual = far(target, tool.rotation)
+        residual = _far(target, tool.rotation)
     else:
         for component in ("rx", "ry", "rz"):
             if component in components:
