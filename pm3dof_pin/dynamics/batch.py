@@ -18,7 +18,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
-from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure, Vector
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 _PROGRAM_FROM = 1000  # poses: fewer take Pinocchio no longer than a program takes to be recorded and compiled
 
@@ -74,15 +74,13 @@ def _of_drives(
     order: int,
     *,
     payloads: Payloads | None = None,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Array:
     """Return a vector or matrix (of order 1 or 2) of the actuated joints at poses."""
     require_kind("robot", robot, Robot, "pm.load")
     model = model_with_payloads(robot, payloads)
 
-    def program(q: Matrix) -> tuple[Array, Mask]:
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         from pm3dof_pin.dynamics.traced import of_drives
 
         return of_drives(name, robot, model, q, threads)
@@ -94,9 +92,8 @@ def _of_drives(
         (len(robot.actuated_joints),) * order,
         program=program,
         careful=lambda q: careful(robot.configuration(q), payloads),
-        on_failure=on_failure,
-        engine=engine,
         program_from=_PROGRAM_FROM,
+        **options,
     ).values
 
 
@@ -106,9 +103,7 @@ def natural_frequencies(
     *,
     count: int,
     payloads: Payloads | None = None,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Array:
     """Compute the lowest natural frequencies at many poses, rising, shape=(..., count) [Hz]; NaN where there are fewer.
 
@@ -121,7 +116,7 @@ def natural_frequencies(
     elastic.mechanism.require_possible_inertias()
     model = model_with_payloads(elastic.mechanism, payloads)
 
-    def program(q: Matrix) -> tuple[Array, Mask]:
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         from pm3dof_pin.dynamics.traced import vibrations
 
         matrices, sound = vibrations(elastic, model, q, threads)
@@ -139,9 +134,8 @@ def natural_frequencies(
         (count,),
         program=program,
         careful=careful,
-        on_failure=on_failure,
-        engine=engine,
         program_from=_PROGRAM_FROM,
+        **options,
     ).values
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Unpack
+
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import require_kind
@@ -9,7 +11,7 @@ from pm3dof_pin.elastic.compiled import elastic_program
 from pm3dof_pin.elastic.condensation import condensed
 from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import COMPLIANCE, STIFFNESS, ElasticQuantity
-from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
+from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -65,9 +67,7 @@ def stiffness(
     poses: Poses | Configuration | ArrayLike,
     *,
     frame: str | None = None,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Array:
     """Compute the Cartesian stiffness of a frame at many poses; arguments and errors as for :func:`compliance`.
 
@@ -83,7 +83,7 @@ def stiffness(
         K, wrench = K twist at the frame's origin, world axes, shape=(..., 6, 6) [N/m, N, N m/rad]; NaN where no spring
         gives in some direction.
     """
-    return evaluate(model, poses, STIFFNESS, frame=frame, on_failure=on_failure, engine=engine, threads=threads).values
+    return evaluate(model, poses, STIFFNESS, frame=frame, **options).values
 
 
 def evaluate(
@@ -92,9 +92,7 @@ def evaluate(
     quantity: ElasticQuantity,
     *,
     frame: str | None = None,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> PoseValues:
     """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`."""
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
@@ -105,10 +103,9 @@ def evaluate(
         poses,
         quantity.name,
         quantity.shape,
-        program=lambda q: elastic_program(elastic, name, quantity, closed=closed)(q, threads),
+        program=lambda q, threads: elastic_program(elastic, name, quantity, closed=closed)(q, threads),
         careful=lambda q: quantity.computed(condensed(elastic, q, frame=name)),
-        on_failure=on_failure,
-        engine=engine,
+        **options,
     )
 
 

@@ -8,7 +8,7 @@ same number is that of an :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from pm3dof_pin.errors.pose_error import TIP_LENGTH
 from pm3dof_pin.errors.sensitivity import PROGRAM_FROM
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
-from pm3dof_pin.kinematics.pose_values import PoseValues, evaluate_at
+from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.programs.elimination import eliminate, total, zeros
 from pm3dof_pin.programs.graph import Scalar, absolute, minimum, sqrt
 from pm3dof_pin.programs.singular_values import squared_singular_values
-from pm3dof_pin.typing import Array, Engine, Mask, Matrix, Objects, OnFailure
+from pm3dof_pin.typing import Array, Mask, Matrix, Objects
 
 KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
 """Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
@@ -37,9 +37,7 @@ def kinematic_sum(
     name: KinematicSum,
     *,
     eta: float = TIP_LENGTH,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> PoseValues:
     """Compute a sum over errors of the geometry and waves of guideways at many poses, shape=(...) [m].
 
@@ -48,16 +46,14 @@ def kinematic_sum(
         poses: poses of the robot as described.
         name: which sum.
         eta: weight of the orientation in the tip error [m/rad].
-        on_failure: "raise", or "nan" to mark poses that are not solved, and singular ones.
-        engine: "program", where there are many poses and no doubt; or "pinocchio", pose by pose.
-        threads: the number of processors by default. The result does not depend on it.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
 
     Raises:
         PM3DofError: see :func:`~pm3dof_pin.errors.error_budget.error_budget`.
     """
     robot, numbers = sources.robot, sources.kinematic
 
-    def program(q: Matrix) -> tuple[Array, Mask]:
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         values = {"eta": eta}
         for k, (deviation, greatest) in enumerate(zip(numbers.deviations, numbers.greatest, strict=True)):
             values |= {f"deviation/{k}": float(deviation), f"greatest/{k}": float(deviation * greatest)}
@@ -76,9 +72,8 @@ def kinematic_sum(
         (),
         program=program,
         careful=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
-        on_failure=on_failure,
-        engine=engine,
         program_from=PROGRAM_FROM,
+        **options,
     )
 
 

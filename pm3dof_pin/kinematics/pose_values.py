@@ -45,17 +45,18 @@ def evaluate_at(
     name: str,
     shape: tuple[int, ...],
     *,
-    program: Callable[[Matrix], tuple[Array, Mask]],
+    program: Callable[[Matrix, int | None], tuple[Array, Mask]],
     careful: Callable[[Vector], ArrayLike],
-    on_failure: OnFailure,
-    engine: Engine,
     program_from: int = 0,
+    on_failure: OnFailure = "raise",
+    engine: Engine = "program",
+    threads: int | None = None,
 ) -> PoseValues:
     """Compute something, named for the log, at many poses or configurations q, shape=(..., nq).
 
-    `program` goes from configurations, shape=(n, nq), to values, shape=(n, size), and where nothing is in doubt,
-    shape=(n,); it raises ProgramError where there is none. `careful` goes from one configuration to its value of the
-    given shape, and decides where the program does not, and at fewer poses than `program_from`.
+    `program` goes from configurations, shape=(n, nq), and threads to values, shape=(n, size), and where nothing is in
+    doubt, shape=(n,); it raises ProgramError where there is none. `careful` goes from one configuration to its value of
+    the given shape, and decides where the program does not, and at fewer poses than `program_from`.
 
     Raises:
         InvalidValueError: `poses` has another shape.
@@ -71,7 +72,7 @@ def evaluate_at(
     doubtful = np.arange(len(rows))
     if engine == "program" and len(rows) >= program_from:
         with suppress(ProgramError):
-            values, sound = program(rows)
+            values, sound = program(rows, threads)
             doubtful = np.flatnonzero(~sound)
     if values is None:
         values = np.empty((len(rows), math.prod(shape)))

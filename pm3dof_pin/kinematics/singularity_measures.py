@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.mobility import Mobility
-from pm3dof_pin.kinematics.pose_values import evaluate_at
+from pm3dof_pin.kinematics.pose_values import BatchOptions, evaluate_at
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.kinematics.samples import samples_near_home
@@ -22,7 +24,7 @@ from pm3dof_pin.programs.loops import closure_residual
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.typing import Array, Engine, Mask, Matrix, OnFailure
+from pm3dof_pin.typing import Array, Mask, Matrix
 
 _AT_ONCE = 4096  # poses whose decompositions are in memory at a time
 
@@ -31,10 +33,7 @@ def singularity_measures(
     robot: Robot,
     poses: Poses | ArrayLike,
     generic: Mobility,
-    *,
-    on_failure: OnFailure = "raise",
-    engine: Engine = "program",
-    threads: int | None = None,
+    **options: Unpack[BatchOptions],
 ) -> Array:
     """Measure how far many poses are from each type of singularity.
 
@@ -42,9 +41,7 @@ def singularity_measures(
         robot: the robot.
         poses: solved poses, or configurations q with closed loops, shape=(..., nq) [m, rad].
         generic: mobility at a generic configuration, see :func:`~pm3dof_pin.kinematics.singularity.singularities`.
-        on_failure: "raise", or "nan" to mark poses that are not solved.
-        engine: "program"; or "pinocchio" for Pinocchio's Jacobians, pose by pose.
-        threads: the number of processors by default. The result does not depend on it.
+        options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
 
     Returns:
         The measures of :func:`~pm3dof_pin.kinematics.singularity.singularity_distances`, in its order, shape=(..., k).
@@ -55,7 +52,7 @@ def singularity_measures(
     decisions = (generic.constraint_rank, generic.actuator_rank, generic.tool_rank, generic.idle_rank)
     ranks = [decision.rank for decision in decisions]
 
-    def program(q: Matrix) -> tuple[Array, Mask]:
+    def program(q: Matrix, threads: int | None) -> tuple[Array, Mask]:
         compiled = _compiled(robot)
         values, sound = np.empty((len(q), 4)), np.empty(len(q), dtype=bool)
         for first in range(0, len(q), _AT_ONCE):
@@ -70,8 +67,7 @@ def singularity_measures(
         (sum(rank > 0 for rank in ranks),),
         program=program,
         careful=lambda q: [d.measure for d in singularity_distances(robot.configuration(q), generic=generic)],
-        on_failure=on_failure,
-        engine=engine,
+        **options,
     ).values
 
 
