@@ -26,6 +26,7 @@ _BANNER = """<?xml version="1.0"?>
 """
 # Attributes in the order people write them; the others follow by name.
 _ORDER = ("name", "type", "xyz", "rpy", "lower", "upper", "effort", "velocity", "radius", "length")
+_PLACES = {name: place for place, name in enumerate(_ORDER)}
 
 
 _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
@@ -129,7 +130,7 @@ def _tidy(path: Path, element: ElementTree.Element) -> None:
     element.tail = None
     attributes = {name: " ".join(_tidy_words(path, element, text)) for name, text in element.attrib.items()}
     element.attrib.clear()
-    element.attrib.update(sorted(attributes.items(), key=lambda item: (_rank(item[0]), item[0])))
+    element.attrib.update(sorted(attributes.items(), key=lambda item: (_PLACES.get(item[0], len(_PLACES)), item[0])))
 
 
 def _tidy_words(path: Path, element: ElementTree.Element, text: str) -> Iterator[str]:
@@ -138,10 +139,6 @@ def _tidy_words(path: Path, element: ElementTree.Element, text: str) -> Iterator
         if word.lstrip("-+") in ("nan", "inf"):
             raise DescriptionError(path, f"<{element.tag}>", f"expected finite numbers, not '{text}'")
         yield "0.0" if word == "-0.0" else word
-
-
-def _rank(attribute: str) -> int:
-    return _ORDER.index(attribute) if attribute in _ORDER else len(_ORDER)
 
 
 def _reason(error: Any) -> str:

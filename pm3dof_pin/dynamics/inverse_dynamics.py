@@ -93,8 +93,9 @@ def inverse_dynamics(
     load = load - external
     free = np.zeros(model.nv)
     if motion.idle.size:
-        mass = mass_matrix(configuration, payloads=payloads)
-        free = _free_acceleration(motion.idle, mass, load)
+        # nothing drives these motions: their generalised forces vanish, and one without mass stays at rest
+        mass, idle = mass_matrix(configuration, payloads=payloads), motion.idle
+        free = idle @ np.linalg.lstsq(idle.T @ mass @ idle, -idle.T @ load)[0]
         load = load + mass @ free
     reference = weight_scale(model, mechanism.characteristic_length)
     reference += float(np.linalg.norm(mechanism.velocity_scale * external))
@@ -160,10 +161,3 @@ def _reached(argument: str, given: Restriction, numbers: Vector, start: Vector, 
     if left > _CONSISTENT * (np.linalg.norm(numbers) + np.linalg.norm(given.rows @ start)):
         raise InvalidValueError(argument, listed(units * numbers), "what the loops allow")
     return motion
-
-
-def _free_acceleration(idle: Matrix, mass: Matrix, load: Vector) -> Vector:
-    """Return the acceleration of motions that nothing drives, whose generalised forces then vanish."""
-    rates = np.linalg.lstsq(idle.T @ mass @ idle, -idle.T @ load)[0]  # a motion without mass stays at rest
-    free: Vector = idle @ rates
-    return free

@@ -115,7 +115,9 @@ def search_buckling(
                 return BucklingSearch(None, point.factor, str(error))
             # next to a bifurcation there may be no telling which of its branches a correction comes back to
             step = PathStep(point, point, 0.0, bifurcation=True)
-        _require_potential(step.end.state)
+        if not step.end.state.symmetric:
+            expected = "no moments that keep their direction in the world"
+            raise InvalidValueError("loads", "without a potential", expected)
         if step.length == 0.0 or not step.end.stable:
             critical = path.critical_point(step)
             if critical.factor > largest:
@@ -134,11 +136,6 @@ def search_buckling(
     else:
         return BucklingSearch(None, point.factor, f"stable at each of {_MOST_POINTS} points of the path")
     return BucklingSearch(None, largest, "stable up to the largest factor")
-
-
-def _require_potential(state: LoadedState) -> None:
-    if not state.symmetric:
-        raise InvalidValueError("loads", "without a potential", "no moments that keep their direction in the world")
 
 
 def _scales(state: LoadedState, loads: AppliedLoads) -> tuple[float, float, float]:

@@ -240,10 +240,6 @@ class LoadPath:
             point, "it runs into a singular configuration, a dead point of its passive joints" if nearly else ""
         )
 
-    def point_at(self, point: _PathPoint, length: float) -> _PathPoint | None:
-        """Return the point of the path at a distance from another; None if not found, or if the path turns sharply."""
-        return self._corrected(point, length, None)
-
     def follow(self, point: _PathPoint, factor: float) -> _PathPoint:
         """Follow the path to a factor. Where it stops being stable at a bifurcation, a stable branch is taken.
 
@@ -261,7 +257,7 @@ class LoadPath:
                 return point
             remaining = (factor - point.factor) / (self._typical_factor * point.direction[-1])
             if remaining <= max(2.0, 4.0 * length):
-                found = self._corrected(point, remaining, factor)
+                found = self.point_at(point, remaining, factor)
                 if found is not None and _one_piece(point, found) and not found.state.out_of_range:
                     point = found
                     continue
@@ -337,8 +333,11 @@ class LoadPath:
         task = f"the load path beyond a factor of {point.factor:.8g}"
         raise ConvergenceError(task, residual, "N or N m", point.steps, why)
 
-    def _corrected(self, point: _PathPoint, length: float, target: float | None) -> _PathPoint | None:
-        """Go along the path's direction and come back to the path: the shortest way, or at a factor if one is given."""
+    def point_at(self, point: _PathPoint, length: float, target: float | None = None) -> _PathPoint | None:
+        """Return the point of the path at a distance from another; None if not found, or if the path turns sharply.
+
+        The path is come back to the shortest way, or at a target factor if one is given.
+        """
         y, rise = self._split(point.state, length * point.direction)
         factor, velocity = point.factor + rise, point.state.bearing_motions @ y
         if target is not None:

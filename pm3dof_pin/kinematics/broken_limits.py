@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pm3dof_pin.description.coordinates import Unit
     from pm3dof_pin.kinematics.robot import Robot
-    from pm3dof_pin.mechanism.configuration import Configuration, LimitViolation
+    from pm3dof_pin.mechanism.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,13 @@ class BrokenLimit:
 
 def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimit]:
     """List the joints and closures that a configuration takes outside their ranges."""
-    return [
-        _of_closure(robot, violation) if violation.kind == "swing" else _of_joint(robot, violation)
-        for violation in configuration.violated_limits()
-    ]
+    names, broken = closure_names(robot), []
+    for violation in configuration.violated_limits():
+        unit, scale, offset = limit_reading(robot, violation.name) if violation.kind == "joint" else ("rad", 1.0, 0.0)
+        value, *ends = (scale * number + offset for number in (violation.value, violation.lower, violation.upper))
+        name = names.get(violation.name, violation.name)
+        broken.append(BrokenLimit(name, value, min(ends), max(ends), unit))
+    return broken
 
 
 def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
@@ -45,17 +48,6 @@ def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
         if reading.joint == name:
             return reading.unit, reading.scale, reading.offset
     return robot.single_joint(name).unit, 1.0, 0.0
-
-
-def _of_joint(robot: Robot, violation: LimitViolation) -> BrokenLimit:
-    unit, scale, offset = limit_reading(robot, violation.name)
-    value, *ends = (scale * number + offset for number in (violation.value, violation.lower, violation.upper))
-    return BrokenLimit(violation.name, value, min(ends), max(ends), unit)
-
-
-def _of_closure(robot: Robot, violation: LimitViolation) -> BrokenLimit:
-    numbers = (violation.value, violation.lower, violation.upper)
-    return BrokenLimit(closure_names(robot)[violation.name], *numbers, "rad")
 
 
 def closure_names(robot: Robot) -> dict[str, str]:

@@ -61,7 +61,8 @@ def c99(
     names += [f"p[{k}]" for k in range(len(program.parameters))]
     names += map(literal, program.constants)
     used = {number for _, operands in program.lines for number in operands} | set(program.results)
-    for argument, numbers in (("x", range(len(program.inputs))), ("p", _parameter_numbers(program))):
+    first_parameter, first_constant = len(program.inputs), program.first_line - len(program.constants)
+    for argument, numbers in (("x", range(first_parameter)), ("p", range(first_parameter, first_constant))):
         if used.isdisjoint(numbers):
             parts.append(f"  (void){argument};")
     for number, (operation, operands) in enumerate(program.lines, len(names)):
@@ -76,10 +77,6 @@ def c99(
             results[k] = f"r{k}"
     parts += [f"  y[{k}] = {name};" for k, name in enumerate(results)]
     return "\n".join([*parts, "}", ""])
-
-
-def _parameter_numbers(program: Program) -> range:
-    return range(len(program.inputs), len(program.inputs) + len(program.parameters))
 
 
 def _comment(program: Program, summary: str, descriptions: Mapping[str, str]) -> Iterable[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, matrix_of, samples, solve_upper, zeros
+from pm3dof_pin.programs.elimination import DROPPED, Doubt, eliminate, samples, solve_upper, zeros
 from pm3dof_pin.programs.graph import is_zero
 from pm3dof_pin.programs.loops import closure_equations
 from pm3dof_pin.programs.projection import rank
@@ -56,7 +56,7 @@ def constraint_rows(tree: Tree, unit: float) -> Objects:
             for k, column in equations.columns.items():
                 row[k] = column[i] if is_angular else column[i] * (1.0 / unit)
             rows.append(row)
-    matrix = matrix_of(rows, len(tree.screws))
+    matrix: Objects = np.array(rows, dtype=object).reshape(len(rows), len(tree.screws))
     slides = tree.slides
     matrix[:, slides] = matrix[:, slides] * unit
     return matrix

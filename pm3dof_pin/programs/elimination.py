@@ -171,8 +171,8 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     return Elimination(
         tuple(done),
         tuple(dropped),
-        matrix_of([rows[i] for i in pivots], n),
-        matrix_of([rows[i] for i in active], n),
+        np.array([rows[i] for i in pivots], dtype=object).reshape(len(pivots), n),
+        np.array([rows[i] for i in active], dtype=object).reshape(len(active), n),
         tuple(reflections),
         tuple(active),
     )
@@ -244,14 +244,6 @@ def identity(size: int) -> Objects:
     """Return the unit matrix."""
     matrix = zeros(size, size)
     np.fill_diagonal(matrix, 1.0)
-    return matrix
-
-
-def matrix_of(rows: Sequence[Sequence[Scalar]], columns: int) -> Objects:
-    """Return rows as a matrix, which may have none."""
-    matrix = zeros(len(rows), columns)
-    for k, row in enumerate(rows):
-        matrix[k, :] = row
     return matrix
 
 

@@ -95,10 +95,10 @@ class Masses:
         if not index:
             return _Body(0.0, _ORIGIN, zeros(3, 3))
         name = self._tree.mechanism.model.names[index]
-        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = (self._numbers[f"mass/{name}/{entry}"] for entry in _ENTRIES)
-        own = [m, hx, hy, hz, xx, xy, yy, xz, yz, zz]
+        own = [self._numbers[f"mass/{name}/{entry}"] for entry in _ENTRIES]
         if all(map(is_zero, own)):
             return _Body(0.0, _ORIGIN, zeros(3, 3))
+        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = own
         placement = self._tree.body(index)
         turned, place = placement.rotation @ objects([hx, hy, hz]), placement.translation
         inertia = placement.rotation @ objects([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ placement.rotation.T

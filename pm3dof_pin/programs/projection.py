@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pm3dof_pin.programs.elimination import ZERO, Doubt, Reflection, matrix_of, reflect, samples, total, typical
+from pm3dof_pin.programs.elimination import ZERO, Doubt, Reflection, reflect, samples, total, typical
 from pm3dof_pin.programs.graph import Scalar, is_zero, sqrt
 from pm3dof_pin.typing import Objects
 
@@ -28,14 +28,15 @@ def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool
             square = reflections[-1].size * reflections[-1].size
             doubt.note_pivot(sqrt(square / (square + total([entry * entry for entry in earlier]))))
     parts = stack[len(relations) :]
+    shape = (len(parts), relations.shape[1])
     if not restored:
-        return matrix_of(parts, relations.shape[1])[:, left]
+        return np.array(parts, dtype=object).reshape(shape)[:, left]
     for row in parts:
         for reflection in reversed(reflections):
             row[reflection.indices[0]] = 0.0
         for reflection in reversed(reflections):
             reflection.apply(row, transposed=True)
-    return matrix_of(parts, relations.shape[1])
+    return np.array(parts, dtype=object).reshape(shape)
 
 
 def compressed(rows: Objects) -> Objects:
@@ -57,7 +58,7 @@ def triangular(rows: Objects) -> Objects:
         row[reflection.indices[0]] = reflection.pivot
         left.remove(reflection.indices[0])
         taken.append(reflection.indices[0])
-    return matrix_of(stack, rows.shape[1])[:, taken]
+    return np.array(stack, dtype=object).reshape(rows.shape)[:, taken]
 
 
 def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
