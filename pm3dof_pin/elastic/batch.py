@@ -103,7 +103,7 @@ def evaluate(
         poses,
         quantity.name,
         quantity.shape,
-        program=lambda q, threads: elastic_program(elastic, name, quantity, closed=closed)(q, threads),
+        program=lambda q, threads: elastic_program(elastic, name, quantity, closed=closed).with_doubt(q, threads),
         careful=lambda q: quantity.computed(condensed(elastic, q, frame=name)),
         **options,
     )

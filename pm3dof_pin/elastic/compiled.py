@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,28 +10,15 @@ from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.elastic.quantities import ElasticQuantity
 from pm3dof_pin.elastic.traced import Roots, elastic_tree, has_like_springs, spring_parameters
 from pm3dof_pin.exceptions import ProgramError, RigidDirectionError
+from pm3dof_pin.kinematics.closing_programs import BoundProgram
 from pm3dof_pin.programs import cache, geometry, loops
 from pm3dof_pin.programs.graph import Graph, select
-from pm3dof_pin.programs.llvm import Compiled
 from pm3dof_pin.programs.program import Program
-from pm3dof_pin.typing import Array, Mask, Matrix
 
 _logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
-class _ElasticProgram:
-    """A compiled program with the numbers of one model."""
-
-    compiled: Compiled
-    parameters: Array
-
-    def __call__(self, q: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-        """Evaluate at q of the rigid mechanism, shape=(n, nq): flat values, and where nothing is in doubt."""
-        return self.compiled.with_doubt(q, self.parameters, threads)
-
-
-def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> _ElasticProgram:
+def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> BoundProgram:
     """Return the program of a quantity of a frame, compiled if no model of this structure needed it before.
 
     Loops not known to be `closed` are checked by the program.
@@ -46,7 +32,7 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
         try:
             compiled = cache.known(key, lambda: traced_quantity(model, frame, quantity, closed=closed))
             numbers = geometry.values(model.mechanism, compiled.program.parameters, spring_parameters(model))
-            model.programs[name] = _ElasticProgram(compiled, numbers)
+            model.programs[name] = BoundProgram(compiled, numbers)
         except ProgramError as error:
             _logger.warning(
                 "%s: %s is computed by Pinocchio, pose by pose: %s", model.mechanism.name, quantity.name, error
@@ -55,7 +41,6 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
     found = model.programs[name]
     if isinstance(found, ProgramError):
         raise found
-    assert isinstance(found, _ElasticProgram)
     return found
 
 

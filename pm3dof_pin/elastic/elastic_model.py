@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +23,13 @@ from pm3dof_pin.elastic.springs import (
     read_springs,
 )
 from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
-from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError
+from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError, ProgramError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Indices, Matrix, Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.closing_programs import BoundProgram
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +114,7 @@ class ElasticModel:
         self.locked_indices: Indices = frozen(np.setdiff1d(self.mechanism.actuated_indices, self.spring_indices))
         springs_and_locked = np.concatenate([self.spring_indices, self.locked_indices])
         self.passive_indices: Indices = frozen(np.setdiff1d(np.arange(self.mechanism.model.nv), springs_and_locked))
-        self.programs: dict[tuple[str, str, bool], object] = {}
+        self.programs: dict[tuple[str, str, bool], BoundProgram | ProgramError] = {}
 
     @classmethod
     def load(cls, name_or_path: str | Path, *, characteristic_length: float | None = None) -> ElasticModel:

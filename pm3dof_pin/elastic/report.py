@@ -66,7 +66,7 @@ def _from_program(model: ElasticModel, q: Vector) -> Matrix | None:
     tool = model.mechanism.tool_frame
     assert tool is not None
     try:
-        values, sound = elastic_program(model, tool, COMPLIANCE_AND_STIFFNESS, closed=False)(q[None], threads=1)
+        values, sound = elastic_program(model, tool, COMPLIANCE_AND_STIFFNESS, closed=False).with_doubt(q[None], 1)
     except ProgramError:
         return None
     return values.reshape(2, 6, 6) if sound[0] else None

@@ -15,7 +15,7 @@ from pm3dof_pin.programs.closing import Task, closing_program, damped_closing_pr
 from pm3dof_pin.programs.llvm import Compiled, Iteration
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.verification import verify
-from pm3dof_pin.typing import Array, Matrix, Vector
+from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
@@ -40,6 +40,10 @@ class BoundProgram(NamedTuple):
     def iterate(self, inputs: Matrix, tolerance: float, max_steps: int) -> Iteration:
         """Repeat the program until its residual is small."""
         return self.compiled.iterate(inputs, self.parameters, tolerance=tolerance, max_steps=max_steps)
+
+    def with_doubt(self, inputs: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
+        """Evaluate the program at many poses; return its outputs but the last, flat, and where nothing is in doubt."""
+        return self.compiled.with_doubt(inputs, self.parameters, threads)
 
     def named(self, inputs: Matrix) -> dict[str, Array]:
         """Evaluate the program at many poses; return the groups of its outputs by name."""

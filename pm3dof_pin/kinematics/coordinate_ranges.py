@@ -17,8 +17,8 @@ _FARTHEST = 16.0  # lengths from home [characteristic lengths]
 def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float]:
     """Return the ends of a coordinate [m, rad]; infinite where neither the description nor limits give any.
 
-    A joint that turns without end, or further than once around, makes one turn. A component of the tool's placement
-    without a declared range goes from home as far as the limits allow.
+    A joint that turns without end, or further than once around, makes one turn. What has no range of its own goes from
+    home as far as all limits allow.
     """
     lower, upper = robot.range_of(coordinate)
     if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:

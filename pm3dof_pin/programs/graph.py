@@ -31,7 +31,7 @@ class Graph:
         self._inputs: dict[str, Number] = {}
         self._parameters: dict[str, Number] = {}
         self._known: dict[tuple[Any, ...], Any] = {}
-        self._values: list[Value] = []
+        self._values: list[_Value] = []
         self._samples: list[Any] = []
         self._sample_count = 1
 
@@ -116,7 +116,7 @@ class Graph:
             return self.constant(float(value))
         raise InvalidValueError("output", value, "a number")
 
-    def _constant_samples(self, value: Value, samples: Any) -> None:
+    def _constant_samples(self, value: _Value, samples: Any) -> None:
         self._evaluate(value.index - 1)
         self._samples.append(samples)
 
@@ -132,19 +132,19 @@ class Graph:
         return samples[index] if index >= 0 else None
 
 
-def _by_first_use(order: Sequence[Value], results: Sequence[Value]) -> list[Value]:
+def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_Value]:
     """Return the lines depth first from the results, so that fewer numbers wait at a time for their use.
 
     Of the operands of a line the one that keeps more numbers waiting comes first (R. Sethi and J. Ullman, J. ACM 17,
     1970).
     """
-    waiting: dict[Value, int] = {}
+    waiting: dict[_Value, int] = {}
     for value in order:
         counts = sorted([waiting[operand] for operand in value.operands], reverse=True)
         waiting[value] = max([1, *[count + k for k, count in enumerate(counts)]]) if counts else 0
-    lines: dict[Value, None] = {}
-    opened: set[Value] = set()
-    stack: list[Value] = list(reversed(results))
+    lines: dict[_Value, None] = {}
+    opened: set[_Value] = set()
+    stack: list[_Value] = list(reversed(results))
     while stack:
         value = stack[-1]
         if value in opened or not value.operands:
@@ -157,7 +157,7 @@ def _by_first_use(order: Sequence[Value], results: Sequence[Value]) -> list[Valu
     return list(lines)
 
 
-class Value:
+class _Value:
     """A value in a graph; `value` is that of a constant."""
 
     __slots__ = ("graph", "index", "operands", "operation", "value")
@@ -174,7 +174,7 @@ class Value:
 
     @property
     def samples(self) -> NDArray[Any]:
-        """Value at every sample pose, shape=(s,)."""
+        """_Value at every sample pose, shape=(s,)."""
         samples = self.graph._evaluate(self.index)
         return samples if np.ndim(samples) else np.full(self.graph._sample_count, samples)
 
@@ -185,7 +185,7 @@ class Value:
         return f"<{type(self).__name__} {self.index} {self.operation} {self.samples}>"
 
 
-class Number(Value):
+class Number(_Value):
     """A recorded number. Arithmetic works among numbers and with floats, alone or in NumPy arrays of dtype object."""
 
     __slots__ = ()
@@ -246,7 +246,7 @@ class Number(Value):
         return square * self if exponent % 2 else square
 
 
-class _Condition(Value):
+class _Condition(_Value):
     """A recorded truth value, for `select`; conditions combine by ``&``, ``|`` and ``~``, also with `numpy.bool`."""
 
     __slots__ = ()
@@ -344,7 +344,7 @@ def select(condition: Truth, a: Scalar, b: Scalar) -> Scalar:
 V = TypeVar("V", Number, _Condition)
 
 
-def _record(kind: type[V], operation: str, *operands: Value) -> V:
+def _record(kind: type[V], operation: str, *operands: _Value) -> V:
     """Return the value of this operation: the one that is known, or a new one."""
     graph = operands[0].graph
     key = (operation, *operands)
@@ -357,7 +357,7 @@ def _record(kind: type[V], operation: str, *operands: Value) -> V:
     return found
 
 
-def _condition(operation: str, *operands: Value) -> _Condition:
+def _condition(operation: str, *operands: _Value) -> _Condition:
     return _record(_Condition, operation, *operands)
 
 

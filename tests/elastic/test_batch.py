@@ -282,7 +282,7 @@ def test_walk_through_a_singular_pose(rigid_tree: Callable[..., Robot]) -> None:
     way = singular + np.concatenate([-np.logspace(-1.5, -9, 60), [0.0], np.logspace(-9, -1.5, 60)])
     poses = np.column_stack([np.full(len(way), 0.02), np.full(len(way), 0.03), way])
     q = planar_poses(model, bases, heads, poses)
-    values, sound = elastic_program(model, "platform", COMPLIANCE, closed=True)(q)
+    values, sound = elastic_program(model, "platform", COMPLIANCE, closed=True).with_doubt(q)
     assert sound.any()
     assert not sound.all()
     for matrix, pose in zip(values.reshape(-1, 6, 6)[sound], poses[sound], strict=True):
