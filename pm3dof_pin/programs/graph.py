@@ -174,7 +174,7 @@ class _Value:
 
     @property
     def samples(self) -> NDArray[Any]:
-        """_Value at every sample pose, shape=(s,)."""
+        """Value at every sample pose, shape=(s,)."""
         samples = self.graph._evaluate(self.index)
         return samples if np.ndim(samples) else np.full(self.graph._sample_count, samples)
 
