@@ -23,10 +23,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.arrays import frozen
 from pm3dof_pin.description.coordinates import Coordinate
@@ -35,6 +34,7 @@ from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.closing_programs import BoundProgram, program_source
 from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.kinematics.grid import Grid
+from pm3dof_pin.kinematics.pose_search import Solution
 from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.programs.closing import Task, regularity_and_mode
 from pm3dof_pin.programs.drivers import HISTORY
@@ -61,17 +61,6 @@ _WIDTH = 3.0  # of their lattice on both sides of home, where no joint ends befo
 _AT_ONCE = 4096  # poses whose numbers stay near the processor
 _SINGULAR = 1e-5  # regularity up to which a pose is singular
 _REGULAR = 1e-3  # regularity of a configuration away from singular ones
-
-
-class Solution(NamedTuple):
-    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none."""
-
-    q: Matrix  #: joint configurations, shape=(n, nq) [m, rad]
-    residual: Vector | None = None  #: greatest closure error, shape=(n,) [m, rad]; None if it is not known
-    #: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k
-    broken_limits: NDArray[np.uint32] | None = None
-    #: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after a march
-    transforms: Array | None = None
 
 
 class Continuation:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,9 +19,10 @@ from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
 from pm3dof_pin.kinematics.actuation import motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
-from pm3dof_pin.kinematics.careful import assemble_at, close_all
+from pm3dof_pin.kinematics.careful import assemble_at
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
+from pm3dof_pin.kinematics.pose_search import find_poses
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-_FURTHER_STARTS = 16  # of the inverse kinematics of a serial arm
 _GREATEST = 1e12  # of a coordinate or command, beyond which arithmetic overflows before anything is found
 _HOME = "home"
 _MANY = 32  # poses that are worth a program
@@ -242,7 +242,7 @@ class Robot(Mechanism):
             InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise"; or all
                 values of a coordinate look like millimetres or degrees, being far out of its range.
         """
-        return self._meet(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
+        return self._solutions(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
 
     def forward(
         self,
@@ -256,7 +256,7 @@ class Robot(Mechanism):
 
         Commands are what the drives' counters show; a guess picks the assembly mode.
         """
-        return self._meet(self.command_coordinates, "commands", commands, guess, on_failure, engine)
+        return self._solutions(self.command_coordinates, "commands", commands, guess, on_failure, engine)
 
     def reach(
         self,
@@ -279,7 +279,7 @@ class Robot(Mechanism):
         else:
             values = array
         components = TOOL_COMPONENTS if array.shape[-2:] == (4, 4) else TOOL_COMPONENTS[:3]
-        return self._meet(tool_coordinates(components), "tool placements", values, guess, on_failure, engine)
+        return self._solutions(tool_coordinates(components), "tool placements", values, guess, on_failure, engine)
 
     def assemble(
         self, guess: Configuration | ArrayLike | None = None, *, joints: Mapping[str, ArrayLike] | None = None
@@ -314,19 +314,14 @@ class Robot(Mechanism):
                 assert tool is not None
                 columns.append(tool[..., TOOL_COMPONENTS.index(coordinate.tool)])
                 continue
-            joint = self.single_joint(coordinate.joint)
-            value = (
-                np.arctan2(q[..., joint.q_index + 1], q[..., joint.q_index])
-                if joint.is_continuous
-                else q[..., joint.q_index]
-            )
+            value = self.single_joint(coordinate.joint).coordinate(q)
             columns.append(coordinate.scale * value + coordinate.offset)
         return np.stack(columns, axis=-1) if columns else np.empty((*q.shape[:-1], 0))
 
-    def _meet(
+    def _solutions(
         self,
         coordinates: tuple[Coordinate, ...],
-        what: str,
+        name: str,
         values: Grid | ArrayLike,
         guess: Configuration | ArrayLike | None,
         on_failure: OnFailure,
@@ -338,14 +333,14 @@ class Robot(Mechanism):
         if threads is not None:
             require_count("threads", threads)
         names = ", ".join(coordinate.name for coordinate in coordinates)
-        targets = real_array(what, values.values if isinstance(values, Grid) else values)
+        targets = real_array(name, values.values if isinstance(values, Grid) else values)
         if targets.ndim == 0 or targets.shape[-1] != len(coordinates):
             expected = f"shape (..., {len(coordinates)}): {names}"
-            raise InvalidValueError(what, f"an array of shape {targets.shape}", expected)
+            raise InvalidValueError(name, f"an array of shape {targets.shape}", expected)
         if on_failure == "raise":
-            finite_array(f"{what} ({names})", targets, targets.shape)
+            finite_array(f"{name} ({names})", targets, targets.shape)
         if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
-            raise InvalidValueError(f"{what} ({names})", targets, f"numbers of at most {_GREATEST:g}")
+            raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_GREATEST:g}")
         if guess is None:  # steps of iterations, which start from a guess, may lead anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
                 self._require_unit(coordinate, column)
@@ -353,66 +348,16 @@ class Robot(Mechanism):
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
         continuation = self.continuation(coordinates) if engine == "program" else None
-        found: tuple[Any, ...]
         if continuation is not None and isinstance(values, Grid) and starts is None:
             found = continuation.march(values, threads)
         else:
-
-            def walked(rows: Matrix, starts: Matrix | None, *, again: bool = False) -> tuple[Any, ...]:
-                if continuation is None:
-                    given = np.tile(self.home.q, (len(rows), 1)) if starts is None else starts
-                    return (close_all(self, coordinates, rows, given),)
-                return continuation.walk(rows, starts, home_too=not again)
-
-            found = walked(rows, starts)
-            missing = np.isnan(found[0]).any(axis=1) & np.isfinite(rows).all(axis=1)
-            for elsewhere in self._further_starts(coordinates, rows) if starts is None and missing.any() else ():
-                failed = np.flatnonzero(missing & np.isnan(found[0][:, 0]))
-                if failed.size:
-                    others = walked(rows[failed], elsewhere[failed], again=True)
-                    for kept, value in zip(found, others, strict=True):
-                        if kept is not None:
-                            kept[failed] = value
-            if starts is None and (turned := self._turned_back(found[0], coordinates)) is not found[0]:
-                found = (turned, *found[1:2], None, *found[3:])  # the same poses, but for the limits they break
-        failed = np.flatnonzero(np.isnan(found[0][:, :1]).any(axis=-1))  # nq may be 0
+            found = find_poses(self, coordinates, rows, starts, continuation)
+        failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
             raise self._unreachable(coordinates, rows[failed[0]], index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
-
-    def _further_starts(self, coordinates: tuple[Coordinate, ...], values: Matrix) -> Iterator[Matrix]:
-        """Yield where else walks to values start, if none leads there from home, shape=(n, nq).
-
-        The inverse kinematics of a serial arm has many solutions, and far ways to them. The reachable set of a machine
-        with loops may have holes, and walks go round them.
-        """
-        if self.closures:
-            continuation = self.continuation(coordinates)
-            if continuation is not None:
-                yield continuation.waypoints(values)
-        elif any(coordinate.tool is not None for coordinate in coordinates):
-            shape = (_FURTHER_STARTS, self.model.nv)
-            for way in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * self.velocity_scale:
-                start = pin.integrate(self.model, self.home.q, way)
-                yield np.broadcast_to(start, (len(values), self.model.nq))
-
-    def _turned_back(self, q: Matrix, coordinates: tuple[Coordinate, ...]) -> Matrix:
-        """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
-        if self.closures or any(coordinate.tool is None for coordinate in coordinates):
-            return q
-        turning = [j.q_index for j in self._single_joints.values() if not (j.translates or j.is_continuous)]
-        lower, upper, angles = self.lower_limits[turning], self.upper_limits[turning], q[:, turning]
-        turns = np.where(angles > upper, np.floor((upper - angles) / (2.0 * np.pi)), 0.0)
-        turns = np.where(angles < lower, np.ceil((lower - angles) / (2.0 * np.pi)), turns)
-        turned = angles + 2.0 * np.pi * turns
-        turned = np.where((turned >= lower) & (turned <= upper), turned, angles)
-        if np.array_equal(turned, angles, equal_nan=True):
-            return q
-        found = q.copy()
-        found[:, turning] = turned
-        return found
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
         """Refuse values that are in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""

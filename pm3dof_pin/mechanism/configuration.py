@@ -138,7 +138,7 @@ class Configuration:
 
         Errors are those of :meth:`Mechanism.single_joint <pm3dof_pin.mechanism.mechanism.Mechanism.single_joint>`.
         """
-        return self._mechanism.single_joint(name).coordinate(self._q)
+        return float(self._mechanism.single_joint(name).coordinate(self._q))
 
     def swing(self, closure: int) -> float:
         """Return the angle between the z axes of a closure's two frames, by its position [rad], in [0, pi]."""

@@ -28,7 +28,7 @@ from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
-from pm3dof_pin.typing import Vector
+from pm3dof_pin.typing import Array, Vector
 
 _MEETING = 1e-9  # m, rad
 _MOST_GROUPS = 31  # beside REACH, in 32 bits
@@ -53,11 +53,10 @@ class _SingleJoint:
         """Unit of its coordinate, "m" or "rad"."""
         return "m" if self.translates else "rad"
 
-    def coordinate(self, q: Vector) -> float:
-        """Read the joint's coordinate out of q [m, rad]."""
-        if self.is_continuous:
-            return float(np.arctan2(q[self.q_index + 1], q[self.q_index]))
-        return float(q[self.q_index])
+    def coordinate(self, q: Array) -> Array:
+        """Read the joint's coordinate out of q, shape=(..., nq) [m, rad]."""
+        first = q[..., self.q_index]
+        return np.asarray(np.arctan2(q[..., self.q_index + 1], first) if self.is_continuous else first)
 
     def set_coordinate(self, q: Vector, value: float) -> None:
         """Write the joint's coordinate into q [m, rad]."""

@@ -165,7 +165,7 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
     further = [graph.input(name, np.zeros(len(rows))) for name in state]
     held = [mechanism.single_joint(name) for name in task.joints]
     for joint in held:
-        coordinate = graph.input(joint.name, [joint.coordinate(row) for row in rows])
+        coordinate = graph.input(joint.name, joint.coordinate(rows))
         if joint.is_continuous:
             q[joint.q_index : joint.q_index + 2] = cos(coordinate), sin(coordinate)
         else:

@@ -1,0 +1,109 @@
+"""Finding poses at values of coordinates, one by one: from home, from guesses, and from elsewhere where that fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pm3dof_pin.description.coordinates import Coordinate
+from pm3dof_pin.kinematics.careful import close_all
+from pm3dof_pin.typing import Array, Matrix, Vector
+
+if TYPE_CHECKING:
+    from pm3dof_pin.kinematics.continuation import Continuation
+    from pm3dof_pin.kinematics.robot import Robot
+
+_FURTHER_STARTS = 16  # of the inverse kinematics of a serial arm
+
+
+class Solution(NamedTuple):
+    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none."""
+
+    q: Matrix  #: joint configurations, shape=(n, nq) [m, rad]
+    residual: Vector | None = None  #: greatest closure error, shape=(n,) [m, rad]; None if it is not known
+    #: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k
+    broken_limits: NDArray[np.uint32] | None = None
+    #: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after a march
+    transforms: Array | None = None
+
+
+def find_poses(
+    robot: Robot,
+    coordinates: tuple[Coordinate, ...],
+    targets: Matrix,
+    guesses: Matrix | None,
+    continuation: Continuation | None,
+) -> Solution:
+    """Find poses at targets, shape=(n, number of coordinates), from guesses, shape=(n, nq), or by default from home.
+
+    By programs, or by Pinocchio where there is no continuation. Poses without a guess are searched from elsewhere too.
+    """
+    if guesses is not None:
+        return _walked(robot, coordinates, targets, guesses, continuation)
+    found = _walked(robot, coordinates, targets, None, continuation)
+    missing = np.isnan(found.q).any(axis=1) & np.isfinite(targets).all(axis=1)
+    for starts in _further_starts(robot, coordinates, targets) if missing.any() else ():
+        failed = np.flatnonzero(missing & np.isnan(found.q[:, 0]))
+        if failed.size:
+            others = _walked(robot, coordinates, targets[failed], starts[failed], continuation, home_too=False)
+            known: list[tuple[Any, Any]] = list(zip(found, others, strict=True))
+            for values, other in known:
+                if values is not None:
+                    values[failed] = other
+    turned = _turned_into_limits(robot, coordinates, found.q)
+    # the same poses, but for the limits they break
+    return found if turned is found.q else found._replace(q=turned, broken_limits=None)
+
+
+def _walked(
+    robot: Robot,
+    coordinates: tuple[Coordinate, ...],
+    targets: Matrix,
+    starts: Matrix | None,
+    continuation: Continuation | None,
+    *,
+    home_too: bool = True,
+) -> Solution:
+    if continuation is not None:
+        return continuation.walk(targets, starts, home_too=home_too)
+    given = np.tile(robot.home.q, (len(targets), 1)) if starts is None else starts
+    return Solution(close_all(robot, coordinates, targets, given))
+
+
+def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Iterator[Matrix]:
+    """Yield where else walks to targets start, if none leads there from home, shape=(n, nq).
+
+    The inverse kinematics of a serial arm has many solutions, and far ways to them. The reachable set of a machine with
+    loops may have holes, and walks go round them.
+    """
+    if robot.closures:
+        if (continuation := robot.continuation(coordinates)) is not None:
+            yield continuation.waypoints(targets)
+    elif any(coordinate.tool is not None for coordinate in coordinates):
+        shape = (_FURTHER_STARTS, robot.model.nv)
+        for motion in np.random.default_rng(0).uniform(-np.pi, np.pi, shape) * robot.velocity_scale:
+            start = pin.integrate(robot.model, robot.home.q, motion)
+            yield np.broadcast_to(start, (len(targets), robot.model.nq))
+
+
+def _turned_into_limits(robot: Robot, coordinates: tuple[Coordinate, ...], q: Matrix) -> Matrix:
+    """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
+    if robot.closures or any(coordinate.tool is None for coordinate in coordinates):
+        return q
+    names = (name for name, joint in zip(robot.model.names, robot.model.joints, strict=True) if joint.nv == 1)
+    joints = [robot.single_joint(name) for name in names]
+    turning = [joint.q_index for joint in joints if not (joint.translates or joint.is_continuous)]
+    lower, upper, angles = robot.lower_limits[turning], robot.upper_limits[turning], q[:, turning]
+    turns = np.where(angles > upper, np.floor((upper - angles) / (2.0 * np.pi)), 0.0)
+    turns = np.where(angles < lower, np.ceil((lower - angles) / (2.0 * np.pi)), turns)
+    turned = angles + 2.0 * np.pi * turns
+    turned = np.where((turned >= lower) & (turned <= upper), turned, angles)
+    if np.array_equal(turned, angles, equal_nan=True):
+        return q
+    found = q.copy()
+    found[:, turning] = turned
+    return found
