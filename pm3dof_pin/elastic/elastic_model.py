@@ -136,7 +136,7 @@ class ElasticModel:
     def spring_coordinates(self) -> tuple[str, ...]:
         """Name of the joint of each entry of :attr:`spring_indices`."""
         model = self.mechanism.model
-        names = {joint.idx_v: name for name, joint in zip(model.names, model.joints, strict=True) if joint.nv == 1}
+        names = {joint.idx_v: model.names[k] for k, joint in enumerate(model.joints) if k and joint.nv == 1}
         return tuple(names[int(index)] for index in self.spring_indices)
 
     def embed(self, q: ArrayLike) -> Vector:

@@ -94,8 +94,9 @@ def _turned_into_limits(robot: Robot, coordinates: tuple[Coordinate, ...], q: Ma
     """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
     if robot.closures or any(coordinate.tool is None for coordinate in coordinates):
         return q
-    names = (name for name, joint in zip(robot.model.names, robot.model.joints, strict=True) if joint.nv == 1)
-    joints = [robot.single_joint(name) for name in names]
+    joints = [
+        robot.single_joint(robot.model.names[k]) for k, joint in enumerate(robot.model.joints) if k and joint.nv == 1
+    ]
     turning = [joint.q_index for joint in joints if not (joint.translates or joint.is_continuous)]
     lower, upper, angles = robot.lower_limits[turning], robot.upper_limits[turning], q[:, turning]
     turns = np.where(angles > upper, np.floor((upper - angles) / (2.0 * np.pi)), 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -232,7 +233,9 @@ class Mechanism:
     @cached_property
     def impossible_inertias(self) -> Mapping[str, str]:
         """What is wrong with the moments of inertia of moving bodies, links fixed to each other being one, by link."""
-        bodies = {joint: name for name, joint in self._bodies()}
+        links = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+        links.sort(key=lambda link: self.model.frames[link.parentFrame].type == pin.FrameType.JOINT)
+        bodies = {link.parentJoint: str(link.name) for link in links}  # by the link that a joint moves itself
         problems = {
             bodies.get(joint, self.model.names[joint]): inertia_problem(inertia.mass, np.array(inertia.inertia))
             for joint, inertia in enumerate(self.model.inertias)
@@ -321,12 +324,6 @@ class Mechanism:
             free[joint.idx_v : joint.idx_v + joint.nv] = False
         return self.checked_positions(q), np.flatnonzero(free)
 
-    def _bodies(self) -> list[tuple[str, int]]:
-        """List links and the joints that carry them, the link that a joint moves itself last."""
-        bodies = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
-        bodies.sort(key=lambda frame: self.model.frames[frame.parentFrame].type == pin.FrameType.JOINT)
-        return [(str(frame.name), int(frame.parentJoint)) for frame in bodies]
-
     def _constraint(
         self, index: int, loop: LoopClosure
     ) -> pin.PointAnchorConstraintModel | pin.FrameAnchorConstraintModel:
@@ -370,22 +367,16 @@ class Mechanism:
             for name in group.joints:
                 self._require_joint(name, f"{self.source}: limit_groups: {group.name}")
         closures = {index for group in groups for index in group.closures}
-        found: dict[str, LimitGroup] = {}
-
-        def add(name: str, joint: tuple[str, ...] = (), closure: tuple[int, ...] = ()) -> None:
-            kind = re.sub(r"\d+", "", name)
-            known = found.get(kind, LimitGroup(kind))
-            found[kind] = LimitGroup(kind, known.joints + joint, known.closures + closure)
-
+        found: dict[str, tuple[list[str], list[int]]] = defaultdict(lambda: ([], []))
         for name, joint in list(zip(self.model.names, self.model.joints, strict=True))[1:]:
             positions = slice(joint.idx_q, joint.idx_q + joint.nq)
             limited = np.isfinite(self.lower_limits[positions]) | np.isfinite(self.upper_limits[positions])
             if limited.any() and name not in joints:
-                add(name, joint=(name,))
+                found[re.sub(r"\d+", "", name)][0].append(name)
         for index, loop in enumerate(self.closures):
             if loop.swing_limit is not None and index not in closures:
-                add(f"{loop.frame_a}-{loop.frame_b}", closure=(index,))
-        groups += tuple(found.values())
+                found[re.sub(r"\d+", "", f"{loop.frame_a}-{loop.frame_b}")][1].append(index)
+        groups += tuple(LimitGroup(kind, tuple(members[0]), tuple(members[1])) for kind, members in found.items())
         if len(groups) > _MOST_GROUPS:
             groups, rest = groups[: _MOST_GROUPS - 1], groups[_MOST_GROUPS - 1 :]
             others = tuple(name for group in rest for name in group.joints)
