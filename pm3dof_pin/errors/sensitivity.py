@@ -227,7 +227,7 @@ class _Loops:
         frames = np.stack([self._place(name) for name in places], axis=1)[:, [places[name] for name in names]]
         linear, angular = (np.einsum("nkij,jk->nik", frames[..., :3, :3], part) for part in np.split(local, 2))
         origins = np.swapaxes(frames[..., :3, 3], 1, 2)
-        return np.concatenate([linear + np.cross(origins, angular, axis=1), angular], axis=1)
+        return np.concatenate([linear + _crossed(origins, angular), angular], axis=1)
 
     def _place(self, place: str) -> Array:
         """Return where the displaced origin of a place is, before its joint moves, shape=(n, 4, 4)."""
@@ -247,9 +247,9 @@ class _Loops:
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
             relative = self._columns * (self._errors.movers(b) - self._errors.movers(a))
-            point, axes = self._frame(b)[:, :3, 3], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
+            point, axes = self._frame(b)[:, :3, 3, None], np.swapaxes(self._frame(a)[:, :3, :3], 1, 2)
             angular = relative[:, 3:]
-            rows = axes @ (relative[:, :3] + np.cross(angular, point[:, None, :], axisa=1, axisc=1))
+            rows = axes @ (relative[:, :3] + _crossed(angular, point))
             blocks += [rows] if loop.type == "3d" else [rows, axes @ angular]
         return np.concatenate(blocks, axis=1)
 
@@ -257,8 +257,7 @@ class _Loops:
         """Return the tool's twist for all columns, linear part at the tool point, shape=(n, 6, nv + errors)."""
         tool = self._robot.tool_frame_id
         columns = self._columns * self._errors.movers(tool)
-        point = self._frame(tool)[:, None, :3, 3]
-        linear = columns[:, :3] + np.cross(columns[:, 3:], point, axisa=1, axisc=1)
+        linear = columns[:, :3] + _crossed(columns[:, 3:], self._frame(tool)[:, :3, 3, None])
         return np.concatenate([linear, columns[:, 3:]], axis=1)
 
     def _require_tool_at_rest(self, free: NDArray[np.intp], idle: Array) -> None:
@@ -272,6 +271,11 @@ class _Loops:
                 f"{self._robot.name}: the tool can move while all drives stand still at pose "
                 f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
             )
+
+
+def _crossed(a: Array, b: Array) -> Array:
+    """Return cross products along the middle axis, shape=(n, 3, k), quicker than np.cross does."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 
 def _tree(model: pin.Model, q: Array) -> tuple[Array, Array]:

@@ -131,11 +131,11 @@ def test_the_command_says_no_and_writes_nothing(
     swapped = [",".join([b, a, *rest]) for a, b, *rest in cells]
     (tmp_path / "swapped.csv").write_text("\n".join([header, *swapped]) + "\n")
     (tmp_path / "one.csv").write_text("\n".join([header, rows[0]]) + "\n")
-    for file, words in (("swapped.csv", "most likely the drives' columns are permuted"), ("one.csv", "one pose")):
-        refused = run("calibrate", file, "--method", "lm", "--out", "no", cwd=tmp_path)
-        assert (refused.returncode, refused.stdout) == (1, "")
-        assert words in refused.stderr
-        assert "no" not in os.listdir(tmp_path)
+    refused = run("calibrate", "one.csv", "--method", "lm", "--out", "no", cwd=tmp_path)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "one pose" in refused.stderr
+    assert "no" not in os.listdir(tmp_path)
     forced = answer("calibrate", "swapped.csv", "--method", "lm", "--out", "no", "--force", cwd=tmp_path)
     assert "noise factor" in forced["forced_against"][0]
+    assert "most likely the drives' columns are permuted" in forced["forced_against"][-1]
     assert "forced_against" in (tmp_path / "no" / "calibration.yaml").read_text()

@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.figures import calibration_report
 from pm3dof_pin.kinematics.robot import Robot
 
 MACHINES = Path(__file__).parents[1] / "machines"
@@ -33,7 +34,9 @@ def place(tmp_path_factory: pytest.TempPathFactory, answer: Answer) -> Path:
     measured = answer("measure", "--out", "m.csv", "--poses", "30", "--seed", "4", "--machine", "2", cwd=folder)
     assert measured["poses"] == 30
     options = ("--method", "lm+gp", "--out", "calibration", "--format", "png")
-    calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
+    with pytest.MonkeyPatch.context() as patch:  # drawn once, as files
+        patch.setattr(calibration_report, "_image", lambda figure, text: f"<p>{text}</p>")
+        calibrated = answer("calibrate", "m.csv", *options, cwd=folder)
     assert calibrated["directory"] == "calibration"
     pictures = {file.stem for file in (folder / "calibration").glob("*.png")}
     assert pictures == {"tip_error_held_out", "residuals", "workspace", "parameters"}
@@ -193,7 +196,7 @@ def test_bad_files_and_folders(place: Path, run: Run) -> None:
 
 
 ROBOTS = {
-    "hexapod": ("hexapod", "lm+gp", 20),
+    "hexapod": ("hexapod", "lm", 20),
     "five_bar": (str(MACHINES / "five_bar"), "lm+gp", 20),
     "ur5": ("ur5", "lm", 20),
 }

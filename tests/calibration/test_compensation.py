@@ -194,7 +194,7 @@ def dirty(measured: Measurements, tripod_errors: GeometricErrors) -> Measurement
     return wrong
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["lm", "lm+gp", "lm+nn"])
 def test_gross_outliers_change_little(
     method: str, measured: Measurements, dirty: Measurements, tripod_errors: GeometricErrors, tripod_nominal: Poses
 ) -> None:

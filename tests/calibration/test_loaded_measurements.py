@@ -185,8 +185,8 @@ def test_the_commands(answer: Callable[..., dict[str, Any]], run: Callable[..., 
 def test_one_number_a_spring_is_what_measurements_tell() -> None:
     """Diagonal entries of the 3-RPS machine's beams one by one, by finite differences: half are like others."""
     robot, generator = Robot.load("three_rps"), np.random.default_rng(1)
-    poses = reachable_poses(robot, 8, np.random.default_rng(0))
-    wrenches = generator.uniform(-1.0, 1.0, (8, 6)) * [100.0, 100.0, 100.0, 20.0, 20.0, 20.0]
+    poses = reachable_poses(robot, 5, np.random.default_rng(0))
+    wrenches = generator.uniform(-1.0, 1.0, (5, 6)) * [100.0, 100.0, 100.0, 20.0, 20.0, 20.0]
 
     def deflections(springs: list[dict[str, Any]]) -> np.ndarray:
         changed = robot.replace(springs=springs)
@@ -209,7 +209,7 @@ def test_one_number_a_spring_is_what_measurements_tell() -> None:
     ]
     by_spring = ElasticTerm(tuple(str(spring["name"]) for spring in robot.springs), wrenches)
     whole = by_spring.derivatives(poses, np.zeros(len(robot.springs))) / np.array([2e-6] * 3 + [1e-5] * 3)[:, None]
-    singular = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.transpose(entries), whole.reshape(48, -1))]
+    singular = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.transpose(entries), whole.reshape(30, -1))]
     ranks = [int(np.sum(values > 1e-8 * values[0])) for values in singular]
     assert ranks[1] == len(robot.springs)
     assert ranks[0] <= len(entries) / 2

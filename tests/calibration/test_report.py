@@ -33,7 +33,7 @@ from pm3dof_pin.simulation.worlds import World
 @pytest.fixture(scope="module")
 def calibration(tripod_errors: GeometricErrors, tripod_nominal: Poses) -> Calibration:
     world = World.random("everything", tripod_errors, np.random.default_rng(0))
-    measured = world.measure(tripod_nominal.commands[:25], np.random.default_rng(1))
+    measured = world.measure(tripod_nominal.commands[:20], np.random.default_rng(1))
     return calibrate(measured, tripod_errors, Options("lm+gp"))
 
 
@@ -108,7 +108,7 @@ def test_the_summary_says_what_was_found(calibration: Calibration, folder: Path)
     summary = yaml.safe_load((folder / "calibration.yaml").read_text())
     found = calibration.identification
     assert summary["method"] == "lm+gp"
-    assert summary["measurements"]["count"] == 25
+    assert summary["measurements"]["count"] == 20
     entry = summary["identification"]["parameters"]["O_e.tx"]
     place = found.errors.names.index("O_e.tx")
     assert entry == {

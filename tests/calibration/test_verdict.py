@@ -105,6 +105,7 @@ def test_where_nothing_drifts_no_drift_is_claimed(judgement: Verdict) -> None:
     assert {found.kind: found.sure for found in judgement.systematic} == {"drift": False}
 
 
+@pytest.mark.usefixtures("report_without_pictures")
 def test_warming_and_backlash_are_said(
     truth: np.ndarray, tripod_errors: GeometricErrors, tripod_nominal: Poses, run: Callable[..., Any], tmp_path: Path
 ) -> None:
