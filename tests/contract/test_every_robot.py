@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pm3dof_pin.calibration import verdict
+
 Run = Callable[..., Any]
 Case = Any  # of conftest
 
@@ -112,11 +114,14 @@ def test_errors_over_two_coordinates(pm3dof: Run, case: Case) -> None:
     assert list(Path("errors").glob("*.nc"))
 
 
-def test_measured_calibrated_compensated(pm3dof: Run, case: Case, request: pytest.FixtureRequest) -> None:
+def test_measured_calibrated_compensated(
+    pm3dof: Run, case: Case, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if case.name in ("four_bar", "walker", "hexapod", "ur5"):  # the latter in tests/calibration/test_commands.py
         return
-    if case.name != "five_bar":  # one report with its pictures is enough
+    if case.name != "five_bar":  # one report with its pictures, and its numbers from many poses, is enough
         request.getfixturevalue("report_without_pictures")
+        monkeypatch.setattr(verdict, "_POSES", 40)
     pm3dof("measure", "--out", "measured.csv", *case.options, "--poses", 12, "--seed", 1)
     few = ("--force",) if case.name == "delta" else ()  # 72 equations for its 204 error parameters
     pm3dof("calibrate", "measured.csv", *case.options, "--out", "calibrated", "--method", "lm", *few)
