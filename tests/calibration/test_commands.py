@@ -15,8 +15,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pm3dof_pin.description.robots import find_robot
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.figures import calibration_report
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.simulation.simulated_machine import Conditions, SimulatedMachine
 
 MACHINES = Path(__file__).parents[1] / "machines"
 
@@ -59,6 +61,25 @@ def test_one_source_of_errors_and_loads(place: Path, run: Run, answer: Answer) -
     result = run("measure", "--world", "geometry", "--only", "thermal", cwd=place)
     assert (result.returncode, result.stdout) == (1, "")
     assert result.stderr == "pm3dof: source = thermal: expected one that this machine has\n"
+
+
+def test_poses_that_a_machine_cannot_take_are_left_out(place: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The three longest travels of its first drive."""
+    travels = np.sort(np.loadtxt(place / "m.csv", delimiter=",", skiprows=1, usecols=0))
+    longest, carried_out = travels[-4:-2].mean(), SimulatedMachine._carried_out
+
+    def short(machine: SimulatedMachine, commands: np.ndarray, conditions: Conditions) -> np.ndarray:
+        if (commands[:, 0] > longest).any():
+            raise UnreachablePoseError("the loops do not close")
+        return carried_out(machine, commands, conditions)
+
+    monkeypatch.setattr(SimulatedMachine, "_carried_out", short)
+    options = ("--poses", "30", "--seed", "4", "--machine", "2", "--only", "geometric")
+    done = run("measure", "--out", "short.csv", *options, cwd=place)
+    assert done.returncode == 0
+    assert "3 of 30 poses are left out" in done.stderr
+    kept = np.loadtxt(place / "short.csv", delimiter=",", skiprows=1, usecols=0)
+    np.testing.assert_array_equal(np.sort(kept), travels[:-3])
 
 
 @pytest.mark.usefixtures("report_without_pictures")
