@@ -136,8 +136,7 @@ class PlanningProblem:
         sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.
 
     Attributes:
-        prior: see the argument.
-        instrument: what is measured.
+        prior, instrument: see the arguments.
         unknowns: names of the parameters, and of the logarithms of the springs' stiffness where wrenches are given.
         tolerances: of the unknowns, shape=(unknowns,).
         sigmas: standard deviation of the unknowns before any measurement, in tolerances, shape=(unknowns,).

@@ -77,11 +77,9 @@ class GeometricErrors:
             when it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
 
     Attributes:
-        robot: the robot as described.
-        parameters: the parameters, in the order of p.
-        names: their names.
-        tolerances: their tolerances, shape=(number of parameters,) [m, rad].
-        fixed_bearings: see the argument.
+        robot, fixed_bearings: see the arguments.
+        parameters: the parameters, in the order of p; their `names`.
+        tolerances: theirs, shape=(number of parameters,) [m, rad].
 
     Raises:
         InvalidValueError: two parameters have one name, an axis is no unit vector, or a tolerance is not positive.

@@ -85,11 +85,7 @@ class ErrorSources:
         large: whether deflections are those of the loaded equilibrium, not linear.
         distribution: what the tolerances of the geometry are.
 
-    Attributes:
-        errors: see the argument.
-        numbers: those used.
-        large: see the argument.
-        distribution: see the argument.
+    Attributes are `errors`, the `numbers` that are used, `wrench`, `rise`, `large` and `distribution`.
 
     Raises:
         DescriptionError: the error file is unreadable or malformed.

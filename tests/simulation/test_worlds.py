@@ -14,6 +14,7 @@ from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.measuring.wrenches import WEIGHT_COLUMN
 from pm3dof_pin.simulation.worlds import TEMPERATURE, World
 
@@ -45,6 +46,13 @@ def test_what_is_known_stands_in_columns(world: World, tripod_nominal: Poses) ->
     calibration = calibrate(measured, GeometricErrors(tripod_nominal.robot), Options("gp"))
     assert calibration.compensation.learned is not None
     assert set(calibration.compensation.learned.inputs.conditions) == {TEMPERATURE, WEIGHT_COLUMN}
+
+
+def test_all_targets_of_a_pose_are_seen_under_its_load(world: World, tripod_nominal: Poses) -> None:
+    instrument, generator = Instrument(targets=((0.1, 0.0, 0.0), (0.0, 0.1, 0.0))), np.random.default_rng(0)
+    given = {WEIGHT_COLUMN: np.array([10.0, 20.0])}
+    measured = world.loaded(60.0).measure(tripod_nominal.commands[:2], generator, instrument, given)
+    assert measured.conditions[WEIGHT_COLUMN].tolist() == [10.0, 10.0, 20.0, 20.0]
 
 
 def test_one_source_alone(world: World, tripod_nominal: Poses) -> None:
