@@ -8,7 +8,7 @@ import io
 from pathlib import Path
 
 from pm3dof_pin.chapter.table_8_3 import table_8_3
-from pm3dof_pin.cli.table import rows_as_data, rows_as_lines
+from pm3dof_pin.cli.table import described
 from pm3dof_pin.files import write_text_atomically
 from pm3dof_pin.kinematics.robot import load
 
@@ -17,11 +17,12 @@ RESULTS = Path(__file__).resolve().parents[1] / "results"
 
 def main(out: Path = RESULTS, engine: str = "program") -> None:
     rows = table_8_3(robot=load("pm3dof") if engine == "pinocchio" else None)
-    print("\n".join(rows_as_lines(rows)))
+    data, lines = described(rows)
+    print("\n".join(lines))
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows_as_data(rows)[0]), lineterminator="\n")
+    writer = csv.DictWriter(text, list(data["rows"][0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows_as_data(rows))
+    writer.writerows(data["rows"])
     print(f"wrote {write_text_atomically(out / 'table_8_3.csv', text.getvalue())}")
 
 

@@ -9,7 +9,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,12 +109,12 @@ def test_interrupted_and_resumed_is_the_same_to_the_byte(
     assert not job.parts.exists()
 
 
-def test_killed_process_leaves_nothing_torn(mechanism: Robot, tmp_path: Path) -> None:
+def test_killed_process_leaves_nothing_torn(run: Callable[..., Any], tmp_path: Path) -> None:
     """SIGKILL in the middle of a real run, at several moments; then the same command again."""
     arguments = ["--no-pictures", "--points", "45", "45", "41", "-q", "K", "--out"]
     command = [sys.executable, "-c", "from pm3dof_pin.cli.app import main; main()", "atlas", *arguments]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    subprocess.run([*command, str(tmp_path / "whole.zarr")], check=True, env=environment, capture_output=True)
+    assert run("atlas", *arguments, str(tmp_path / "whole.zarr")).returncode == 0
     target = tmp_path / "killed.zarr"
     for blocks in (0, 1):
         process = subprocess.Popen([*command, str(target)], env=environment, stdout=subprocess.DEVNULL)
@@ -121,7 +123,7 @@ def test_killed_process_leaves_nothing_torn(mechanism: Robot, tmp_path: Path) ->
             time.sleep(0.001)
         process.send_signal(signal.SIGKILL)
         process.wait()
-    subprocess.run([*command, str(target)], check=True, env=environment, capture_output=True)
+    assert run("atlas", *arguments, str(target)).returncode == 0
     assert list(digest(target).values()) == list(digest(tmp_path / "whole.zarr").values())
 
 
