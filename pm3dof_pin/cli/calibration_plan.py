@@ -132,7 +132,7 @@ def calibration_plan(
     whole = not positions and targets is None and not encoder
     if not whole and (accuracy is not None or method != "lm"):
         raise typer.BadParameter("--positions, --targets and --encoder are for --method lm, without --accuracy")
-    way = strategy or STRATEGY_OF_METHOD[method]
+    chosen = strategy or STRATEGY_OF_METHOD[method]
     errors = which.load_errors()
     generator = np.random.default_rng(seed)
     with progress_bar("planning") as progress:
@@ -168,9 +168,9 @@ def calibration_plan(
         progress(1, 3)
         tried: dict[int, float] = {}
         if whole:
-            tried = _rehearsed(problem, way, method, poses, accuracy, seed)
+            tried = _rehearsed(problem, chosen, method, poses, accuracy, seed)
         count = max(tried, default=poses or _DEFAULT_POSES)
-        plan = problem.plan(count, way, np.random.default_rng(seed))
+        plan = problem.plan(count, chosen, np.random.default_rng(seed))
         progress(2, 3)
         others = {name: _predicted(problem, plan, count, name, seed) for name in STRATEGIES}
         loads = {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +14,13 @@ from pm3dof_pin.cli.map_options import CoordinateRange, EngineOption, Values, ro
 from pm3dof_pin.cli.options import Json, MachineOrChapterOptions, Out
 from pm3dof_pin.cli.output import print_result, progress_bar, table_lines
 from pm3dof_pin.cli.pictures import Formats, remove_former, save
+from pm3dof_pin.description.coordinates import shown_in
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
     from pm3dof_pin.maps.limit_space import LimitSpace
     from pm3dof_pin.maps.workspace import Workspace
-    from pm3dof_pin.typing import Engine
+    from pm3dof_pin.typing import Array, Engine
 
 _SECTIONS, _DIRECTIONS = 121, 360  # of the tripod
 _FEW_SECTIONS, _FEW_DIRECTIONS = 31, 120  # of other robots
@@ -116,39 +119,31 @@ def _result(found: Workspace) -> dict[str, Any]:
 
 
 def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
-    import math
-
-    import numpy as np
-
     space = found.space
     units = space.units[:2]
-    words = " ".join(units) if units[0] != units[1] else f"{units[0]}^2"
-    turns = [unit == "rad" for unit in units]
-    rows = []
+    product = " ".join(units) if units[0] != units[1] else f"{units[0]}^2"
+    are_angles = set(units) == {"rad"}
+    header, rows = [f"area [{product}]", *(["area [deg^2]"] if are_angles else [])], []
     for section in found.sections[:: max(1, len(found.sections) // 10)]:
-        row = (
-            [f"{float(np.degrees(section.level)) if space.units[2] == 'rad' else section.level:.4f}"]
-            if space.stacked
-            else []
-        )
-        row.append(f"{section.area:.4f}" if all(turns) else f"{section.area:.4e}")
-        rows.append([*row, f"{section.area * math.degrees(1.0) ** 2:.1f}"] if all(turns) else row)
-    level = f"{space.names[2]} [{'deg' if space.units[2] == 'rad' else space.units[2]}]" if space.stacked else ""
-    header = [*([level] if level else []), f"area [{words}]", *(["area [deg^2]"] if all(turns) else [])]
-    ranges = [
-        f"{name} {np.degrees(least):.2f} .. {np.degrees(greatest):.2f} deg"
-        if unit == "rad"
-        else f"{name} {least:.4f} .. {greatest:.4f} m"
-        for name, unit, (least, greatest) in zip(space.names, space.units, found.ranges, strict=False)
-    ]
+        row = [f"{section.area:.4f}" if are_angles else f"{section.area:.4e}"]
+        rows.append([*row, f"{section.area * math.degrees(1.0) ** 2:.1f}"] if are_angles else row)
+        if space.stacked:
+            rows[-1].insert(0, f"{shown_in(space.units[2])[0] * section.level:.4f}")
+    ranges = [_range(*entry) for entry in zip(space.names, space.units, found.ranges, strict=False)]
     if space.stacked:
-        name, unit, (low, high) = space.names[2], space.units[2], found.level_range
-        volume = f"{found.volume:.6f}" if all(turns) else f"{found.volume:.4e}"
-        ends = f"{np.degrees(low):.2f} .. {np.degrees(high):.2f} deg" if unit == "rad" else f"{low:.4f} .. {high:.4f} m"
-        of_volume = f"{unit}^3" if set(space.units) == {unit} else f"{words} {unit}"
-        ranges = [f"volume {volume} {of_volume}", f"{name} {ends}", *ranges]
+        name, unit = space.names[2], space.units[2]
+        header.insert(0, f"{name} [{shown_in(unit)[1]}]")
+        volume = f"{found.volume:.6f}" if are_angles else f"{found.volume:.4e}"
+        of_volume = f"{unit}^3" if set(space.units) == {unit} else f"{product} {unit}"
+        ranges = [f"volume {volume} {of_volume}", _range(name, unit, found.level_range), *ranges]
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items() if share)
     lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
     if "printed_ranges" in result:
         lines += ["", "beside the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]
     return lines
+
+
+def _range(name: str, unit: str, ends: Sequence[float] | Array) -> str:
+    factor, shown = shown_in(unit)
+    low, high = (f"{factor * float(end):.{2 if unit == 'rad' else 4}f}" for end in ends)
+    return f"{name} {low} .. {high} {shown}"

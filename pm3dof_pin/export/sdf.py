@@ -136,11 +136,11 @@ class _Writer:
 
     def _shape_name(self, carrier: str, tag: str, shape: Shape) -> str:
         """Names of a link's shapes have to be there and to differ."""
-        used, wanted = self._shape_names[carrier], shape.name or tag
-        name, number = wanted, 1
+        used, base = self._shape_names[carrier], shape.name or tag
+        name, number = base, 1
         while name in used:
             number += 1
-            name = f"{wanted}_{number}"
+            name = f"{base}_{number}"
         used.add(name)
         return name
 

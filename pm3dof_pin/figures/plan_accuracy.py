@@ -13,23 +13,15 @@ from pm3dof_pin.calibration.planning import Strategy
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.figures.style import ONE_COLUMN, house_style, new_figure
 
-# Okabe and Ito's colours
-_STRATEGY_COLORS: Mapping[Strategy, str] = {
-    "d-optimal": "#0072B2",
-    "tip-optimal": "#009E73",
-    "space-filling": "#CC79A7",
-    "process-variance": "#56B4E9",
-    "random": "#999999",
-    "least-sensitive": "#D55E00",
+_STRATEGIES: Mapping[Strategy, tuple[str, str]] = {
+    "d-optimal": ("#0072B2", "D-optimal"),
+    "tip-optimal": ("#009E73", "best for the tip"),
+    "space-filling": ("#CC79A7", "space-filling"),
+    "process-variance": ("#56B4E9", "least variance of a Gaussian process"),
+    "random": ("#999999", "random"),
+    "least-sensitive": ("#D55E00", "in the least sensitive region (the chapter's rule)"),
 }
-_STRATEGY_NAMES: Mapping[Strategy, str] = {
-    "d-optimal": "D-optimal",
-    "tip-optimal": "best for the tip",
-    "space-filling": "space-filling",
-    "process-variance": "least variance of a Gaussian process",
-    "random": "random",
-    "least-sensitive": "in the least sensitive region (the chapter's rule)",
-}
+"""Colour of each strategy, of Okabe and Ito, and its words."""
 
 
 def plan_accuracy(
@@ -49,8 +41,8 @@ def plan_accuracy(
         axes = figure.add_axes((0.15, 1.0 - 2.43 / height, 0.83, 2.4 / height))
         for strategy, curve in curves.items():
             microns = 1e6 * curve
-            color = _STRATEGY_COLORS[strategy]
-            axes.plot(counts, microns.mean(axis=1), "o-", markersize=3.5, color=color, label=_STRATEGY_NAMES[strategy])
+            color, words = _STRATEGIES[strategy]
+            axes.plot(counts, microns.mean(axis=1), "o-", markersize=3.5, color=color, label=words)
             axes.fill_between(counts, microns.min(axis=1), microns.max(axis=1), color=color, alpha=0.15, linewidth=0.0)
         if minimum is not None:
             axes.axvline(minimum, color="#222222", linestyle=":", linewidth=0.8)

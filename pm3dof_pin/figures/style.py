@@ -22,23 +22,16 @@ DPI = 300
 ONE_COLUMN, TWO_COLUMNS = 88.0 / 25.4, 180.0 / 25.4  # widths of pictures in journals: 88 and 180 mm [inch]
 INK = "#222222"
 
-# Okabe and Ito's colours, told apart by all kinds of colour vision.
-LIMIT_COLORS = {
-    "reach": "#999999",
-    "stroke": "#0072B2",
-    "universal": "#009E73",
-    "spherical": "#E69F00",
-    "tilt": "#CC79A7",
-    "height": "#56B4E9",
+LIMIT_STYLES = {
+    "reach": ("#999999", "reach of a link"),
+    "stroke": ("#0072B2", "stroke of a slider"),
+    "universal": ("#009E73", "universal joint of a leg"),
+    "spherical": ("#E69F00", "spherical joint"),
+    "tilt": ("#CC79A7", "universal joint of the passive leg"),
+    "height": ("#56B4E9", "stop of the passive leg"),
 }
-LIMIT_NAMES = {
-    "reach": "reach of a link",
-    "stroke": "stroke of a slider",
-    "universal": "universal joint of a leg",
-    "spherical": "spherical joint",
-    "tilt": "universal joint of the passive leg",
-    "height": "stop of the passive leg",
-}
+"""Of the chapter's limits: Okabe and Ito's colours, told apart by all kinds of colour vision, and words."""
+
 _OTHER_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#332288", "#882255")
 
 _STYLE = {
@@ -76,11 +69,11 @@ _UNDATED = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}  # what a f
 
 def limit_styles(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Return colour and words for each limit of a robot, named from the lowest bit on."""
-    if set(names) <= set(LIMIT_COLORS):
-        return {name: (LIMIT_COLORS[name], LIMIT_NAMES[name]) for name in names}
+    if set(names) <= set(LIMIT_STYLES):
+        return {name: LIMIT_STYLES[name] for name in names}
     others = [name for name in names if name != "reach"]
     colors = dict(zip(others, itertools.cycle(_OTHER_COLORS), strict=False))
-    return {name: (colors.get(name, LIMIT_COLORS["reach"]), plain(name.replace("_", " "))) for name in names}
+    return {name: (colors.get(name, LIMIT_STYLES["reach"][0]), plain(name.replace("_", " "))) for name in names}
 
 
 def spring_colors(count: int) -> list[str]:

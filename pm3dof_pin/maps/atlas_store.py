@@ -203,8 +203,8 @@ class AtlasStore:
     def _arrays(self) -> dict[str, zarr.Array[Any]]:
         import zarr
 
-        group = zarr.open_group(self.parts, mode="r+")
-        return {variable.name: _array(group, variable.name) for variable in self.variables}
+        arrays = dict(zarr.open_group(self.parts, mode="r+").arrays())
+        return {variable.name: arrays[variable.name] for variable in self.variables}
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # arrays are opened in each process
@@ -314,14 +314,6 @@ class AtlasStore:
         for place in blocks:
             for entry in self.variables:
                 file.variables[entry.name][place] = self.read(entry.name, place)
-
-
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    import zarr
-
-    array = group[name]
-    assert isinstance(array, zarr.Array)
-    return array
 
 
 def _plain(value: Any) -> Any:

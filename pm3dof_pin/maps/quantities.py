@@ -149,17 +149,12 @@ QUANTITIES: dict[str, Quantity] = {}
 """All known quantities by name."""
 
 
-def _always(mapped: MappedRobot) -> bool:
-    """Tell that any robot has a quantity."""
-    return True
-
-
 def quantity(
     *names: str,
     unit: Unit,
     long_name: str,
     dims: tuple[Dimension, ...] = (),
-    exists: Callable[[MappedRobot], bool] = _always,
+    exists: Callable[[MappedRobot], bool] = lambda mapped: True,
 ) -> Callable[[Callable[[Evaluation], Array]], Callable[[Evaluation], Array]]:
     """Make a function of an :class:`Evaluation` a quantity by one or several names; see :class:`Quantity`."""
 
@@ -221,7 +216,6 @@ SPRING = Dimension("spring", lambda mapped: mapped.elastic.spring_names)
 SINGULARITY = Dimension("singularity", lambda mapped: mapped.singularity_types)
 COMMAND = Dimension("command", lambda mapped: tuple(command.name for command in mapped.robot.commands))
 DRIVE = Dimension("drive", lambda mapped: mapped.robot.actuated_joints)
-_DRIVE_2 = Dimension("drive_2", lambda mapped: mapped.robot.actuated_joints)
 
 
 def _part_of(source: ElasticQuantity, part: Any = np.s_[...]) -> Callable[[Evaluation], Array]:
@@ -236,14 +230,12 @@ for _names, _source, _unit, _long_name in (
     quantity(*_names, dims=(AXIS, AXIS_2), unit=_unit, long_name=_long_name)(_part_of(_source))
 
 
-@quantity(
+quantity(
     "felt_stiffness",
     dims=(AXIS,),
     unit="N/m (x, y, z), N m/rad (rx, ry, rz)",
     long_name="felt stiffness, all other motions free",
-)
-def _felt_stiffness(evaluation: Evaluation) -> Array:
-    return axis_stiffness(evaluation.elastic(AXIS_COMPLIANCE))
+)(lambda evaluation: axis_stiffness(evaluation.elastic(AXIS_COMPLIANCE)))
 
 
 for _name, _row, _unit, _long_name in (
@@ -267,11 +259,9 @@ def _condition_number(evaluation: Evaluation) -> Array:
 quantity("characteristic_length", unit="m", long_name="length that makes rotations as stiff as translations")(
     _part_of(CONDITIONING, np.s_[..., _MODES])
 )
-
-
-@quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")
-def _spring_shares(evaluation: Evaluation) -> Array:
-    return evaluation.elastic(spring_shares(evaluation.mapped.elastic))
+quantity("spring_shares", dims=(AXIS, SPRING), unit="1", long_name="share of each spring in the deflection")(
+    lambda evaluation: evaluation.elastic(spring_shares(evaluation.mapped.elastic))
+)
 
 
 def _frequencies(evaluation: Evaluation, count: int) -> Array:
@@ -284,28 +274,20 @@ quantity("natural_frequencies", dims=(NATURAL_MODE,), unit="Hz", long_name="lowe
 quantity("first_frequency", unit="Hz", long_name="lowest natural frequency")(
     lambda evaluation: _frequencies(evaluation, 1)[..., 0]
 )
-
-
-@quantity(
+quantity(
     "holding_forces",
     dims=(DRIVE,),
     unit=_force_unit,
     long_name="forces of the drives that hold the weights",
     exists=has_drives_and_tool,
-)
-def _holding_forces(evaluation: Evaluation) -> Array:
-    return actuator_forces(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
-
-
-@quantity(
+)(lambda evaluation: actuator_forces(evaluation.mapped.robot, evaluation.poses, **evaluation.batch))
+quantity(
     "drive_inertia",
-    dims=(DRIVE, _DRIVE_2),
+    dims=(DRIVE, Dimension("drive_2", DRIVE.labels)),
     unit="kg, kg m, kg m^2",
     long_name="mass matrix that the drives feel",
     exists=has_drives_and_tool,
-)
-def _drive_inertia(evaluation: Evaluation) -> Array:
-    return drive_mass_matrices(evaluation.mapped.robot, evaluation.poses, **evaluation.batch)
+)(lambda evaluation: drive_mass_matrices(evaluation.mapped.robot, evaluation.poses, **evaluation.batch))
 
 
 @quantity(
@@ -320,9 +302,9 @@ def _singularity_distance(evaluation: Evaluation) -> Array:
     return singularity_measures(mapped.robot, evaluation.poses, mapped.usual_mobility, **evaluation.batch)
 
 
-@quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")
-def _commands(evaluation: Evaluation) -> Array:
-    return evaluation.poses.commands
+quantity("commands", dims=(COMMAND,), unit=_command_unit, long_name="what the counters of the drives show")(
+    lambda evaluation: evaluation.poses.commands
+)
 
 
 def _free_motion_names(mapped: MappedRobot) -> tuple[str, ...]:
@@ -344,17 +326,12 @@ def _free_motion_unit(mapped: MappedRobot) -> str:
     return ", ".join(listed)
 
 
-def _has_free_motions(mapped: MappedRobot) -> bool:
-    """Tell whether the free motions have a stiffness."""
-    return mapped.free_motions is not None
-
-
 @quantity(
     "free_stiffness",
     dims=(Dimension("free_motion", _free_motion_names), Dimension("free_motion_2", _free_motion_names)),
     unit=_free_motion_unit,
     long_name="stiffness of the free motions",
-    exists=_has_free_motions,
+    exists=lambda mapped: mapped.free_motions is not None,
 )
 def _free_stiffness(evaluation: Evaluation) -> Array:
     motions = evaluation.mapped.free_motions

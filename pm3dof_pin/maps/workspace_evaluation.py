@@ -111,9 +111,9 @@ def evaluate_workspace(
         InvalidValueError: an unknown quantity, or one that the robot does not have.
         DescriptionError: a quantity needs springs, and the robot has none.
     """
-    wanted = tuple(stiffness_quantities(mapped) if quantities is None else quantities)
+    names = tuple(stiffness_quantities(mapped) if quantities is None else quantities)
     matrix = ("free_stiffness" if _has_rigid_directions(mapped) else "stiffness",) if springs else ()
-    every = tuple(dict.fromkeys((*wanted, *matrix, *((SHARES,) if springs else ()))))
+    every = tuple(dict.fromkeys((*names, *matrix, *((SHARES,) if springs else ()))))
     dataset = quantity_map(mapped, grid, every, engine=engine, threads=threads)
     weights = _cell_volumes(grid)
     inside = dataset[BROKEN_LIMITS].values == 0
@@ -131,8 +131,8 @@ def evaluate_workspace(
     if springs:
         dataset = _with_critical_springs(dataset)
         ranks = tuple(_ranks(dataset, inside, weights))
-    found = tuple(entry for name in wanted for entry in _distributions(dataset, name, grid, inside, weights))
-    kept = dataset.drop_vars([name for name in matrix if name not in wanted])
+    found = tuple(entry for name in names for entry in _distributions(dataset, name, grid, inside, weights))
+    kept = dataset.drop_vars([name for name in matrix if name not in names])
     return WorkspaceEvaluation(kept, float(weights[inside].sum() / weights.sum()), found, indices, ranks)
 
 
@@ -168,8 +168,8 @@ def _distributions(dataset: xr.Dataset, name: str, grid: Grid, inside: Mask, wei
             rows = [(f"{entry}_{other}", {own[0]: entry, own[1]: other}) for other in variable[own[1]].values]
         else:  # of matrices the diagonal
             rows = [(entry, dict.fromkeys(own, entry))]
-        for label, where in rows:
-            values = variable.sel(where).values
+        for label, place in rows:
+            values = variable.sel(place).values
             known = inside & np.isfinite(values)
             if known.any():
                 unit = unit_of_entry(variable.attrs["units"], entry)
@@ -187,7 +187,7 @@ def _distribution(
     # of poses that symmetry makes alike the first one, whichever rounding prefers
     least, greatest = float(np.nanmin(values)), float(np.nanmax(values))
     alike = (values <= least + 1e-9 * abs(least), values >= greatest - 1e-9 * abs(greatest))
-    ends = [np.unravel_index(int(np.argmax(where)), values.shape) for where in alike]
+    ends = [np.unravel_index(int(np.argmax(extreme)), values.shape) for extreme in alike]
     places = [dict(zip(names, map(float, grid.values[end]), strict=True)) for end in ends]
     least, greatest = (float(values[end]) for end in ends)
     defined = float(volume.sum() / weights[inside].sum())

@@ -56,10 +56,10 @@ _TIMEOUT = 60.0  # for one answer [s]
 
 def find_browser() -> Path:
     """Return Chromium, Chrome or Edge, of PM3DOF_BROWSER or the search path; BrowserError where there is none."""
-    if wanted := os.environ.get(VARIABLE):
-        path = shutil.which(wanted)
+    if named := os.environ.get(VARIABLE):
+        path = shutil.which(named)
         if path is None:
-            raise BrowserError(f"{VARIABLE}={wanted}: expected the path of Chromium or Chrome")
+            raise BrowserError(f"{VARIABLE}={named}: expected the path of Chromium or Chrome")
         return Path(path)
     found = next((path for name in _NAMES if (path := shutil.which(name))), None)
     if found is None:
@@ -128,8 +128,8 @@ class Browser:
 
     def evaluate(self, expression: str) -> Any:
         """Return the value of a JavaScript expression in the page, awaiting promises; BrowserError where it throws."""
-        wanted = {"expression": expression, "returnByValue": True, "awaitPromise": True}
-        answer = self.ask("Runtime.evaluate", wanted)
+        parameters = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        answer = self.ask("Runtime.evaluate", parameters)
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
             raise BrowserError(details.get("exception", {}).get("description") or details["text"])

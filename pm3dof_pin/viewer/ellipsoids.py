@@ -106,10 +106,10 @@ def block(
         raise InvalidValueError("stiffness, compliance", "both" if given else "none", "one of them")
     name, entries = given[0]
     matrix = finite_array(name, entries, (6, 6))
-    wanted: EllipsoidMatrix = "stiffness" if others == "held" else "compliance"
+    submatrix_of: EllipsoidMatrix = "stiffness" if others == "held" else "compliance"
     rows = slice(0, 3) if kind == "translation" else slice(3, 6)
-    result: Array = (matrix if name == wanted else inverse_definite(matrix))[rows, rows]
-    if of != wanted:
+    result: Array = (matrix if name == submatrix_of else inverse_definite(matrix))[rows, rows]
+    if of != submatrix_of:
         result = inverse_definite(result)
     if not np.all(np.isfinite(result)):
         raise SingularConfigurationError(f"no {of} ellipsoid of {kind}: some motion is free, or held rigidly")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.maps.labels import unit_of_entry
@@ -16,12 +17,7 @@ _WIDE = 20.0  # ratio of greatest to least value from which on a scale is logari
 _OTHERS = (
     "translational_stiffness:least",
     "rotational_stiffness:least",
-    "felt_stiffness:x",
-    "felt_stiffness:y",
-    "felt_stiffness:z",
-    "felt_stiffness:rx",
-    "felt_stiffness:ry",
-    "felt_stiffness:rz",
+    *(f"felt_stiffness:{component}" for component in TOOL_COMPONENTS),
     "condition_number",
 )
 

@@ -182,7 +182,8 @@ class PagePrograms:
         rows = [[[*p.rotation[i], p.translation[i]] for i in range(3)] for p in placements]
         swings = [swing(tree, k) for k, loop in enumerate(robot.closures) if loop.swing_limit is not None]
         outputs: dict[str, Any] = {"placements": rows, "residual": closure_residual(tree), "swings": swings}
-        return _with_parameters(graph.program("place", outputs), robot)
+        program = graph.program("place", outputs)
+        return _PageProgram(program, geometry.values(robot, program.parameters))
 
 
 def declared_errors(robot: Robot) -> GeometricErrors:
@@ -205,7 +206,3 @@ def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms
         _logger.warning("no sliders for %s: %s", robot.name, error)
         return None
     return programs
-
-
-def _with_parameters(program: Program, robot: Robot) -> _PageProgram:
-    return _PageProgram(program, geometry.values(robot, program.parameters))

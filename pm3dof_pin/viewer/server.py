@@ -113,9 +113,6 @@ class _Page(_OwnAddressOnly):
         self.set_header("X-Content-Type-Options", "nosniff")
         self.write(self._page())
 
-    def data_received(self, chunk: bytes) -> None:
-        """Requests have no body."""
-
 
 class _Socket(_OwnAddressOnly, WebSocketHandler):
     def initialize(self, scene: Scene, loop: asyncio.AbstractEventLoop, handlers: set[Any]) -> None:
@@ -140,9 +137,6 @@ class _Socket(_OwnAddressOnly, WebSocketHandler):
         """End the connection from this side."""
         self._scene.forget(self._hear)
         self.close()
-
-    def data_received(self, chunk: bytes) -> None:
-        """Requests have no body."""
 
     def _hear(self, message: Message) -> None:
         # called in whichever thread changes the scene; the connection belongs to the server's

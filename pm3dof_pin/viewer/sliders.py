@@ -229,16 +229,12 @@ def _slider(robot: Robot, coordinate: Coordinate, home: float) -> Json:
     return {
         "factor": factor,
         "range": [lower, upper] if math.isfinite(upper - lower) else None,
-        "unit": _shown_unit(coordinate.unit),
+        "unit": "°" if is_angle else "\u00a0m",
         "least": round(math.floor(factor * least / step) * step, digits),
         "greatest": round(math.ceil(factor * greatest / step) * step, digits),
         "step": round(step, digits),
         "digits": digits,
     }
-
-
-def _shown_unit(unit: Unit) -> str:
-    return "°" if unit == "rad" else "\u00a0m"
 
 
 def _joints(robot: Robot) -> list[Json]:

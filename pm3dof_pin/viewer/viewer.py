@@ -344,13 +344,13 @@ class Viewer(ShownScene):
         closing = [name for loop in self.mechanism.closures for name in (loop.frame_a, loop.frame_b)]
         tool = [self.mechanism.tool_frame] if self.mechanism.tool_frame else []
         size = 0.07 * self._radius if length is None else length
-        wanted = tuple(dict.fromkeys(tool + closing if names is None else names))
+        shown = tuple(dict.fromkeys(tool + closing if names is None else names))
         paths = []
-        for name in wanted:
+        for name in shown:
             body_path, in_body = self._body_at(name)
             paths.append(f"{body_path}/frames/{name.replace('/', '_')}")
             arrows.draw_frame(self.scene, paths[-1], in_body, size)
-        lines = [", ".join(wanted), "x red, y green, z blue"]
+        lines = [", ".join(shown), "x red, y green, z blue"]
         self._show(Entry(key="frames", title="Frames", lines=lines, nodes=paths, of_pose=False))
 
     def labels(self) -> None:
@@ -360,16 +360,16 @@ class Viewer(ShownScene):
         others = [(frame, text, place) for text, (frame, place) in measures(self._configuration).items()]
         for number, (name, text, place) in enumerate([*named, *others]):
             body_path, in_body = self._body_at(name)
-            where = in_body.copy()
+            placement = in_body.copy()
             if place is not None:  # written in the axes of the frame it belongs to
-                where = in_body @ self._configuration.frame_placement(name).inverse().homogeneous
-                where[:3, 3] = (where @ np.append(place, 1.0))[:3]
+                placement = in_body @ self._configuration.frame_placement(name).inverse().homogeneous
+                placement[:3, 3] = (placement @ np.append(place, 1.0))[:3]
             else:
-                where[:3, 3] += 0.015 * self._radius
-            where[:3, :3] = np.eye(3)
+                placement[:3, 3] += 0.015 * self._radius
+            placement[:3, :3] = np.eye(3)
             paths.append(f"{body_path}/labels/{number}")
             self.scene.set_object(paths[-1], label(text, height, measure=place is not None), casts_shadow=False)
-            self.scene.set_transform(paths[-1], where)
+            self.scene.set_transform(paths[-1], placement)
         lines = [f"{len(named)} points", *([f"{len(others)} lengths and angles"] if others else [])]
         self._show(Entry(key="labels", title="Names", lines=lines, nodes=paths, of_pose=False))
 

@@ -9,7 +9,7 @@ import pytest
 
 from pm3dof_pin.chapter.limits import LIMIT_NAMES as NAMES
 from pm3dof_pin.exceptions import OutputError
-from pm3dof_pin.figures.style import LIMIT_COLORS, LIMIT_NAMES, house_style, limit_styles, new_figure, save_figure
+from pm3dof_pin.figures.style import LIMIT_STYLES, house_style, limit_styles, new_figure, save_figure
 
 
 def _draw(path: Path) -> bytes:
@@ -49,8 +49,8 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 def test_every_limit_has_a_colour_and_a_name() -> None:
-    assert set(LIMIT_COLORS) == set(LIMIT_NAMES) == set(NAMES)
-    assert len(set(LIMIT_COLORS.values())) == len(NAMES)
+    assert set(LIMIT_STYLES) == set(NAMES)
+    assert len({color for color, _ in LIMIT_STYLES.values()}) == len(NAMES)
     others = limit_styles(("reach", "knee_joint", "ankle_joint", "tip-B"))
     assert len({color for color, _ in others.values()}) == 4
     assert others["knee_joint"][1] == "knee joint"

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.chapter import Tripod
 from pm3dof_pin.chapter.printed_ranges import printed_ranges
 from pm3dof_pin.chapter.workspace import tripod_space
-from pm3dof_pin.figures.style import LIMIT_COLORS, save_figure
+from pm3dof_pin.figures.style import LIMIT_STYLES, save_figure
 from pm3dof_pin.figures.workspace import _Sheet, workspace_figure
 from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.workspace import Workspace, workspace
@@ -46,7 +46,7 @@ def test_words_and_units(figure: Figure) -> None:
 def test_outlines_have_the_colour_of_their_limit(figure: Figure, whole: Workspace) -> None:
     outlines = figure.axes[1]
     drawn = {tuple(color) for collection in outlines.collections for color in collection.get_colors()}
-    assert drawn == {to_rgba(LIMIT_COLORS["stroke"]), to_rgba(LIMIT_COLORS["spherical"])}
+    assert drawn == {to_rgba(LIMIT_STYLES["stroke"][0]), to_rgba(LIMIT_STYLES["spherical"][0])}
     heights = {f"{section.level:.3f}" for section in whole.sections}
     labels = [text.get_text() for text in outlines.texts]
     assert len(set(labels) & heights) == 6
@@ -75,7 +75,7 @@ def test_picture_on_disk(figure: Figure, tmp_path: Path) -> None:
     assert image.shape[:2] == (1410, 2125)
     solid = image[200:1200, 100:1100]
     for limit in ("stroke", "spherical"):
-        hue = np.array(to_rgba(LIMIT_COLORS[limit])[:3])
+        hue = np.array(to_rgba(LIMIT_STYLES[limit][0])[:3])
         shade = solid @ hue / (np.linalg.norm(solid, axis=-1) * np.linalg.norm(hue) + 1e-9)
         assert np.mean(shade > 0.999) > 0.05
     rim = np.concatenate([image[:4].reshape(-1, 3), image[-4:].reshape(-1, 3), image[:, :4].reshape(-1, 3)])
