@@ -98,11 +98,12 @@ def fk(
     if configuration is not None:
         solved = place(machine, chosen)
         commands = solved.commands
-    elif all_modes:
-        commands = si_values(machine, machine.command_coordinates, chosen.numbers)
-        solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
     else:
-        solved = solve_pose(machine, chosen.numbers, forward=True)
+        commands = si_values(machine, machine.command_coordinates, chosen.numbers)
+        if all_modes:
+            solved = machine.forward(commands, on_failure="nan", engine="pinocchio")
+        else:
+            solved = solve_pose(machine, commands, forward=True)
     if all_modes:
         modes, residuals = _all_modes(commands, which.tripod())
     result, broken = _result(machine, solved)

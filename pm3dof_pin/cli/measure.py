@@ -15,11 +15,15 @@ if TYPE_CHECKING:
     from pm3dof_pin.simulation.worlds import World
     from pm3dof_pin.typing import Array, Mask
 
+_POSES = 60
+
 
 def measure(
     which: RobotErrorsOptions,
     out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/measurements.csv"),
-    poses: Annotated[int, typer.Option(min=1, help="Number of random poses within all joint limits.")] = 60,
+    poses: Annotated[
+        int | None, typer.Option(min=1, help="Number of random poses within all joint limits (60).")
+    ] = None,
     plan: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Commands to measure at instead, of `calibration-plan`.")
     ] = None,
@@ -54,9 +58,11 @@ def measure(
     from pm3dof_pin.measuring.plan_file import read_plan
     from pm3dof_pin.simulation.worlds import World
 
+    if poses is not None and plan is not None:
+        raise typer.BadParameter("expected --poses or --plan, not both")
     errors = which.load_errors()
     generator = np.random.default_rng(seed)
-    sample = reachable_poses(errors.robot, poses, generator)
+    sample = reachable_poses(errors.robot, poses or _POSES, generator)
     commands, given = (sample.commands, None) if plan is None else read_plan(plan, errors.robot)
     fitting = closing_errors(errors, sample[:20], quiet=True)
     truth = World.random(world, fitting, np.random.default_rng(machine)).loaded(load, wrench or (0.0,) * 6, large=large)

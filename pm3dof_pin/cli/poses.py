@@ -38,7 +38,7 @@ def place(robot: Robot, chosen: PlaceOptions) -> Poses:
         PM3DofError: the configuration has no such name, or its loops do not close.
     """
     if chosen.numbers:
-        return solve_pose(robot, chosen.numbers)
+        return solve_pose(robot, si_values(robot, robot.coordinates, chosen.numbers))
     return robot.at(_named_configuration(robot, chosen.configuration))
 
 
@@ -64,14 +64,8 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
     stop_on_broken_limits(broken_limits(robot, pose.configuration()))
 
 
-def solve_pose(robot: Robot, numbers: Sequence[float], *, forward: bool = False) -> Poses:
-    """Find the pose at coordinates (or commands) [deg, m], shape=(); UnreachablePoseError where it is out of reach."""
-    given = robot.command_coordinates if forward else robot.coordinates
-    return solve_values(robot, si_values(robot, given, numbers), forward=forward)
-
-
-def solve_values(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
-    """Do as :func:`solve_pose` at coordinates (or commands) in radians and metres."""
+def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
+    """Find the pose at coordinates (or commands) [rad, m], shape=(); UnreachablePoseError where it is out of reach."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
     given = robot.command_coordinates if forward else robot.coordinates

@@ -14,7 +14,7 @@ import typer
 from pm3dof_pin.cli import completion
 from pm3dof_pin.cli.options import MachineOptions, PlaceOptions
 from pm3dof_pin.cli.output import message, stop_on_broken_limits
-from pm3dof_pin.cli.poses import check_units, in_si, place, solve_values
+from pm3dof_pin.cli.poses import check_units, in_si, place, solve_pose
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent, shown_in
 
 if TYPE_CHECKING:
@@ -274,7 +274,7 @@ def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
     for frame in np.flatnonzero(~poses.solved)[:1]:
         before = int(places[max(frame - 1, 0)]) + 1
         try:
-            solve_values(machine, values[frame])
+            solve_pose(machine, values[frame])
         except UnreachablePoseError as error:
             raise UnreachablePoseError(f"{path}: between poses {before} and {before + 1}: {error}") from error
     return poses

@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -203,8 +203,8 @@ class AtlasStore:
     def _arrays(self) -> dict[str, zarr.Array[Any]]:
         import zarr
 
-        arrays = dict(zarr.open_group(self.parts, mode="r+").arrays())
-        return {variable.name: arrays[variable.name] for variable in self.variables}
+        group = zarr.open_group(self.parts, mode="r+")
+        return {variable.name: cast("zarr.Array[Any]", group[variable.name]) for variable in self.variables}
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # arrays are opened in each process

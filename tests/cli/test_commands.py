@@ -381,3 +381,9 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
     command = f"{sys.executable} -c 'from pm3dof_pin.cli.app import main; main()' table-8-3 | head -1"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False, env=os.environ)
     assert "Traceback" not in result.stderr
+
+
+def test_measure_takes_poses_or_a_plan(run: Run, tmp_path: Path) -> None:
+    done = run("measure", "--plan", "plan.csv", "--poses", "3", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "not both" in done.stderr
