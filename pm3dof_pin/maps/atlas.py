@@ -365,6 +365,10 @@ def _on_threads(atlas: Atlas, todo: Sequence[Block], threads: int | None) -> Ite
                 sealing.append(syncs.submit(atlas.store.seal, computing.popleft().result()))
             while sealing:
                 yield sealing.popleft().result()
+        except (Exception, KeyboardInterrupt):
+            while sealing:  # blocks that are computed are not lost
+                yield sealing.popleft().result()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 
