@@ -130,12 +130,16 @@ def test_sliders_place_every_body_where_pinocchio_does(name: str, number: int) -
         pytest.skip("its coordinates are its commands")
     values, answers = answered(name, number)
     solve = robot.forward if number else robot.solve
-    expected = solve(values, on_failure="nan", engine="pinocchio")
     reached = np.array([answer is not None for answer in answers])
-    assert reached.sum() >= 0.9 * expected.solved.sum()
+    assert reached.sum() >= 0.9 * solve(values, on_failure="nan").solved.sum()
     assert reached.sum() >= 12
-    for index in np.flatnonzero(reached & expected.solved):
-        answer, pose = answers[index], expected[int(index)]
+    # poses out of reach take the careful engine longest
+    expected = solve(values[reached], on_failure="nan", engine="pinocchio")
+    assert expected.solved.sum() >= 0.9 * reached.sum()
+    for place, index in enumerate(np.flatnonzero(reached)):
+        answer, pose = answers[index], expected[place]
+        if not pose.solved:
+            continue
         configuration = robot.configuration(answer["q"])  # rods may have another spin
         placements = [np.reshape(matrix, (4, 4)).T for matrix in answer["placements"]]
         wanted = [*joint_placements(configuration), configuration.tool_placement.homogeneous]
