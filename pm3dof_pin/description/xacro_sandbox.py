@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import io
 import json
 import os
@@ -43,26 +44,29 @@ class _RefusedError(Exception):
     """A file does what a file from others may not."""
 
 
-def _check(expression: str) -> None:
-    for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
+@functools.cache
+def _checked(expression: str) -> Any:
+    """Return an expression compiled, if it leads nowhere that it may not."""
+    tree = ast.parse(expression.strip(), "<expression>", mode="eval")
+    for node in ast.walk(tree):
         name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
         hidden = name.startswith("_") if isinstance(node, ast.Attribute) else name.startswith("__")
         if hidden or (isinstance(node, ast.Attribute) and name in _INTERPRETER):
             raise _RefusedError(f"'{name}' in '{expression.strip()[:80]}' is not allowed")
+    return compile(tree, "<expression>", "eval")
 
 
 def _close(xacro: Any, substitution: Any, folders: list[str]) -> None:
     """Put checks before all that evaluates, and bound what is found by name."""
 
     def checked_eval(expression: str, symbols: Any, local: Any = None) -> Any:
-        _check(expression)
         symbols.update(__builtins__={})
-        return eval(compile(expression.strip(), "<expression>", "eval"), symbols, local)
+        return eval(_checked(expression), symbols, local)
 
     evaluate = substitution._eval
 
     def checked_substitution(expression: str, context: Any) -> Any:
-        _check(expression)
+        _checked(expression)
         return evaluate(expression, context)
 
     def find(package: str) -> str:
