@@ -36,8 +36,8 @@ from pm3dof_pin.files import read_bytes, replace_directory, write_text_atomicall
 from pm3dof_pin.measuring.measurement_file import write_measurements
 from pm3dof_pin.typing import Array
 
-SUMMARY = "calibration.yaml"
-COMPENSATION = "compensation.json"
+_SUMMARY = "calibration.yaml"
+_COMPENSATION = "compensation.json"
 MEASUREMENTS = "measurements.csv"
 REPORT = "report.html"
 
@@ -72,7 +72,7 @@ def write_calibration(
         UnknownRobotError: no such robot.
     """
     compensation, files = calibration.compensation, find_robot(robot)
-    with replace_directory(directory, SUMMARY) as folder:
+    with replace_directory(directory, _SUMMARY) as folder:
         sources = [(source, source.name) for source in (files.path, files.closures, files.srdf) if source is not None]
         for source, name in [*sources, (errors_file or files.errors, files.errors.name)]:
             if source.is_file():
@@ -81,11 +81,13 @@ def write_calibration(
             factors = {name: factor for name, (factor, _) in compensation.stiffness.items()}
             write_calibrated_robot(compensation.errors, compensation.values, robot, folder / "calibrated", factors)
         write_measurements(calibration.measurements, compensation.errors.robot, folder / MEASUREMENTS)
-        write_text_atomically(folder / COMPENSATION, _compensation_as_json(compensation, files.path.name))
+        write_text_atomically(folder / _COMPENSATION, _compensation_as_json(compensation, files.path.name))
         summary = summary_of(
             calibration, files.name, held_out, validation=validation, objections=objections, judgement=judgement
         )
-        write_text_atomically(folder / SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120, allow_unicode=True))
+        write_text_atomically(
+            folder / _SUMMARY, yaml.safe_dump(summary, sort_keys=False, width=120, allow_unicode=True)
+        )
         if report is not None:
             write_text_atomically(folder / REPORT, report)
     return Path(directory)
@@ -114,7 +116,7 @@ def read_compensation(directory: Path | str) -> Compensation:
     Raises:
         DescriptionError: it is no calibration, or damaged.
     """
-    path = Path(directory) / COMPENSATION
+    path = Path(directory) / _COMPENSATION
     try:
         data = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
@@ -236,7 +238,7 @@ def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
 
 
 def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
-    path = directory / COMPENSATION
+    path = directory / _COMPENSATION
     if Path(data["urdf"]).name != data["urdf"]:
         raise DescriptionError(path, "urdf", f"expected the name of a file, not '{data['urdf']}'")
     described = GeometricErrors.load(directory / "nominal" / data["urdf"], tool_frame=data.get("tool_frame"))

@@ -13,7 +13,7 @@ from pm3dof_pin.measuring.csv_table import CsvTable
 from pm3dof_pin.measuring.instrument import Instrument
 from pm3dof_pin.typing import Array
 
-PREFIX = "encoder_"
+_PREFIX = "encoder_"
 ENCODER_ZERO = {"m": 5e-3, "rad": 5e-2}
 """How well the zero of an encoder is known, standard deviation by the unit of its joint [m, rad]."""
 
@@ -32,7 +32,7 @@ def encoder_column(robot: Robot, joint: str) -> str:
         raise InvalidValueError(
             "encoder", joint, f"a passive joint: {', '.join(robot.passive_joints) or 'there is none'}"
         )
-    return f"{PREFIX}{joint}_{unit}"
+    return f"{_PREFIX}{joint}_{unit}"
 
 
 def encoder_joints(table: CsvTable, robot: Robot) -> dict[str, str]:
@@ -47,7 +47,7 @@ def encoder_joints(table: CsvTable, robot: Robot) -> dict[str, str]:
             columns[encoder_column(robot, joint)] = joint
         except InvalidValueError:
             continue
-    names = [name for name in table.header if name.removeprefix("sigma_").startswith(PREFIX)]
+    names = [name for name in table.header if name.removeprefix("sigma_").startswith(_PREFIX)]
     if wrong := [name for name in names if name.removeprefix("sigma_") not in columns]:
         expected = ", ".join(columns) or f"none: {robot.name} has no passive joint"
         raise MeasurementError(table.path, f"{', '.join(wrong)}: expected columns of passive joints, {expected}", [1])

@@ -38,9 +38,9 @@ from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, fitted_
 from pm3dof_pin.typing import Array, Mask
 
 DISTANCE_COLUMN, DISTANCE_SIGMA_COLUMN = "distance_m", "sigma_distance_m"
-ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
-SPHERE_COLUMN = "sphere"
-SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
+_ORIGIN_COLUMNS = ("cx_m", "cy_m", "cz_m")
+_SPHERE_COLUMN = "sphere"
+_SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 
 _TIME_COLUMN = "time_s"
 _SAME = 1e-9
@@ -58,7 +58,7 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         columns |= zip(QUATERNION_COLUMNS, quaternion(measurements.rotations).T, strict=True)
     if measurements.points.any():
         columns |= zip(POINT_COLUMNS, measurements.points.T, strict=True)
-    columns |= zip(SIGMA_COLUMNS, measurements.sigmas.T[: measurements.tool_columns], strict=False)
+    columns |= zip(_SIGMA_COLUMNS, measurements.sigmas.T[: measurements.tool_columns], strict=False)
     for k, joint in enumerate(measurements.joints):
         name, sigmas = encoder_column(robot, joint), measurements.sigmas[:, measurements.tool_columns + k]
         assert measurements.readings is not None
@@ -70,12 +70,16 @@ def write_measurements(measurements: Measurements, robot: Robot, path: Path | st
         begun = (far & (measurements.partners >= 0))[:, None]
         columns |= {DISTANCE_COLUMN: measurements.distances}
         columns |= {DISTANCE_SIGMA_COLUMN: np.where(far, measurements.sigmas[:, 0], np.nan)}
-        columns |= {SIGMA_COLUMNS[0]: np.where(far, np.inf, measurements.sigmas[:, 0])}
-        columns |= zip(ORIGIN_COLUMNS, np.where(fixed, measurements.origins, np.nan).T, strict=True)
+        columns |= {_SIGMA_COLUMNS[0]: np.where(far, np.inf, measurements.sigmas[:, 0])}
+        columns |= zip(_ORIGIN_COLUMNS, np.where(fixed, measurements.origins, np.nan).T, strict=True)
         starts = np.where(begun, measurements.commands[measurements.partners], np.nan)
         columns |= zip(start_columns(robot), starts.T, strict=True)
         if spheres is not None:
-            columns |= {SPHERE_COLUMN: np.where(on_sphere, spheres, np.nan)}
+            columns |= {_SPHERE_COLUMN: np.where(on_sphere, spheres, np.nan)}
+    if measurements.times is not None:
+        columns |= {_TIME_COLUMN: measurements.times}
+    if measurements.approaches is not None:
+        columns |= zip(approach_columns(robot), measurements.approaches.T, strict=True)
     return write_text_atomically(path, columns_as_text(columns | measurements.conditions))
 
 
@@ -218,15 +222,15 @@ class _Reader:
         if both.any():
             problem = f"a row has {DISTANCE_COLUMN} and other measurements, expected a row for each"
             raise MeasurementError(self._path, problem, table.lines_where(both))
-        origins = table.matrix(ORIGIN_COLUMNS, missing=np.nan)
+        origins = table.matrix(_ORIGIN_COLUMNS, missing=np.nan)
         starts = found.commands * np.nan
         if (columns := start_columns(self._robot))[0] in table:
             starts = table.matrix(columns)
-        spheres = np.nan_to_num(table.get(SPHERE_COLUMN, np.nan), nan=-1.0).astype(np.intp)
+        spheres = np.nan_to_num(table.get(_SPHERE_COLUMN, np.nan), nan=-1.0).astype(np.intp)
         fixed, begun, on_sphere = np.isfinite(origins).all(axis=1), np.isfinite(starts).all(axis=1), spheres >= 0
         unclear = far & (fixed.astype(int) + begun + on_sphere != 1)
         if unclear.any():
-            origins_in_words = f"{','.join(ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {SPHERE_COLUMN}"
+            origins_in_words = f"{','.join(_ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {_SPHERE_COLUMN}"
             problem = f"from where is {DISTANCE_COLUMN}? Expected {origins_in_words}"
             raise MeasurementError(self._path, problem, table.lines_where(unclear))
         if found.registration is not None and fixed.any():
@@ -234,7 +238,7 @@ class _Reader:
         for number in np.unique(spheres[far & on_sphere]):
             rows = np.flatnonzero(far & (spheres == number))
             if len(rows) < _LEAST_OF_A_SPHERE:
-                problem = f"{SPHERE_COLUMN} {number} has {len(rows)} rows, expected {_LEAST_OF_A_SPHERE} or more"
+                problem = f"{_SPHERE_COLUMN} {number} has {len(rows)} rows, expected {_LEAST_OF_A_SPHERE} or more"
                 raise MeasurementError(self._path, problem, table.lines_where(far & (spheres == number)))
             origins[rows] = fitted_sphere(expected[rows], table[DISTANCE_COLUMN][rows])
         sigmas = found.sigmas.copy()
@@ -286,14 +290,14 @@ class _Reader:
         measured = self._measured_columns(header)
         expected = [*self._command_columns, *measured]
         for group in (
-            ORIGIN_COLUMNS,
+            _ORIGIN_COLUMNS,
             start_columns(self._robot),
             (DISTANCE_SIGMA_COLUMN,),
-            (SPHERE_COLUMN,),
+            (_SPHERE_COLUMN,),
             QUATERNION_COLUMNS,
             POINT_COLUMNS,
             tuple(f"sigma_{name}" for name in POSITION_COLUMNS if name in measured),
-            SIGMA_COLUMNS[3:],
+            _SIGMA_COLUMNS[3:],
             (_TIME_COLUMN,),
             approach_columns(self._robot),
             *((name,) for encoder in self._encoders for name in (encoder, f"sigma_{encoder}")),
@@ -317,7 +321,7 @@ class _Reader:
             return (*positions, DISTANCE_COLUMN)
         if self._encoders:
             return positions
-        beside = (*POINT_COLUMNS, *SIGMA_COLUMNS[:3]) if positions else (*QUATERNION_COLUMNS, *SIGMA_COLUMNS[3:])
+        beside = (*POINT_COLUMNS, *_SIGMA_COLUMNS[:3]) if positions else (*QUATERNION_COLUMNS, *_SIGMA_COLUMNS[3:])
         known = {*self._command_columns, *positions, *beside, _TIME_COLUMN, *approach_columns(self._robot)}
         some = positions or QUATERNION_COLUMNS[0] in header
         alone = some and all(name in known or is_condition(name) for name in header)
@@ -334,7 +338,7 @@ class _Reader:
         """
         table = self._table
         count = len(table)
-        infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in SIGMA_COLUMNS])
+        infinite = np.column_stack([np.isposinf(table.get(name, 0.0)) for name in _SIGMA_COLUMNS])
         seen, broken = np.zeros((count, 7 + len(self._encoders)), dtype=bool), np.zeros(count, dtype=bool)
         if present := [name for name in POSITION_COLUMNS if name in table]:
             given = np.asarray(~np.isnan(table.matrix(present)).all(axis=1))
@@ -362,12 +366,12 @@ class _Reader:
         distances = {
             DISTANCE_COLUMN,
             DISTANCE_SIGMA_COLUMN,
-            SPHERE_COLUMN,
-            *ORIGIN_COLUMNS,
+            _SPHERE_COLUMN,
+            *_ORIGIN_COLUMNS,
             *start_columns(self._robot),
         }
         encoders = {f"{sigma}{name}" for sigma in ("", "sigma_") for name in self._encoders}
-        may_be_empty = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *SIGMA_COLUMNS, *distances, *encoders}
+        may_be_empty = {*POSITION_COLUMNS, *QUATERNION_COLUMNS, *_SIGMA_COLUMNS, *distances, *encoders}
         return [name for name in self._table.columns if name not in may_be_empty]
 
     def _nominal_poses(self, commands: Array) -> Poses:
@@ -409,7 +413,7 @@ class _Reader:
 
     def _sigmas(self, instrument: Instrument, poses: bool) -> Array:
         count = 6 if poses else 3
-        names = SIGMA_COLUMNS[:count]
+        names = _SIGMA_COLUMNS[:count]
         usual = np.repeat([instrument.position_sigma, instrument.angle_sigma], 3)[:count]
         sigmas = np.column_stack([self._table.get(name, usual[k]) for k, name in enumerate(names)])
         sigmas = np.where(np.isnan(sigmas), usual, sigmas)

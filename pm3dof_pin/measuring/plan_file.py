@@ -15,7 +15,7 @@ from pm3dof_pin.measuring.command_columns import command_columns, commands_of
 from pm3dof_pin.measuring.csv_table import CsvTable, columns_as_text
 from pm3dof_pin.typing import Array
 
-NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
+_NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
 
 
 def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
@@ -28,7 +28,7 @@ def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None
     """
     columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
     seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
-    columns |= dict(zip(NOMINAL_COLUMNS, seen.T, strict=True)) | dict(loads or {})
+    columns |= dict(zip(_NOMINAL_COLUMNS, seen.T, strict=True)) | dict(loads or {})
     return write_text_atomically(path, columns_as_text(columns))
 
 

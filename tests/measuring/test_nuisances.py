@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.measuring.instrument import Instrument
+from pm3dof_pin.measuring.measurement_file import read_measurements, write_measurements
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.measuring.registration import Registration, register
@@ -47,6 +49,15 @@ def everything(tripod_nominal: Poses) -> Measurements:
     approaches = np.repeat(generator.choice([-1.0, 1.0], (6, 3)), 3, axis=0)
     at_base = Registration(np.eye(3), np.zeros(3), 0.0)
     return replace(rows, registration=at_base, times=10.0 * np.arange(18.0), approaches=approaches)
+
+
+def test_times_and_directions_are_written_and_read(
+    everything: Measurements, tripod_nominal: Poses, tmp_path: Path
+) -> None:
+    path = write_measurements(everything, tripod_nominal.robot, tmp_path / "seen.csv")
+    again = read_measurements(path, tripod_nominal.robot)
+    np.testing.assert_array_equal(again.times, everything.times)
+    np.testing.assert_array_equal(again.approaches, everything.approaches)
 
 
 def test_derivatives_are_those_of_finite_differences(everything: Measurements, tripod_nominal: Poses) -> None:
