@@ -5,6 +5,8 @@ Extremes often are corners, where two limits bind, so that the best ray may end 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,30 +20,37 @@ _MOST_ROUNDS = 60
 _SMALLEST = 6e-5  # size of the window, against the first one, at which an extreme counts as found
 
 
-def sampled_extremes(boundary: Array) -> Array:
+def extremes_of(
+    space: LimitSpace, boundaries: Sequence[Array], half_width: float, half_level: float = 0.0
+) -> tuple[Array, Array]:
+    """Find the extremes of sets near boundary points of theirs, (radius, azimuth, level), shape=(m, 3) each.
+
+    Around each extreme rays are tried in a window of half a width [rad] and, of a stack of sections, half a level. A
+    corner wanders over the azimuth as the level grows, by about 1 deg for 1 mm of height on the chapter's machine: the
+    half width has to be enough to follow it.
+
+    Returns least and greatest first, then second coordinate of each set, shape=(n, 2, 2) [m, rad], and their levels.
+    """
+    found = _refined(space, np.stack([_sampled(points) for points in boundaries]), _window(half_width, half_level))
+    points = space.points(found[..., 0], found[..., 1])
+    values = np.stack([points[..., :2, 0], points[..., 2:, 1]], axis=-2)
+    return values, found[..., 2].reshape(-1, 2, 2)
+
+
+def _sampled(boundary: Array) -> Array:
     """Return the (radius, azimuth, level) of least and greatest first and second coordinates, shape=(4, 3)."""
     best: Array = boundary[np.argmax(_directions(boundary[:, 0], boundary[:, 1]) @ _OUTWARD.T, axis=0)]
     return best
 
 
-def extreme_values(space: LimitSpace, extremes: Array) -> Array:
-    """Return least and greatest first, then second coordinate of extremes, shape=(..., 4, 3) to (..., 2, 2)."""
-    points = space.points(extremes[..., 0], extremes[..., 1])
-    return np.stack([points[..., :2, 0], points[..., 2:, 1]], axis=-2)
-
-
-def window(half_width: float, half_level: float = 0.0) -> Array:
-    """Return offsets (azimuth, level) of the rays that :func:`refined_extremes` sends around an extreme, shape=(k, 2).
-
-    A corner wanders over the azimuth as the level grows, by about 1 deg for 1 mm of height on the chapter's machine:
-    the half width [rad] has to be enough to follow it. A half level of 0 stays in a section.
-    """
+def _window(half_width: float, half_level: float) -> Array:
+    """Return offsets (azimuth, level) of the rays around an extreme, shape=(k, 2)."""
     azimuths = half_width * np.linspace(-1.0, 1.0, 33 if half_level else 9)
     levels = half_level * np.linspace(-1.0, 1.0, 5) if half_level else np.zeros(1)
     return np.stack(np.meshgrid(azimuths, levels), axis=-1).reshape(-1, 2)
 
 
-def refined_extremes(space: LimitSpace, starts: Array, window: Array) -> Array:
+def _refined(space: LimitSpace, starts: Array, window: Array) -> Array:
     """Move extreme boundary points, shape=(n, 4, 3), to where they are extreme between the rays and the levels.
 
     The window around each moves to the best of its rays, and shrinks when that one is not at its edge.

@@ -68,6 +68,12 @@ class LimitSpace:
         third = np.broadcast_to(levels, points.shape[:-1])
         return self.broken_limits(np.concatenate([points, third[..., None]], axis=-1))
 
+    def limit_shares(self, limits: Flags) -> dict[str, float]:
+        """Return the share of each limit in sums of limits, shape=(m,); where several bind, each counts in part."""
+        bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(self.limits))], axis=-1)
+        parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
+        return dict(zip(self.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))
+
     def points(self, radii: Array, azimuths: Array) -> Array:
         """Return the coordinates at radii and azimuths, shape=(..., 2) [m, rad]."""
         directions = np.stack([radii * np.cos(azimuths), radii * np.sin(azimuths)], axis=-1)

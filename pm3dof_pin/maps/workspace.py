@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import with_neighbours
 from pm3dof_pin.exceptions import InvalidValueError, UnreachablePoseError
-from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
+from pm3dof_pin.maps.extremes import extremes_of
 from pm3dof_pin.maps.labels import coordinate_attributes, dataset_attributes, flag_attributes, flag_type
 from pm3dof_pin.maps.limit_space import LimitSpace
 from pm3dof_pin.maps.rays import Index, explored
-from pm3dof_pin.maps.workspace_section import WorkspaceSection, limit_shares, workspace_sections
+from pm3dof_pin.maps.workspace_section import WorkspaceSection, workspace_sections
 from pm3dof_pin.typing import Array, Mask
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Workspace:
     @property
     def limit_shares(self) -> dict[str, float]:
         """Share of the boundary points of all sections at which each limit binds."""
-        return limit_shares(self.space, np.concatenate([section.limits for section in self.sections]))
+        return self.space.limit_shares(np.concatenate([section.limits for section in self.sections]))
 
     def boundary(self) -> xr.Dataset:
         """Return the boundary points of all sections over `point`: their coordinates [m, rad] and `binding_limits`.
@@ -100,10 +100,8 @@ def workspace(space: LimitSpace, levels: int | ArrayLike = 61, directions: int =
         name, unit = space.names[2], space.units[2]
         place = f"{name} = {stack[0]:g} {unit} and {stack[-1]:g} {unit}"
         raise UnreachablePoseError(f"no pose between {place} is within the limits")
-    rays = window(_AZIMUTH_WINDOW, float(np.diff(stack).max()))
-    extremes = refined_extremes(space, sampled_extremes(boundary)[None], rays)[0]
-    ranges = extreme_values(space, extremes)
-    return Workspace(space, np.array([low, high]), sections, ranges, extremes[:, 2].reshape(2, 2))
+    ranges, at = extremes_of(space, [boundary], _AZIMUTH_WINDOW, float(np.diff(stack).max()))
+    return Workspace(space, np.array([low, high]), sections, ranges[0], at[0])
 
 
 def _of_one_section(space: LimitSpace, directions: int) -> Workspace:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.maps.extremes import extreme_values, refined_extremes, sampled_extremes, window
+from pm3dof_pin.maps.extremes import extremes_of
 from pm3dof_pin.maps.limit_space import Flags, LimitSpace
 from pm3dof_pin.maps.rays import crossings
 from pm3dof_pin.typing import Array
@@ -68,7 +68,7 @@ class WorkspaceSection:
     @property
     def limit_shares(self) -> dict[str, float]:
         """Share of the boundary points at which each limit binds; all zero if the section is empty."""
-        return limit_shares(self.space, self.limits)
+        return self.space.limit_shares(self.limits)
 
 
 def workspace_section(space: LimitSpace, level: float | None = None, directions: int = 360) -> WorkspaceSection:
@@ -98,18 +98,10 @@ def workspace_sections(
     return _with_ranges(space, sections, 2.0 * np.pi / directions) if ranges else sections
 
 
-def limit_shares(space: LimitSpace, limits: Flags) -> dict[str, float]:
-    """Return the share of each limit in sums of limits, shape=(m,); where several bind, each counts in equal parts."""
-    bits = np.stack([(limits & (1 << bit)) != 0 for bit in range(len(space.limits))], axis=-1)
-    parts = bits / np.maximum(bits.sum(axis=-1, keepdims=True), 1)
-    return dict(zip(space.limits, (parts.sum(axis=0) / max(len(limits), 1)).tolist(), strict=True))
-
-
 def _with_ranges(space: LimitSpace, sections: list[WorkspaceSection], half_width: float) -> list[WorkspaceSection]:
     """Fill in the ranges of all sections at once: programs like long arrays."""
     filled = [section for section in sections if not section.empty]
     if not filled:
         return sections
-    starts = np.stack([sampled_extremes(section.polar_points) for section in filled])
-    ranges = iter(extreme_values(space, refined_extremes(space, starts, window(half_width))))
+    ranges = iter(extremes_of(space, [section.polar_points for section in filled], half_width)[0])
     return [section if section.empty else replace(section, ranges=next(ranges)) for section in sections]

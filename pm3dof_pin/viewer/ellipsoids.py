@@ -72,6 +72,14 @@ class DrawnEllipsoid:
     scale: float
     unit: str
 
+    @classmethod
+    def of(cls, matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
+        """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError for a scale that is not positive."""
+        if not (math.isfinite(scale) and scale > 0.0):
+            raise InvalidValueError("scale", scale, "a positive length for one unit")
+        principal = indices.principal_axes(matrix)
+        return cls(principal.values, principal.axes, np.asarray(position, dtype=float), scale, unit)
+
     @property
     def transform(self) -> Array:
         """What makes a unit sphere this ellipsoid, shape=(4, 4)."""
@@ -135,14 +143,6 @@ def motion_block(motions: ArrayLike, kind: Motion, of: MotionQuantity) -> Array:
         values = 1.0 / values
     root: Array = (left * values) @ left.T
     return root
-
-
-def ellipsoid(matrix: ArrayLike, position: ArrayLike, *, scale: float, unit: str) -> DrawnEllipsoid:
-    """Return the ellipsoid of a 3 x 3 block at a point [m]; InvalidValueError for a scale that is not positive."""
-    if not (math.isfinite(scale) and scale > 0.0):
-        raise InvalidValueError("scale", scale, "a positive length for one unit")
-    principal = indices.principal_axes(matrix)
-    return DrawnEllipsoid(principal.values, principal.axes, np.asarray(position, dtype=float), scale, unit)
 
 
 def draw_ellipsoid(scene: Scene, path: str, kind: Motion) -> None:

@@ -509,7 +509,7 @@ class Viewer(ShownScene):
         if scale is None:
             sizes = np.abs(np.linalg.eigvalsh(block))
             scale = self._kept_scale((kind, of, others), max(sizes.max(), _BULK * sizes.min()))
-        drawn = ellipsoids.ellipsoid(block, self._point(at), scale=scale, unit=unit)
+        drawn = DrawnEllipsoid.of(block, self._point(at), scale=scale, unit=unit)
         key, title, live = kind if at is None else f"{kind}_at_{place}", f"{kind.capitalize()} {of}", None
         if at is not None:
             title += f" at {at if isinstance(at, str) else 'a point'}"

@@ -10,7 +10,7 @@ import pytest
 from pm3dof_pin.exceptions import InvalidValueError, SingularConfigurationError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer import Viewer
-from pm3dof_pin.viewer.ellipsoids import block, ellipsoid, round_length, round_scale
+from pm3dof_pin.viewer.ellipsoids import DrawnEllipsoid, block, round_length, round_scale
 from pm3dof_pin.viewer.panel import numbers_with_unit, scale_text
 
 
@@ -56,7 +56,7 @@ def test_the_transform_is_the_eigen_decomposition() -> None:
     """A unit vector along a principal axis goes to the end of that semi-axis; all others onto the quadric."""
     b = random_stiffness(4)[:3, :3]
     position = np.array([0.1, 0.2, 0.3])
-    drawn = ellipsoid(b, position, scale=0.01, unit="N/m")
+    drawn = DrawnEllipsoid.of(b, position, scale=0.01, unit="N/m")
     np.testing.assert_allclose(b @ drawn.axes, drawn.axes * drawn.values, atol=1e-12)
     linear = drawn.transform[:3, :3]
     np.testing.assert_allclose(linear, 0.01 * drawn.axes * drawn.values)
@@ -69,7 +69,7 @@ def test_the_transform_is_the_eigen_decomposition() -> None:
 
 def test_flat_ellipsoids_keep_their_axes() -> None:
     """A zero semi-axis is drawn as thin as paper, so that the page still finds the axes."""
-    drawn = ellipsoid(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
+    drawn = DrawnEllipsoid.of(np.diag([0.0, 1.0, 2.0]), np.zeros(3), scale=1.0, unit="")
     lengths = np.linalg.norm(drawn.transform[:3, :3], axis=0)
     np.testing.assert_allclose(lengths, [2e-6, 1.0, 2.0])
 
