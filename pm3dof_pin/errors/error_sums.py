@@ -15,7 +15,6 @@ import numpy as np
 from pm3dof_pin.errors.error_budget import error_budget
 from pm3dof_pin.errors.normal_vectors import mean_radius
 from pm3dof_pin.errors.pose_error import TIP_LENGTH
-from pm3dof_pin.errors.sensitivity import PROGRAM_FROM
 from pm3dof_pin.errors.sensitivity_program import Motions, Outputs, reduced
 from pm3dof_pin.errors.source_errors import ErrorSources
 from pm3dof_pin.kinematics.pose_values import BatchOptions, PoseValues, evaluate_at
@@ -29,6 +28,7 @@ KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
 """Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
 
 _CLASS = "kinematic parameters"
+_PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to find the program and its numbers
 
 
 def kinematic_sum(
@@ -72,7 +72,7 @@ def kinematic_sum(
         (),
         program=program,
         careful=lambda q: getattr(error_budget(sources, robot.at([q]), eta=eta, names=[_CLASS]), name),
-        program_from=PROGRAM_FROM,
+        program_from=_PROGRAM_FROM,
         **options,
     )
 

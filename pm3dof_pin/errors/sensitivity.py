@@ -30,7 +30,7 @@ from pm3dof_pin.typing import Array, Engine, Mask
 _POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
-PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to find the program and its numbers
+_PROGRAM_FROM = 100  # poses: a calibration from fewer takes Pinocchio no longer than tracing and compiling does
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def sensitivities(
         own = _of_motions(poses, by_errors, by_drives)
         parts = [(tool.errors, own.errors), (tool.commands, own.commands)]
         return Sensitivities(*(frozen(np.concatenate(pair, axis=1)) for pair in parts))
-    if engine == "program" and len(poses) >= PROGRAM_FROM:
+    if engine == "program" and len(poses) >= _PROGRAM_FROM:
         from pm3dof_pin.errors.sensitivity_program import evaluated
 
         try:

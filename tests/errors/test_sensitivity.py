@@ -147,7 +147,7 @@ def test_frames_inside_frames_move_together() -> None:
 @pytest.mark.parametrize("robot", ["pm3dof", "hexapod", "three_rps"])
 def test_the_program_is_the_careful_engine(robot: str) -> None:
     described = Robot.load(robot)
-    poses = reachable_poses(described, 60, np.random.default_rng(7))
+    poses = reachable_poses(described, 100, np.random.default_rng(7))
     errors = closable(GeometricErrors(described), poses)
     errors = GeometricErrors(described, errors.parameters[_some(errors)])
     for values in (errors.zeros, errors.sample(np.random.default_rng(8))):
