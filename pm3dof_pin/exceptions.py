@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 _LONGEST = 2000
+_MOST_LINES = 10
 
 
 def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
@@ -198,12 +199,12 @@ class MeasurementError(PM3DofError):
         super().__init__(f"{self.path}: {lines_in_words(self.rows)}{problem}")
 
 
-def lines_in_words(rows: Sequence[int], most: int = 10) -> str:
+def lines_in_words(rows: Sequence[int]) -> str:
     """Return "line 3: ", "lines 3, 5, 9: " or nothing, long lists cut short."""
     if not rows:
         return ""
-    listed = ", ".join(str(row) for row in rows[:most])
-    more = f" and {len(rows) - most} more" if len(rows) > most else ""
+    listed = ", ".join(str(row) for row in rows[:_MOST_LINES])
+    more = f" and {len(rows) - _MOST_LINES} more" if len(rows) > _MOST_LINES else ""
     return f"line{'s' if len(rows) > 1 else ''} {listed}{more}: "
 
 

@@ -60,14 +60,6 @@ class _SwingLimit(Schema):
     swing_rad: Annotated[float, msgspec.Meta(gt=0.0, le=math.pi)]
 
 
-class _Command(Schema):
-    name: Name
-    joint: Name
-    unit: Unit
-    offset: float = 0.0  # of the counter, which may count micrometres
-    scale: float = 1.0
-
-
 class _Coordinate(Schema):
     name: Name
     unit: Unit
@@ -90,7 +82,7 @@ class ClosuresSchema(Schema):
     motion_coordinates: list[Name] | None = None
     closure_limits: list[_SwingLimit | None] | None = None
     springs: list[dict[str, Any]] | None = None
-    commands: list[_Command] | None = None
+    commands: list[Command] | None = None
     coordinates: list[_Coordinate] | None = None
     limit_groups: dict[Name, list[Name | int]] | None = None
     tool_motions: Annotated[list[ToolComponent], msgspec.Meta(min_length=1)] | None = None
@@ -139,7 +131,7 @@ def _closures(path: Path, file: ClosuresSchema) -> tuple[LoopClosure, ...]:
 def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:
     for k, entry in enumerate(file.commands or ()):
         _require_scale(path, f"commands[{k}]", entry)
-    commands = tuple(Command(c.name, c.joint, c.unit, c.offset, c.scale) for c in file.commands or ())
+    commands = tuple(file.commands or ())
     if commands and file.name_mot and [command.joint for command in commands] != file.name_mot:
         raise DescriptionError(
             path, "commands", f"expected one for each joint of name_mot, in its order: {', '.join(file.name_mot)}"
@@ -162,7 +154,7 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
     )
 
 
-def _require_scale(path: Path, place: str, entry: _Command | _Coordinate) -> None:
+def _require_scale(path: Path, place: str, entry: Command | _Coordinate) -> None:
     scale = entry.scale
     if not _LEAST_SCALE <= abs(scale) <= 1.0 / _LEAST_SCALE:
         expected = f"expected a magnitude from {_LEAST_SCALE:g} to {1.0 / _LEAST_SCALE:g}, not {scale:g}"

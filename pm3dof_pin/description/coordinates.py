@@ -7,6 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+import msgspec
+
+from pm3dof_pin.description.schema import Name
+
 Unit: TypeAlias = Literal["m", "rad"]
 ToolComponent: TypeAlias = Literal["x", "y", "z", "rx", "ry", "rz"]
 
@@ -23,12 +27,11 @@ def shown_in(unit: str) -> tuple[float, str]:
     return (180.0 / math.pi, "deg") if unit == "rad" else (1.0, unit)
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the counter of a drive shows: scale times the joint's coordinate plus offset."""
 
-    name: str  #: its name
-    joint: str  #: the actuated joint
+    name: Name  #: its name
+    joint: Name  #: the actuated joint
     unit: Unit  #: "m" or "rad"
     offset: float = 0.0  #: what the counter shows where the joint's coordinate is zero [unit]
     scale: float = 1.0  #: counter units per unit of the joint's coordinate, not zero

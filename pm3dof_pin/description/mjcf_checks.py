@@ -58,11 +58,11 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
         for element in section.iter():
             _check_element(element, path)
     classes = {"main", *(default.get("class") for default in root.iter("default"))}
-    for world in root.findall("worldbody"):
-        for element in world.iter():
-            if unknown := {element.get("class", "main"), element.get("childclass", "main")} - classes:
-                raise DescriptionError(path, f"<{element.tag}>", f"no default class '{unknown.pop()}' in <default>")
-    joints = sum(1 for world in root.findall("worldbody") for element in world.iter() if element.tag.endswith("joint"))
+    elements = [*root.findall("worldbody"), *root.findall("worldbody//*")]
+    for element in elements:
+        if unknown := {element.get("class", "main"), element.get("childclass", "main")} - classes:
+            raise DescriptionError(path, f"<{element.tag}>", f"no default class '{unknown.pop()}' in <default>")
+    joints = sum(element.tag.endswith("joint") for element in elements)
     if joints > MOST_IN_A_ROW:
         raise DescriptionError(path, "<worldbody>", f"has {joints} joints, expected at most {MOST_IN_A_ROW}")
     for world in root.findall("worldbody"):

@@ -15,6 +15,7 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
 _NEIGHBOUR_TRIALS = 5
+_DISTANCE = 0.1  # of the first of them [rad, characteristic lengths]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +66,16 @@ def instantaneous_mobility(configuration: Configuration) -> Mobility:
     )
 
 
-def generic_configuration(configuration: Configuration, *, distance: float = 0.1, seed: int = 0) -> Configuration:
+def generic_configuration(configuration: Configuration, *, seed: int = 0) -> Configuration:
     """Find an assembled configuration near by at which, with probability one, nothing is singular.
 
-    Every joint is moved at random, by `distance` at most [rad, characteristic lengths], and the loops are closed again.
-    Joint limits are not checked.
+    Every joint is moved at random by at most a tenth of a radian or characteristic length, and the loops are closed
+    again. Joint limits are not checked.
 
     Raises:
         ConvergenceError: the loops did not close anywhere near.
     """
-    mechanism, generator = configuration.mechanism, np.random.default_rng(seed)
+    mechanism, generator, distance = configuration.mechanism, np.random.default_rng(seed), _DISTANCE
     for _ in range(_NEIGHBOUR_TRIALS):
         motion = mechanism.velocity_scale * generator.uniform(-distance, distance, mechanism.model.nv)
         result = assemble(mechanism, pin.integrate(mechanism.model, configuration.q, motion))

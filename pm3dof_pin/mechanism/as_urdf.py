@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import yaml
@@ -264,7 +265,7 @@ def _closures(mechanism: Mechanism) -> dict[str, Any]:
         "motion_coordinates": list(mechanism.motion_coordinates),
         "tool_motions": [] if mechanism.tool_motions == TOOL_COMPONENTS else list(mechanism.tool_motions),
         "closure_limits": [loop.swing_limit and {"swing_rad": loop.swing_limit} for loop in mechanism.closures],
-        "commands": [_without_none(vars(command)) for command in mechanism.commands],
+        "commands": [msgspec.structs.asdict(command) for command in mechanism.commands],
         "coordinates": [_coordinate(vars(coordinate)) for coordinate in mechanism.declared_coordinates],
         "limit_groups": {
             group.name: [*group.joints, *group.closures]

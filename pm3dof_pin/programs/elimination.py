@@ -9,7 +9,7 @@ Quantities are to be scaled so that one is the size of a column well away from z
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -151,22 +151,22 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
             break
         enough = _SHARE * max(sizes.values())
         chosen = min((c for c in waiting if sizes[c] >= enough), key=lambda c: (len(fronts[c]), -c))
-        front = _largest_first(fronts[chosen], [rows[i][chosen] for i in fronts[chosen]])
-        reflection = reflect([rows[i][chosen] for i in front], front)
+        reflection = reflect({i: rows[i][chosen] for i in fronts[chosen]})
+        indices = reflection.indices
         for c in range(system.shape[1]):
-            column: dict[int, Scalar] = {i: rows[i][c] for i in front}
+            column: dict[int, Scalar] = {i: rows[i][c] for i in indices}
             if c == chosen:
-                column = {**dict.fromkeys(front, 0.0), front[0]: reflection.pivot}
+                column = {**dict.fromkeys(indices, 0.0), indices[0]: reflection.pivot}
             else:
                 reflection.apply(column)
-            for i in front:
+            for i in indices:
                 rows[i][c] = column[i]
         doubt.note_pivot(reflection.size)
         reflections.append(reflection)
         waiting.remove(chosen)
         done.append(chosen)
-        pivots.append(front[0])
-        active.remove(front[0])
+        pivots.append(indices[0])
+        active.remove(indices[0])
     n = system.shape[1]
     return Elimination(
         tuple(done),
@@ -178,18 +178,21 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
     )
 
 
-def reflect(entries: Sequence[Scalar], indices: Sequence[int]) -> Reflection:
-    """Return the matrix that takes a vector, given by its entries that are not zero, to its first index."""
+def reflect(vector_entries: Mapping[int, Scalar]) -> Reflection:
+    """Return the matrix that takes a vector, given by its entries that are not zero, to the index of the largest."""
+    sizes = {k: typical(np.abs(samples(entry))) for k, entry in vector_entries.items()}
+    indices = tuple(sorted(sizes, key=lambda k: -sizes[k]))
+    entries = [vector_entries[k] for k in indices]
     if len(entries) == 1:
-        return Reflection(tuple(indices), (1.0,), None, entries[0], absolute(entries[0]))
+        return Reflection(indices, (1.0,), None, entries[0], absolute(entries[0]))
     size = sqrt(total([entry * entry for entry in entries]))
     if len(entries) == 2:
         inverse = 1.0 / size
-        return Reflection(tuple(indices), (entries[0] * inverse, entries[1] * inverse), None, size, size)
+        return Reflection(indices, (entries[0] * inverse, entries[1] * inverse), None, size, size)
     pivot = select(less(entries[0], 0.0), size, -size)
     vector = (entries[0] - pivot, *entries[1:])
     factor = -1.0 / (pivot * vector[0])
-    return Reflection(tuple(indices), vector, tuple(factor * v for v in vector), pivot, size)
+    return Reflection(indices, vector, tuple(factor * v for v in vector), pivot, size)
 
 
 def solve_upper(triangle: Objects, right: Objects) -> Objects:
@@ -252,8 +255,3 @@ def _lengths(entries: Sequence[Scalar]) -> Array:
     squares = sum((np.square(samples(entry)) for entry in entries), np.zeros(1))
     lengths: Array = np.sqrt(squares)
     return lengths
-
-
-def _largest_first(indices: Sequence[int], entries: Sequence[Scalar]) -> list[int]:
-    sizes = {k: typical(np.abs(samples(entry))) for k, entry in zip(indices, entries, strict=True)}
-    return sorted(indices, key=lambda k: -sizes[k])

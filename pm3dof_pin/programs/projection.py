@@ -63,8 +63,7 @@ def triangular(rows: Objects) -> Objects:
 
 def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
     """Apply the reflection that leaves only the largest entry of a row to other rows."""
-    places = sorted(entries, key=lambda c: -typical(np.abs(samples(entries[c]))))
-    reflection = reflect([entries[c] for c in places], places)
+    reflection = reflect(entries)
     for row in rows:
         reflection.apply(row)
     return reflection
