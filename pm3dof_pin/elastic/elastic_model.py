@@ -26,7 +26,7 @@ from pm3dof_pin.elastic.virtual_joints import insert_virtual_joints
 from pm3dof_pin.exceptions import DescriptionError, InvalidValueError, JointNotFoundError, ProgramError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.configuration import Configuration
-from pm3dof_pin.typing import Indices, Matrix, Vector
+from pm3dof_pin.typing import Array, Indices, Matrix, Vector
 
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.closing_programs import BoundProgram
@@ -235,7 +235,7 @@ class ElasticModel:
         return gradient, hessian
 
     @cached_property
-    def compliance_root(self) -> tuple[Matrix, NDArray[np.float64]]:
+    def compliance_root(self) -> tuple[Matrix, Array]:
         """A root U of the springs' compliance, K^-1 = U U^T over :attr:`spring_indices`, where all lengths are 1 m.
 
         At other lengths row i of U is to be multiplied by the spring's length to the power of entry i of the second

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS
 from pm3dof_pin.elastic.springs import (
@@ -29,6 +29,7 @@ from pm3dof_pin.elastic.springs import (
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.mechanism.joint_types import VELOCITY_CONSTANTS
+from pm3dof_pin.typing import Indices
 
 _JOINT_MODELS = {
     "x": pin.JointModelPX,
@@ -50,8 +51,8 @@ class _VirtualJoints:
 
     mechanism: Robot  #: the mechanism with virtual joints; it names no springs any more
     joints: Mapping[str, tuple[str, ...]]  #: names of the virtual joints of each spring, in the order of its stiffness
-    q_indices: NDArray[np.intp]  #: index in its q of each entry of the rigid mechanism's q, shape=(nq,)
-    v_indices: NDArray[np.intp]  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
+    q_indices: Indices  #: index in its q of each entry of the rigid mechanism's q, shape=(nq,)
+    v_indices: Indices  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
 
 
 def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> _VirtualJoints:
@@ -320,7 +321,7 @@ class _Builder:
         for anchor in self._anchor_frames:
             self._new.addFrame(anchor, False)
 
-    def _copy_constants(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _copy_constants(self) -> tuple[Indices, Indices]:
         """Copy what is kept joint by joint; return where the entries of the old q and v stand in the new ones."""
         q_indices, v_indices = np.empty(self._old.nq, dtype=np.intp), np.empty(self._old.nv, dtype=np.intp)
         for body in self._bodies[1:]:
@@ -339,7 +340,7 @@ class _Builder:
         self._new.name = self._old.name
         return q_indices, v_indices
 
-    def _set(self, name: str, indices: NDArray[np.intp], old: ArrayLike, values: ArrayLike) -> None:
+    def _set(self, name: str, indices: Indices, old: ArrayLike, values: ArrayLike) -> None:
         numbers = np.array(values)
         numbers[indices] = old
         setattr(self._new, name, numbers)

@@ -46,12 +46,9 @@ def independent_motions(configuration: Configuration, *, components: Sequence[To
     """Compute the velocities of all joints that belong to the platform's independent motions, shape=(nv, p).
 
     Column k is the velocity at which motion k has rate 1 and the others 0. The motions are the components of the tool's
-    twist that are named; else the motion coordinates, if the mechanism has such; else the :func:`motion_components`.
-    Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is taken.
-
-    Args:
-        configuration: an assembled configuration.
-        components: components of the tool's twist, world axes.
+    twist, world axes, that are named; else the motion coordinates, if the mechanism has such; else the
+    :func:`motion_components`. Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is
+    taken.
 
     Raises:
         SingularConfigurationError: the motions are not independent there, or actuated joints or the tool can move

@@ -38,16 +38,13 @@ class Mobility:
 
 
 def instantaneous_mobility(configuration: Configuration) -> Mobility:
-    """Count the degrees of freedom of a configuration.
+    """Count the degrees of freedom of an assembled configuration.
 
     Example:
         >>> import pm3dof_pin as pm
         >>> mobility = pm.instantaneous_mobility(pm.load("three_rps").home)
         >>> mobility.count, mobility.redundant_constraints
         (3, 15)
-
-    Args:
-        configuration: an assembled configuration.
 
     Raises:
         DescriptionError: the mechanism has no tool frame.

@@ -98,7 +98,7 @@ def singularity_distances(
     The measure is the least of the singular values that a generic configuration has, of the matrix that loses rank
     there: the closures, the actuated joints' rates, the tool's motions, or the latter two together, over the degrees of
     freedom. It is zero at the singularity, and near it as good as linear in the distance. Lengths are divided by
-    the characteristic length.
+    the characteristic length. Arguments and errors are those of :func:`singularities`.
 
     Example:
         >>> import numpy as np
@@ -113,15 +113,8 @@ def singularity_distances(
         0.0501
         0.0049
 
-    Args:
-        configuration: an assembled configuration.
-        generic: see :func:`singularities`.
-
     Returns:
         One for each type that the mechanism can have at all: one without closures has no constraint singularity.
-
-    Raises:
-        PM3DofError: see there.
     """
     dof = DegreesOfFreedom(configuration)
     found = []

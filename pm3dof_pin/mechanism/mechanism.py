@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.arrays import finite_array, frozen, require_kind
 from pm3dof_pin.description.closures import LoopClosure
@@ -29,7 +29,7 @@ from pm3dof_pin.description.inertia_checks import inertia_problem
 from pm3dof_pin.description.robots import RobotFiles
 from pm3dof_pin.exceptions import DescriptionError, FrameNotFoundError, InvalidValueError, JointNotFoundError
 from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
-from pm3dof_pin.typing import Array, Vector
+from pm3dof_pin.typing import Array, Indices, Mask, Vector
 
 _MEETING = 1e-9  # m, rad
 _MOST_GROUPS = 31  # beside REACH, in 32 bits
@@ -293,7 +293,7 @@ class Mechanism:
         direction = twist[3:] if twist[3:].any() else twist[:3]
         return np.asarray(direction / np.linalg.norm(direction))
 
-    def velocity_indices(self, joints: Iterable[str]) -> NDArray[np.intp]:
+    def velocity_indices(self, joints: Iterable[str]) -> Indices:
         """Return the indices in v of joints as :meth:`single_joint`, in the order given."""
         return frozen(np.array([self.single_joint(name).v_index for name in joints], dtype=np.intp))
 
@@ -304,7 +304,7 @@ class Mechanism:
             raise InvalidValueError("q", positions, "cosine-sine pairs and quaternions of length 1")
         return positions
 
-    def place_joints(self, q: Vector, coordinates: Mapping[str, ArrayLike]) -> tuple[Vector, NDArray[np.intp]]:
+    def place_joints(self, q: Vector, coordinates: Mapping[str, ArrayLike]) -> tuple[Vector, Indices]:
         """Set coordinates of joints [m, rad] in q; return q and the indices in v that stay free to move.
 
         Raises:
@@ -421,7 +421,7 @@ def _frame_ids(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _single_joints(model: pin.Model, translates: NDArray[np.bool_]) -> dict[str, _SingleJoint]:
+def _single_joints(model: pin.Model, translates: Mask) -> dict[str, _SingleJoint]:
     return {
         model.names[index]: _SingleJoint(
             model.names[index], joint.idx_q, joint.idx_v, joint.nq == 2, bool(translates[joint.idx_v])
@@ -444,7 +444,7 @@ def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
     return np.where(limited, limits, unlimited)
 
 
-def _is_translation(model: pin.Model) -> NDArray[np.bool_]:
+def _is_translation(model: pin.Model) -> Mask:
     """Tell which entries of v are velocities along an axis, without any rotation, shape=(nv,)."""
     neutral, translates = pin.neutral(model), np.empty(model.nv, dtype=bool)
     for joint in list(model.joints)[1:]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, ToolComponent
 from pm3dof_pin.exceptions import InvalidValueError
@@ -34,7 +34,7 @@ from pm3dof_pin.programs.joints import cross, objects
 from pm3dof_pin.programs.loops import Equations, closure_equations, largest, largest_residual, tool_equations
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.programs.tree import Tree
-from pm3dof_pin.typing import Objects
+from pm3dof_pin.typing import Array, Objects
 
 _ROUNDING = 1e-12
 """Determinants and pivots, scaled, that count as zero."""
@@ -177,13 +177,13 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
     return _Given(tree, equations, mechanism.length_unit, set(tree.slides), {joint.v_index for joint in held}, further)
 
 
-def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: NDArray[np.float64]) -> dict[str, Number]:
+def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: Array) -> dict[str, Number]:
     """Add the targets to the inputs; their samples are where the tool is."""
     rows = tool_components([Configuration(mechanism, q).tool_placement.homogeneous for q in samples])
     return {name: graph.input(name, rows[:, TOOL_COMPONENTS.index(name)]) for name in task.tool}
 
 
-def regularity_and_mode(margin: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def regularity_and_mode(margin: Array) -> tuple[Array, Array]:
     """Return from `margin` how regular configurations are, in (0, 1), and their assembly modes, 0 the samples'."""
     mode = -np.floor(0.5 * margin)
     return margin + 2.0 * mode, mode

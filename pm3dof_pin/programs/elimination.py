@@ -13,13 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs.graph import Number, Scalar, Truth, absolute, is_zero, less, maximum, minimum, select, sqrt
-from pm3dof_pin.typing import Objects
-
-Array = NDArray[np.float64]
+from pm3dof_pin.typing import Array, Objects
 
 ZERO = 1e-9
 """Columns shorter than this times the longest at all sample poses are dropped."""

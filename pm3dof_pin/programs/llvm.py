@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import binding
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.programs import drivers
 from pm3dof_pin.programs.program import Program
+from pm3dof_pin.typing import Array, Mask
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
 
@@ -38,9 +39,9 @@ class Target(NamedTuple):
 class Iteration(NamedTuple):
     """What an iteration came to."""
 
-    states: NDArray[np.float64]  #: shape=(n, size of the state)
-    residuals: NDArray[np.float64]  #: residual that the last step began with, shape=(n,)
-    steps: NDArray[np.float64]  #: number of steps taken, shape=(n,)
+    states: Array  #: shape=(n, size of the state)
+    residuals: Array  #: residual that the last step began with, shape=(n,)
+    steps: Array  #: number of steps taken, shape=(n,)
 
 
 @cache
@@ -139,9 +140,7 @@ class Compiled:
         except (RuntimeError, OSError) as error:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
-    def with_doubt(
-        self, inputs: ArrayLike, parameters: ArrayLike, threads: int | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def with_doubt(self, inputs: ArrayLike, parameters: ArrayLike, threads: int | None = None) -> tuple[Array, Mask]:
         """Evaluate a program whose last output is 1 where nothing is in doubt; return the others, and where it is 1."""
         rows = np.asarray(inputs, dtype=np.float64)
         sound = np.empty(len(rows), dtype=bool)
@@ -160,10 +159,10 @@ class Compiled:
         self,
         inputs: ArrayLike,
         parameters: ArrayLike = (),
-        out: NDArray[np.float64] | None = None,
+        out: Array | None = None,
         threads: int | None = None,
-        then: Callable[[slice, NDArray[np.float64]], object] | None = None,
-    ) -> NDArray[np.float64]:
+        then: Callable[[slice, Array], object] | None = None,
+    ) -> Array:
         """Evaluate the program at many poses.
 
         Args:
@@ -214,8 +213,8 @@ class Compiled:
 
     def march(
         self,
-        lines: NDArray[np.float64],
-        given: NDArray[np.float64],
+        lines: Array,
+        given: Array,
         parameters: ArrayLike,
         shares: ArrayLike,
         *,
@@ -280,13 +279,13 @@ class Compiled:
     def _run(
         self,
         name: str,
-        rows: NDArray[np.float64],
+        rows: Array,
         parameters: ArrayLike,
-        outputs: NDArray[np.float64],
+        outputs: Array,
         threads: int | None,
         *more: float,
         length: int = 1,
-        then: Callable[[slice, NDArray[np.float64]], object] | None = None,
+        then: Callable[[slice, Array], object] | None = None,
     ) -> None:
         """Call a function on the rows, in parts of them where there are threads; `length` evaluations are a row."""
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
@@ -341,7 +340,7 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _address(array: NDArray[np.float64]) -> int:
+def _address(array: Array) -> int:
     try:
         return ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # three times as fast
     except (TypeError, ValueError):  # read-only, not contiguous, or empty
@@ -349,7 +348,7 @@ def _address(array: NDArray[np.float64]) -> int:
         return address
 
 
-def _rows(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
+def _rows(name: str, values: ArrayLike, columns: int) -> Array:
     """Return an array whose rows are contiguous, without a copy where possible."""
     rows = np.asarray(values, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != columns:
@@ -359,7 +358,7 @@ def _rows(name: str, values: ArrayLike, columns: int) -> NDArray[np.float64]:
     return rows
 
 
-def _writable(name: str, rows: NDArray[np.float64], n: int, columns: int) -> NDArray[np.float64]:
+def _writable(name: str, rows: Array, n: int, columns: int) -> Array:
     fits = rows.shape == (n, columns) and rows.dtype == np.float64 and rows.flags.writeable and rows.flags.aligned
     if not fits or (columns > 1 and rows.strides[1] != 8) or rows.strides[0] % 8:
         raise InvalidValueError(

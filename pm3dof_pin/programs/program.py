@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pm3dof_pin.exceptions import InvalidValueError
+from pm3dof_pin.typing import Array
 
 FORMAT = "pm3dof program 1"
 
@@ -83,7 +84,7 @@ class Program:
             first = places[name].stop
         return places
 
-    def split(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    def split(self, flat: Array) -> dict[str, Array]:
         """Return views of flat outputs, shape=(..., number of outputs), by group: shape=(..., *shape of the group)."""
         return {
             name: flat[..., self.slices[name]].reshape((*flat.shape[:-1], *shape))
@@ -167,7 +168,7 @@ class Program:
         """Whether the program closes loops, its state being q, `margin` and `jump`."""
         return self.can_iterate and tuple(self.outputs) == ("q", "margin", "jump", "residual")
 
-    def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> NDArray[np.float64]:
+    def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> Array:
         """Run the program at n poses with NumPy, operation by operation: slow, and the reference for the printers."""
         rows = np.asarray(inputs, dtype=float)
         values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=float), *map(np.float64, self.constants)]
