@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pm3dof_pin.exceptions import InvalidValueError
@@ -176,6 +176,7 @@ def test_program_to_bytes_and_back(graph, a, b):
 FINITE = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 7), st.integers(0, 100), st.integers(0, 100)), max_size=30), FINITE, FINITE)
 def test_folding_keeps_the_value(steps, first, second):
     """What is folded and shared has the value of the same expression in floats, wherever all of it is finite."""
