@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -109,6 +110,24 @@ def test_what_is_the_same_for_all_poses():
     program = graph.program("f", {"y": [length, x * length, 4.0, p, x, sin(q) - x]})
     values = llvm.compile(program)([[1.0], [2.0]], [3.0, 4.0, 0.0])
     assert np.allclose(values, [[5, k * 5, 4, 3, k, math.sin(4.0) - k] for k in (1, 2)], rtol=1e-15)
+
+
+@pytest.mark.parametrize("careful", [False, True])
+def test_a_sum_with_a_product_is_rounded_as_the_text_says(careful):
+    """Once where the processor can; the same whether LLVM takes care or not."""
+    graph = Graph()
+    x, y, z = (graph.input(name, [0.5]) for name in "xyz")
+    program = graph.program("f", {"values": [x * y + z, y * z - x, y - z * x, x * x + y * y]})
+    inputs = np.random.default_rng(5).normal(size=(200, 3))
+    outputs = llvm.compile(program, careful=careful)(inputs)
+    assert np.array_equal(llvm.compile(program, careful=not careful)(inputs), outputs)
+    if not llvm.target().fuses:
+        assert np.array_equal(outputs, program.evaluate(inputs))
+        return
+    for (a, b, c), row in zip(inputs.tolist(), outputs, strict=True):
+        u, v, w = map(Fraction, (a, b, c))
+        assert row[:3].tolist() == [float(u * v + w), float(v * w - u), float(v - w * u)]
+        assert row[3] in (float(u * u + Fraction(b * b)), float(Fraction(a * a) + v * v))
 
 
 def root_finder(lanes=None):
