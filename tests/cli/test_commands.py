@@ -162,12 +162,13 @@ def test_info_of_an_actuated_joint_without_limits(run: Run, tmp_path: Path) -> N
     assert [line.split()[:2] for line in lines[-2:]] == [["hinge[0]", "actuated"], ["hinge[1]", "actuated"]]
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_main_job_writes_everything_and_says_where(run: Run, tmp_path: Path) -> None:
     result = run("stiffness-map", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    written = {path.name: path.stat().st_size for path in (tmp_path / "results").iterdir()}
+    written = {path.name for path in (tmp_path / "results").iterdir()}
     pictures = {"figure_8_3a_theta_x.png", "figure_8_3b_theta_y.png", "figure_8_3c_t_z.png", "figure_8_4_global.png"}
-    assert set(written) == {"stiffness_map.nc", "stiffness_map.csv"} | pictures
+    assert written == {"stiffness_map.nc", "stiffness_map.csv"} | pictures
     assert all(f"wrote {Path('results') / name}" in result.stderr for name in written)
     assert "theta_y average" in result.stdout
     assert "\x1b" not in result.stderr  # no progress bar in a pipe

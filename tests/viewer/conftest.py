@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pm3dof_pin.exceptions import BrowserError
+from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.viewer.browser import Browser, find_browser
 
 Array = NDArray[np.float64]
@@ -161,6 +163,12 @@ class Page:
         finally:
             self.ask("window.isDrawing = false")
         return np.asarray(imread(io.BytesIO(picture), format="png"))[..., :3].astype(float)
+
+
+@pytest.fixture(scope="session")
+def load() -> Callable[[str], Robot]:
+    """Robots of the package, loaded once: what a page computes is traced once for each."""
+    return cache(Robot.load)
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -68,9 +69,9 @@ def test_bad_paths(mechanism: Robot) -> None:
         viewer.play([home, home], duration=0.0)
 
 
-def test_a_path_says_how_far_singular_poses_are() -> None:
+def test_a_path_says_how_far_singular_poses_are(load: Callable[[str], Robot]) -> None:
     """A hexapod is singular where it is turned by 90 degrees (E. Fichter, 1986), its distance linear in the angle."""
-    hexapod = Robot.load("hexapod")
+    hexapod = load("hexapod")
     poses = [[0.0, 0.0, 0.135, 0.0, 0.0, np.radians(turn)] for turn in (0.0, 89.8, 89.9, 90.0)]
     with Viewer(hexapod) as viewer:
         viewer.play(list(hexapod.solve(poses)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ pytestmark = pytest.mark.browser
 
 
 @pytest.mark.parametrize("robot", ["hexapod", "three_rps"])
-def test_other_robots(page: Any, tmp_path: Path, robot: str) -> None:
-    mechanism = Robot.load(robot)
+def test_other_robots(page: Any, load: Callable[[str], Robot], tmp_path: Path, robot: str) -> None:
+    mechanism = load(robot)
     viewer = Viewer(mechanism)
     model = ElasticModel(mechanism)
     where = mechanism.home

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -41,8 +42,8 @@ def test_a_label_is_a_picture_with_its_data() -> None:
 
 
 @pytest.mark.parametrize("name", ["pm3dof", "hexapod"])
-def test_labels_are_drawn_on_bodies(name: str) -> None:
-    with Viewer(Robot.load(name)) as viewer:
+def test_labels_are_drawn_on_bodies(load: Callable[[str], Robot], name: str) -> None:
+    with Viewer(load(name)) as viewer:
         drawn: list[tuple[str, str]] = []
         original = viewer.scene.set_object
         viewer.scene.set_object = lambda path, lowered, **options: (  # type: ignore[method-assign]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,8 @@ POSE = [0.004, -0.003, 0.137, 0.05, -0.04, 0.03]
 
 
 @pytest.fixture(scope="module")
-def hexapod() -> Robot:
-    return Robot.load("hexapod")
+def hexapod(load: Callable[[str], Robot]) -> Robot:
+    return load("hexapod")
 
 
 @pytest.fixture(scope="module")
@@ -261,10 +261,9 @@ def test_hostile_links_change_nothing(shown: Any, saved: Path) -> None:
     np.testing.assert_array_equal(shown.ask("[...pm3dof.pose().q]"), before)
 
 
-def test_singular_poses_are_announced(page: Any, tmp_path: Path) -> None:
+def test_singular_poses_are_announced(page: Any, hexapod: Robot, tmp_path: Path) -> None:
     """The hexapod turned by almost 90 degrees about z, where its struts lose the platform (Fichter, 1986)."""
-    robot = Robot.load("hexapod")
-    page.open(Viewer(robot).save_html(tmp_path / "page.html").as_uri())
+    page.open(Viewer(hexapod).save_html(tmp_path / "page.html").as_uri())
     assert page.warnings() == []
     for angle in np.radians([20.0, 40.0, 60.0, 80.0, 88.0]):
         page.ask(f"pm3dof.slide(5, {angle})")
@@ -272,10 +271,11 @@ def test_singular_poses_are_announced(page: Any, tmp_path: Path) -> None:
     assert page.browser.errors == []
 
 
-def test_other_assemblies_are_those_of_the_closed_form(page: Any, tripod: Tripod, tmp_path: Path) -> None:
+def test_other_assemblies_are_those_of_the_closed_form(
+    page: Any, mechanism: Robot, tripod: Tripod, tmp_path: Path
+) -> None:
     """Every way the page finds to assemble the tripod at given commands is one of all that the equations have."""
-    robot = Robot.load("pm3dof")
-    page.open(Viewer(robot).save_html(tmp_path / "page.html").as_uri())
+    page.open(Viewer(mechanism).save_html(tmp_path / "page.html").as_uri())
     commands = [0.25, 0.23, 0.245]
     sets = page.ask("pm3dof.robot().data.sets.map(set => set.title)")
     found = page.call(
@@ -289,7 +289,7 @@ def test_other_assemblies_are_those_of_the_closed_form(page: Any, tripod: Tripod
     for coordinates in found:
         assert np.abs(placement(known) - placement(coordinates)).max(axis=(-1, -2)).min() < 1e-7, coordinates
     assert np.abs(np.array(found)[:, :2]).max() < np.pi + 1e-9
-    near = robot.forward(commands).coordinates
+    near = mechanism.forward(commands).coordinates
     assert np.abs(np.array(found) - near).max(axis=1).min() < 1e-9
     q = page.ask(
         "(document.querySelectorAll('#sets button')[1].click(), pm3dof.showAssemblies(),"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,8 @@ def sized(page: Any) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_page_fits_and_is_readable(sized: Any, name: str, tmp_path: Path) -> None:
-    robot = Robot.load(name)
+def test_the_page_fits_and_is_readable(sized: Any, load: Callable[[str], Robot], name: str, tmp_path: Path) -> None:
+    robot = load(name)
     viewer = Viewer(robot)
     compliance = cartesian_compliance(ElasticModel(robot), robot.home).compliance
     for kind in ("translation", "rotation"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ LENGTH = 0.2
 
 
 @pytest.fixture(scope="module")
-def shell(tripod: Tripod) -> _Shell:
-    return workspace_shell(Robot.load("pm3dof"), "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
+def shell(mechanism: Robot) -> _Shell:
+    return workspace_shell(mechanism, "felt_stiffness:z", tool_length=LENGTH, heights=15, directions=36)
 
 
 def poses_of(tips: np.ndarray) -> np.ndarray:
@@ -32,10 +33,10 @@ def poses_of(tips: np.ndarray) -> np.ndarray:
     return np.column_stack([theta_x, theta_y, tips[:, 2] - LENGTH * np.cos(theta_x) * np.cos(theta_y)])
 
 
-def test_tips_are_on_the_platforms_normal() -> None:
+def test_tips_are_on_the_platforms_normal(mechanism: Robot) -> None:
     coordinates = np.random.default_rng(0).uniform([-0.6, -0.6, 0.42], [0.6, 0.6, 0.54], (50, 3))
     expected = placement(coordinates) @ np.array([0.0, 0.0, LENGTH, 1.0])
-    tips = _tool_tips(Robot.load("pm3dof").solve(coordinates), LENGTH)
+    tips = _tool_tips(mechanism.solve(coordinates), LENGTH)
     np.testing.assert_allclose(tips, expected[:, :3], atol=1e-12)
     np.testing.assert_allclose(poses_of(tips), coordinates, atol=1e-11)
 
@@ -93,8 +94,8 @@ def test_wide_ranges_are_logarithmic() -> None:
 
 
 @pytest.fixture(scope="module")
-def mapped() -> MappedRobot:
-    return MappedRobot(Robot.load("pm3dof"))
+def mapped(mechanism: Robot) -> MappedRobot:
+    return MappedRobot(mechanism)
 
 
 def test_every_listed_quantity_is_one_number(mapped: MappedRobot) -> None:
@@ -120,9 +121,9 @@ def test_bad_quantities(mapped: MappedRobot, name: str, words: str) -> None:
         ScalarQuantity.find(mapped, name)
 
 
-def test_positions_need_no_tool() -> None:
+def test_positions_need_no_tool(load: Callable[[str], Robot]) -> None:
     """The hexapod's is the boundary of the tool's own positions, its corners within all limits by a hair."""
-    robot = Robot.load("hexapod")
+    robot = load("hexapod")
     shell = workspace_shell(robot, "felt_stiffness:z", tool_length=0.0, heights=5, directions=12)
     middle = np.array([0.0, 0.0, 0.135])
     inside, outside = middle + 0.99 * (shell.vertices - middle), middle + 1.01 * (shell.vertices[:-2] - middle)
