@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pm3dof_pin.calibration.calibrate import Options, calibrate
 from pm3dof_pin.calibration.judging import held_out_errors
+from pm3dof_pin.description.coordinates import Command
 from pm3dof_pin.errors.error_parameters import GeometricErrors
 from pm3dof_pin.errors.sensitivity import closable
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
@@ -34,7 +34,7 @@ def _calibrated(robot: Robot) -> tuple[Measurements, np.ndarray, np.ndarray, np.
 
 def test_counters_of_micrometres_backwards_against_metres() -> None:
     robot = Robot.load(MACHINE)
-    plain = robot.replace(commands=[replace(c, offset=0.0, scale=1.0) for c in robot.commands])
+    plain = robot.replace(commands=[Command(c.name, c.joint, c.unit) for c in robot.commands])
     measured, corrections, excess, floor = _calibrated(robot)
     measured_plainly, corrections_plainly, excess_plainly, floor_plainly = _calibrated(plain)
     np.testing.assert_allclose(measured.positions, measured_plainly.positions, atol=1e-9)
