@@ -89,8 +89,11 @@ class Page:
         self.browser.open(url)
 
     def open_again(self, url: str) -> None:
-        """Open a page, or set it back to what it was at first if it is open already, which is quicker."""
-        if self.ask("location.href") != url:
+        """Open a page, or set it back to what it was at first if it is open already, which is quicker.
+
+        What a reader chose stays in an open page, and stands in its address some time later.
+        """
+        if self.ask("location.href") != url or self.ask("Boolean(pm3dof.choice() || pm3dof.wrench())"):
             self.open(url)
         else:
             self.ask("pm3dof.receive(JSON.parse(document.getElementById('scene').textContent))")
