@@ -136,12 +136,14 @@ class PlanningProblem:
         sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.
 
     Attributes:
-        prior, instrument: see the arguments.
+        prior: see the argument.
+        instrument: what is measured.
         unknowns: names of the parameters, and of the logarithms of the springs' stiffness where wrenches are given.
         tolerances: of the unknowns, shape=(unknowns,).
         sigmas: standard deviation of the unknowns before any measurement, in tolerances, shape=(unknowns,).
         regressor: what each candidate measures, scaled, shape=(candidates, rows of a pose, unknowns).
-        measured, tested: the candidates and the test poses, with what errors do there.
+        measured: the candidates, with what errors do there.
+        tested: the test poses, likewise.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
