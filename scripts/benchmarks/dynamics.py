@@ -18,7 +18,7 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array
 
 ROBOTS = ("pm3dof", "hexapod", "three_rps")
-POSES, FEW = 4000, 20
+POSES, FEW = 20000, 20
 
 
 def main() -> dict[str, float]:
