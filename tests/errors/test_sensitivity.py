@@ -155,6 +155,7 @@ def test_the_program_is_the_careful_engine(robot: str) -> None:
         found, careful = (sensitivities(errors, at, values, engine=engine) for engine in ("program", "pinocchio"))
         np.testing.assert_allclose(found.errors, careful.errors, atol=1e-11)
         np.testing.assert_allclose(found.commands, careful.commands, atol=1e-11)
+        assert not np.array_equal(found.errors, careful.errors)  # two ways round differently: it was not the same one
 
 
 def test_drives_that_depend_on_each_other_are_refused() -> None:
