@@ -77,18 +77,25 @@ def compiled(program: Program) -> llvm.Compiled:
 
     It is compiled quickly first, and with care when it has run for so many poses that this pays.
     """
-    careful = _read(_code_name(program, careful=True))
-    if careful is not None:
-        return llvm.Compiled(program, careful)
-    return llvm.Compiled(program, _code(program, careful=False), faster=partial(_code, program, careful=True))
+    with_care = partial(_code, program, careful=True)
+    for careful in (True, False):
+        name = _code_name(program, careful=careful)
+        code = _read(name)
+        if code is not None:
+            try:
+                return llvm.Compiled(program, code, faster=None if careful else with_care)
+            except ProgramError:
+                _LOG.info("what is kept as %s cannot be loaded; compiled again", name)
+    return llvm.Compiled(program, _made(program, careful=False), faster=with_care)
 
 
 def _code(program: Program, *, careful: bool) -> bytes:
-    name = _code_name(program, careful=careful)
-    code = _read(name)
-    if code is None:
-        code = llvm.object_code(program, llvm.target().lanes, careful)
-        _keep(name, code)
+    return _read(_code_name(program, careful=careful)) or _made(program, careful=careful)
+
+
+def _made(program: Program, *, careful: bool) -> bytes:
+    code = llvm.object_code(program, llvm.target().lanes, careful)
+    _keep(_code_name(program, careful=careful), code)
     return code
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +18,8 @@ from pm3dof_pin.exceptions import InvalidValueError, ProgramError
 from pm3dof_pin.programs import drivers
 from pm3dof_pin.programs.program import Program
 from pm3dof_pin.typing import Array, Mask
+
+_LOG = logging.getLogger(__name__)
 
 _OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
 
@@ -296,7 +299,10 @@ class Compiled:
         self._poses += n * length
         if self._faster is not None and self._poses > MANY_POSES:
             faster, self._faster = self._faster, None
-            self._load(faster())
+            try:
+                self._load(faster())
+            except ProgramError as error:
+                _LOG.info("program '%s' stays as it was compiled quickly: %s", self.program.name, error)
         function = self._functions[name]
         strides = rows.strides[0] // 8, outputs.strides[0] // 8
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)

@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from pm3dof_pin.exceptions import ProgramError
 from pm3dof_pin.programs import cache, llvm
 from pm3dof_pin.programs.graph import Graph, sqrt
 
@@ -62,6 +63,38 @@ def test_many_poses_are_worth_care(folder, compilations, monkeypatch):
     assert len(compilations) == 2
     again = cache.compiled(make(3.7))
     assert np.array_equal([again(inputs) for _ in range(3)], [outputs] * 3)
+    assert len(compilations) == 2
+
+
+def test_what_cannot_be_compiled_with_care_goes_on_without(folder, monkeypatch):
+    original = llvm.object_code
+
+    def quickly_only(program, lanes, careful):
+        if careful:
+            raise ProgramError("no memory left")
+        return original(program, lanes, careful)
+
+    monkeypatch.setattr(llvm, "MANY_POSES", 100)
+    monkeypatch.setattr(llvm, "object_code", quickly_only)
+    inputs = np.random.default_rng(8).uniform(0.0, 10.0, size=(60, 1))
+    program = cache.compiled(make(3.7))
+    outputs = program(inputs)
+    assert np.array_equal([program(inputs) for _ in range(2)], [outputs] * 2)
+
+
+def test_code_that_cannot_be_loaded_is_made_again(folder, compilations, monkeypatch):
+    cache.compiled(make(3.7))
+    loads = []
+    original = llvm.Compiled._load
+
+    def failing_once(self, code):
+        loads.append(code)
+        if len(loads) == 1:
+            raise ProgramError("made elsewhere")
+        original(self, code)
+
+    monkeypatch.setattr(llvm.Compiled, "_load", failing_once)
+    assert cache.compiled(make(3.7))(np.full((1, 1), 2.0)).shape == (1, 1)
     assert len(compilations) == 2
 
 
