@@ -154,7 +154,7 @@ def spring_shares(model: ElasticModel) -> ElasticQuantity:
     return ElasticQuantity("spring_shares", (6, len(model.blocks)), traced, computed)
 
 
-def spring_contributions(model: ElasticModel) -> ElasticQuantity:
+def compliance_by_spring(model: ElasticModel) -> ElasticQuantity:
     """Return the compliance that each spring adds, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
     return ElasticQuantity(
         "contributions",

@@ -13,7 +13,7 @@ import numpy as np
 
 from pm3dof_pin.arrays import finite_array
 from pm3dof_pin.elastic.batch import elastic_model, evaluate
-from pm3dof_pin.elastic.quantities import spring_contributions
+from pm3dof_pin.elastic.quantities import compliance_by_spring
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -37,7 +37,7 @@ def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None =
     checked = finite_array("wrenches", wrenches, (len(poses), 6))
     model = elastic_model(poses.robot)
     chosen: Engine = engine or ("program" if len(poses) >= _PROGRAM_FROM else "pinocchio")
-    parts = evaluate(model, poses, spring_contributions(model), engine=chosen).values
+    parts = evaluate(model, poses, compliance_by_spring(model), engine=chosen).values
     return np.asarray(np.einsum("nsij,nj->nsi", parts, checked))
 
 
