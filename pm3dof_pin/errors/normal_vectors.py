@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Matrix
 
+_ROUNDING = 1e-6  # of the greatest deviation, whose square is well above rounding
 _EXPONENTS = np.arange(-72.0, 72.25, 0.5)  # the integrand falls as exp(-|y| / 2); spacing enough for ten digits
 
 
@@ -93,7 +94,8 @@ def covariance_root(covariance: Array) -> Array:
         InvalidValueError: the covariance is not symmetric and positive semidefinite.
     """
     scale = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
-    unit = np.where(scale > 0.0, scale, 1.0)
+    floor = _ROUNDING * scale.max(axis=-1, initial=0.0, keepdims=True)  # correlations of roundings could be any
+    unit = np.where(scale > 0.0, np.maximum(scale, floor), 1.0)
     values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
     if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:
         raise InvalidValueError("covariance", covariance.tolist(), "a symmetric positive semidefinite matrix")

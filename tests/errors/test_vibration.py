@@ -135,3 +135,10 @@ def test_roots_of_covariances() -> None:
     np.testing.assert_allclose(roots @ np.swapaxes(roots, 1, 2), covariances, rtol=1e-9)
     with pytest.raises(InvalidValueError, match="positive semidefinite"):
         covariance_root(np.diag([1.0, -1.0]))
+
+
+def test_roundings_of_components_that_do_not_move_do_not_change_the_root() -> None:
+    covariance = np.diag([4e-10, 0.0, 1e-10])
+    covariance[0, 1] = covariance[1, 0] = 0.9 * 2e-5 * 1e-17  # a correlation of 0.9 with what only is rounding
+    covariance[1, 1] = 1e-34
+    np.testing.assert_allclose(covariance_root(covariance), np.diag([2e-5, 0.0, 1e-5]), rtol=0.0, atol=1e-10)
