@@ -1,8 +1,8 @@
 """Kinematics, stiffness and calibration of closed-chain robots on Pinocchio.
 
-The public names are listed in `__init__.pyi` and loaded when they are first used, so that `import pm3dof_pin` costs
-nothing. Everything else is reached by its module; what is known of one machine only, that of chapter 8 of D. Zhang,
-Parallel Robotic Machine Tools (Springer 2010), is in :mod:`pm3dof_pin.chapter`.
+The public names are listed in `__init__.pyi` and loaded on first use, which keeps `import pm3dof_pin` fast. Everything
+else is imported from its module. Results specific to the machine of chapter 8 of D. Zhang, Parallel Robotic Machine
+Tools (Springer 2010), are in :mod:`pm3dof_pin.chapter`.
 """
 
 import lazy_loader

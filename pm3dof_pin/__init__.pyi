@@ -1,4 +1,4 @@
-# The public names and their homes, for type checkers and for lazy_loader.
+# The public names and their modules, for type checkers and lazy_loader.
 
 from . import chapter as chapter
 from .calibration.calibrate import calibrate as calibrate

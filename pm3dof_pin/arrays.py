@@ -1,4 +1,4 @@
-"""Arrays on their way in, checked, and on their way out, read-only."""
+"""Input arrays checked, output arrays made read-only."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _Array = TypeVar("_Array", bound=NDArray[Any])
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return values, named for messages, as an array of real numbers.
+    """Return values as an array of real numbers; `name` is for messages.
 
-    Texts, truth values and complex numbers are none, even where NumPy would read them, and neither are masked ones.
+    Strings, booleans, complex and masked values are refused, even where NumPy would convert them.
 
     Raises:
-        InvalidValueError: they are no real numbers, or not of one shape.
+        InvalidValueError: they are not real numbers, or are ragged.
     """
     try:
         array = np.asarray(values)
-        # nobody who has not loaded numpy.ma has a masked array, and loading it takes long
+        # without numpy.ma loaded there are no masked arrays, and loading it is slow
         if "numpy.ma" in sys.modules and np.ma.is_masked(values):
             raise InvalidValueError(name, values, "no masked numbers")
         if array.dtype.kind not in "iufO" or any(isinstance(entry, (str, bytes, bool)) for entry in _objects(array)):
@@ -41,40 +41,40 @@ def _objects(array: NDArray[Any]) -> Iterable[Any]:
 
 
 def finite_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
-    """Copy values, named for messages, into an array of finite numbers of one of some shapes.
+    """Copy values into an array of finite numbers with one of the given shapes; `name` is for messages.
 
     Raises:
-        InvalidValueError: they are not numbers, not finite, or of another shape.
+        InvalidValueError: they are not numbers, not finite, or have another shape.
     """
     array = np.array(real_array(name, values))
     if array.shape not in shapes:
         raise InvalidValueError(name, f"an array of shape {array.shape}", f"shape {' or '.join(map(str, shapes))}")
-    if not (np.abs(array) <= _GREATEST).all():  # so for NaN
+    if not (np.abs(array) <= _GREATEST).all():  # also catches NaN
         raise InvalidValueError(name, array, f"finite numbers of at most {_GREATEST:g}")
     return array
 
 
 def require_choice(name: str, value: object, choices: Any) -> None:
-    """Raise InvalidValueError unless a value is one of the words of a `Literal`."""
+    """Raise InvalidValueError unless a value is one of the strings of a `Literal`."""
     if not isinstance(value, str) or value not in get_args(choices):
         raise InvalidValueError(name, value, " or ".join(map(repr, get_args(choices))))
 
 
 def require_count(name: str, value: object, least: int = 1) -> None:
-    """Raise InvalidValueError unless a value is a whole number, and large enough."""
+    """Raise InvalidValueError unless a value is an integer of at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InvalidValueError(name, value, f"a whole number from {least} on")
+        raise InvalidValueError(name, value, f"an integer of at least {least}")
 
 
 def require_kind(name: str, value: object, kind: type, origin: str) -> None:
-    """Raise InvalidValueError unless a value is an object of a class, which `origin` gives."""
+    """Raise InvalidValueError unless a value is an instance of a class; `origin` says where to get one."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise InvalidValueError(name, value, f"{article} {kind.__name__}, as {origin} gives")
+        raise InvalidValueError(name, value, f"{article} {kind.__name__}, as returned by {origin}")
 
 
 def with_neighbours(mask: NDArray[np.bool_], *, closed: int | None = None) -> NDArray[np.bool_]:
-    """Return a mask of what is in another or next to it, corner to corner too; the axis `closed` runs round."""
+    """Return a mask grown by its neighbours, diagonal ones included; the axis `closed` is periodic."""
     grown = mask.copy()
     for axis in range(mask.ndim):
         along = np.moveaxis(grown, axis, 0)
@@ -88,7 +88,7 @@ def with_neighbours(mask: NDArray[np.bool_], *, closed: int | None = None) -> ND
 
 
 def listed(numbers: Vector) -> str:
-    """Write the numbers of a vector in one line, for a message: (0.1 0 -2.5)."""
+    """Format a vector in one line for a message: (0.1 0 -2.5)."""
     return f"({' '.join(f'{number:.4g}' for number in numbers)})"
 
 

@@ -1,7 +1,7 @@
-"""All errors of the package: one base class, one class per cause.
+"""The package's errors: one base class, one class per cause.
 
-Every message names the thing that is wrong, where it stands and what was expected; the same data is kept on the
-exception for programs that catch it.
+Every message names what is wrong, where it is and what was expected. The exception carries the same data as
+attributes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _MOST_LINES = 10
 
 
 def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
-    """List the known names; of many, those that are most like the name."""
+    """List the known names, or the closest matches if there are many."""
     if len(known) <= most:
         return ", ".join(known)
     import difflib  # rarely needed, and slow to import
@@ -24,15 +24,15 @@ def _nearest(name: str, known: Sequence[str], most: int = 8) -> str:
 
 
 class PM3DofError(Exception):
-    """Base class of every error this package raises on purpose. Its message is one line of moderate length."""
+    """Base class of all errors this package raises deliberately. Messages are one line of moderate length."""
 
     def __str__(self) -> str:
-        """Return the message: names from files may hold anything, so what does not print is escaped."""
+        """Return the message with unprintable characters escaped: names from files may contain anything."""
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in super().__str__())
         return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle without calling the constructor again, whose arguments are not those of the message."""
+        """Pickle without calling the constructor, which takes other arguments than the message."""
         return _remade, (type(self), self.args, self.__dict__)
 
 
@@ -43,24 +43,24 @@ def _remade(kind: type[PM3DofError], arguments: tuple[object, ...], data: dict[s
 
 
 class UnknownRobotError(PM3DofError):
-    """A robot was asked for by a name or path that does not exist."""
+    """The requested robot name or path does not exist."""
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
         self.name = name
         self.known = tuple(known)
         super().__init__(
-            f"no robot '{name}': expected one of {', '.join(self.known)}, one of example-robot-data if that is "
-            "installed, or the path of a URDF, a xacro, an MJCF or a closures file, or of the folder of one"
+            f"no robot '{name}': expected one of {', '.join(self.known)}, a robot of example-robot-data if that is "
+            "installed, or the path of a URDF, xacro, MJCF or closures file, or of a folder containing one"
         )
 
 
 class DescriptionError(PM3DofError):
-    """A description file is missing, cannot be read, or says something it must not say.
+    """A description file is missing, unreadable or invalid.
 
     Attributes:
         path: the file.
-        element: the key, tag or line inside the file.
-        expected: what should stand there.
+        element: the key, tag or line in the file.
+        expected: what was expected there.
     """
 
     def __init__(self, path: Path | str, element: str, expected: str) -> None:
@@ -71,7 +71,7 @@ class DescriptionError(PM3DofError):
 
 
 class _NotFoundError(PM3DofError):
-    """Something is named that the model does not have."""
+    """The model has nothing of this name."""
 
     kind = ""
 
@@ -83,19 +83,19 @@ class _NotFoundError(PM3DofError):
 
 
 class FrameNotFoundError(_NotFoundError):
-    """A frame is named that the model does not have."""
+    """The model has no frame of this name."""
 
     kind = "frame"
 
 
 class JointNotFoundError(_NotFoundError):
-    """A joint is named that the model does not have."""
+    """The model has no joint of this name."""
 
     kind = "joint"
 
 
 class InvalidValueError(PM3DofError, ValueError):
-    """An argument is not a number that can be worked with (NaN, infinite, of the wrong shape or sign)."""
+    """An argument has an invalid value (NaN, infinite, wrong shape or sign)."""
 
     def __init__(self, name: str, value: object, expected: str) -> None:
         self.name = name
@@ -105,11 +105,11 @@ class InvalidValueError(PM3DofError, ValueError):
 
 
 class UnreachablePoseError(PM3DofError):
-    """No joint variables were found that bring the tool to this pose.
+    """No joint positions were found that bring the tool to this pose.
 
     Attributes:
-        residual: what was left of the closure error [m, rad], or None if it was not solved for.
-        reason: what is in the way, "" if it is not known.
+        residual: the remaining closure error [m, rad], or None if no solver ran.
+        reason: the cause, or "" if unknown.
     """
 
     def __init__(self, message: str, residual: float | None = None, reason: str = "") -> None:
@@ -119,10 +119,10 @@ class UnreachablePoseError(PM3DofError):
 
 
 class ConvergenceError(PM3DofError):
-    """An iterative solver stopped short of its tolerance.
+    """An iterative solver did not reach its tolerance.
 
     Attributes:
-        residual: what was left, in the unit the message says.
+        residual: the remaining residual, in the unit given in the message.
         steps: iterations done.
     """
 
@@ -136,10 +136,10 @@ class ConvergenceError(PM3DofError):
 
 
 class DeflectionRangeError(PM3DofError):
-    """Loads deflect a spring further than a body of its size can be.
+    """Loads deflect a spring further than a body of its size can deflect.
 
     Attributes:
-        factor: what the loads were multiplied by before.
+        factor: the load factor of the last valid step.
     """
 
     def __init__(self, deflection: str, factor: float) -> None:
@@ -150,26 +150,26 @@ class DeflectionRangeError(PM3DofError):
 
 
 class SingularConfigurationError(PM3DofError):
-    """A quantity does not exist because the mechanism is in a singular configuration, which the message names."""
+    """A quantity is undefined because the mechanism is in a singular configuration, named in the message."""
 
 
 class FreeDirectionError(SingularConfigurationError):
-    """A compliance does not exist: the frame can move with all springs at rest. The message names the directions."""
+    """A compliance is undefined: the frame can move without deflecting a spring. The message names the directions."""
 
 
 class RigidDirectionError(SingularConfigurationError):
-    """A stiffness does not exist: no spring gives in some direction. The message names the directions."""
+    """A stiffness is undefined: no spring deflects in some direction. The message names the directions."""
 
 
 class ProgramError(PM3DofError):
-    """A mechanism has no program, or its program does not agree with Pinocchio, or cannot be compiled on this machine.
+    """A mechanism has no program, or its program disagrees with Pinocchio or cannot be compiled on this machine.
 
     The message says why.
     """
 
 
 class OutputError(PM3DofError):
-    """A file or folder cannot be written. Nothing was left half-written."""
+    """A file or folder cannot be written. No partial output is left behind."""
 
     def __init__(self, path: Path | str, reason: str) -> None:
         self.path = Path(path)
@@ -182,15 +182,15 @@ class ServerError(PM3DofError):
 
 
 class BrowserError(PM3DofError):
-    """No browser was found, or it did not do what was asked of it."""
+    """No browser was found, or it failed."""
 
 
 class MeasurementError(PM3DofError):
-    """A file of measurements cannot be used as it is.
+    """A measurement file cannot be used as it is.
 
     Attributes:
         path: the file.
-        rows: lines of the file that are meant, the header being line 1; empty where all of them are.
+        rows: the affected lines of the file, the header being line 1; empty if all are.
     """
 
     def __init__(self, path: Path | str, problem: str, rows: Sequence[int] = ()) -> None:
@@ -200,7 +200,7 @@ class MeasurementError(PM3DofError):
 
 
 def lines_in_words(rows: Sequence[int]) -> str:
-    """Return "line 3: ", "lines 3, 5, 9: " or nothing, long lists cut short."""
+    """Return "line 3: ", "lines 3, 5, 9: " or "", with long lists shortened."""
     if not rows:
         return ""
     listed = ", ".join(str(row) for row in rows[:_MOST_LINES])
@@ -209,10 +209,10 @@ def lines_in_words(rows: Sequence[int]) -> str:
 
 
 class CalibrationRefusedError(PM3DofError):
-    """A calibration whose result would not be true of the machine, or would make it worse.
+    """A calibration was refused: its result would be wrong for the machine, or make it worse.
 
     Attributes:
-        reasons: why, a sentence each, the likeliest cause last.
+        reasons: one sentence each, the likeliest cause last.
     """
 
     def __init__(self, reasons: Sequence[str]) -> None:

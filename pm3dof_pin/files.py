@@ -1,4 +1,4 @@
-"""Reading files of moderate size; writing files whole or not at all."""
+"""Reading files of moderate size; writing files atomically."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pathlib import Path
 from pm3dof_pin.exceptions import DescriptionError, OutputError
 
 MOST_BYTES = 64 * 2**20
-"""Size of a file up to which it is read."""
+"""Largest file that is read."""
 
 
 def read_bytes(path: Path | str) -> bytes:
-    """Read a regular file of moderate size; DescriptionError for a pipe or device, which may give bytes for ever."""
+    """Read a regular file of moderate size; DescriptionError for a pipe or device, which may never end."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise DescriptionError(path, "file", "expected an ordinary file, not a folder, pipe or device")
+            raise DescriptionError(path, "file", "expected a regular file, not a folder, pipe or device")
         with Path(path).open("rb") as file:
             content = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
@@ -34,7 +34,7 @@ def read_bytes(path: Path | str) -> bytes:
 
 
 def read_text(path: Path | str) -> str:
-    """Read a text file in UTF-8, with or without a byte order mark; errors as of :func:`read_bytes`."""
+    """Read a UTF-8 text file, with or without a byte order mark; raises as :func:`read_bytes`."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -43,10 +43,10 @@ def read_text(path: Path | str) -> str:
 
 @contextmanager
 def write_atomically(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; on leaving the block without an error it takes the place of `path`.
+    """Yield a temporary path next to `path`; it replaces `path` when the block ends without an error.
 
-    The temporary file keeps the suffix of `path`, so that writers which look at it work; missing parent folders are
-    made. An interrupted or failed block leaves `path` as it was.
+    The temporary file keeps the suffix of `path`, for writers that depend on it. Missing parent folders are created.
+    An interrupted or failed block leaves `path` unchanged.
 
     Raises:
         OutputError: the folder or file cannot be written.
@@ -71,7 +71,7 @@ def write_atomically(path: Path | str) -> Iterator[Path]:
 
 
 def write_text_atomically(path: Path | str, text: str) -> Path:
-    """Write UTF-8 text as :func:`write_atomically`, whole or not at all, and return the path."""
+    """Write UTF-8 text atomically (see :func:`write_atomically`) and return the path."""
     with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(path)
@@ -79,17 +79,16 @@ def write_text_atomically(path: Path | str, text: str) -> Path:
 
 @contextmanager
 def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
-    """Yield an empty folder beside `path`; on leaving the block without an error it takes the place of `path`.
+    """Yield an empty folder next to `path`; it replaces `path` when the block ends without an error.
 
-    A folder that is there already gives way only if it is empty or holds the file `marker`: if it is an older one of
-    its kind.
+    An existing folder is replaced only if it is empty or contains the file `marker`, which marks an older version.
 
     Raises:
-        OutputError: the folder cannot be written, or something else is in its place.
+        OutputError: the folder cannot be written, or something else already has that path.
     """
     target = Path(path)
     if target.exists() and not (target / marker).is_file() and (not target.is_dir() or any(target.iterdir())):
-        raise OutputError(target, f"something else is there: expected nothing, or a folder with the file {marker}")
+        raise OutputError(target, f"the path is taken: expected nothing there, or a folder with the file {marker}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=_prefix(target.parent, target.name)) as scratch:
@@ -104,9 +103,9 @@ def replace_directory(path: Path | str, marker: str) -> Iterator[Path]:
 
 
 def _prefix(folder: Path, name: str) -> str:
-    """Return how names of this process's temporary files begin, having removed those of processes that were killed.
+    """Return the prefix of this process's temporary files, after removing those of processes that were killed.
 
-    The names hold computer and process: another computer may write to the same folder.
+    The names contain host and process: another host may write to the same folder.
     """
     own = f".{name}-{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}"
     for path in folder.glob(f"{glob.escape(own)}-*"):
@@ -120,13 +119,13 @@ def _prefix(folder: Path, name: str) -> str:
 
 
 def _is_running(process: int) -> bool:
-    if process == os.getpid() or os.name != "posix":  # elsewhere signal 0 is not a mere test
+    if process == os.getpid() or os.name != "posix":  # elsewhere signal 0 does more than test
         return True
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except (OSError, OverflowError):  # somebody else's, or no number of a process
+    except (OSError, OverflowError):  # another user's process, or not a process id
         return True
     return True
 
@@ -136,7 +135,7 @@ def _reason(error: Exception) -> str:
 
 
 def _set_default_mode(path: Path) -> None:
-    """Give a file made by mkstemp (owner only) the permissions an ordinary new file has."""
+    """Give a file made by mkstemp (owner only) the permissions of an ordinary new file."""
     mask = os.umask(0)
     os.umask(mask)
     path.chmod(0o666 & ~mask)

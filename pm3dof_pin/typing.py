@@ -1,4 +1,4 @@
-"""Types that every room shares: arrays, and the two choices that batches offer."""
+"""Types shared by the whole package: arrays, and the two options of batch functions."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Motion: TypeAlias = Literal["translation", "rotation"]
 """The two parts of a twist or of a displacement."""
 
 MOTIONS: tuple[Motion, Motion] = ("translation", "rotation")
-"""Both of them, in the order of a twist."""
+"""Both, in the order of a twist."""
 
 OnFailure: TypeAlias = Literal["raise", "nan"]
-"""What happens to a pose that fails: an error, or NaN in its place."""
+"""What a failing pose does: raise an error, or give NaN."""
 
 Engine: TypeAlias = Literal["program", "pinocchio"]
-"""What computes a batch: the robot's compiled program, or Pinocchio pose by pose."""
+"""What evaluates a batch: the robot's compiled program, or Pinocchio pose by pose."""

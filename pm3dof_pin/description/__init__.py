@@ -1,1 +1,1 @@
-"""Description files read into typed, checked data: parameters, xacro, closures, and where to find them."""
+"""Robot description files: finding them, and reading them into typed, checked data."""

@@ -1,4 +1,4 @@
-"""The closures file: what a URDF, which is a tree, cannot say about a closed-chain robot."""
+"""The closures file: what a URDF, being a tree, cannot describe of a closed-chain robot."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class LoopClosure:
     frame_a: str  #: frame at the end of one branch
     frame_b: str  #: frame at the end of the other
     type: ClosureType  # "3d", the origins coincide (a spherical joint), or "6d", the frames coincide (a weld)
-    swing_limit: float | None = None  #: greatest angle between the z axes of the two frames [rad], or None
+    swing_limit: float | None = None  #: maximum angle between the z axes of the two frames [rad], or None
 
 
 @dataclass(frozen=True)
 class ClosuresFile:
-    """A closures file as read and checked, names not yet compared with the URDF.
+    """A checked closures file; its names are not yet compared with the URDF.
 
     The keys `closed_loop`, `type`, `name_mot`, `joint_name` and `joint_type` are those of the `robot.yaml` files of
     example-parallel-robots; the others are this package's own.
@@ -41,18 +41,18 @@ class ClosuresFile:
 
     path: Path  #: the file
     closures: tuple[LoopClosure, ...] = ()  #: the loop closures
-    actuated_joints: tuple[str, ...] = ()  #: names of the actuated joints (`name_mot`), in their order
-    tool_frame: str | None = None  #: frame whose pose, twist and stiffness are meant by "the tool", or None
-    #: joints whose rates are the platform's independent motions; empty if there are none such
+    actuated_joints: tuple[str, ...] = ()  #: names of the actuated joints (`name_mot`), in order
+    tool_frame: str | None = None  #: frame whose pose, twist and stiffness are those of "the tool", or None
+    #: joints whose rates are the platform's independent motions; empty if there are none
     motion_coordinates: tuple[str, ...] = ()
     springs: tuple[Mapping[str, Any], ...] = ()  #: raw spring entries, not yet parsed
-    #: type that replaces that of the URDF, by joint (`joint_name`, `joint_type`): SPHERICAL, FIXED or UJOINT_XY (any
+    #: joint types that replace those of the URDF (`joint_name`, `joint_type`): SPHERICAL, FIXED or UJOINT_XY (any
     #: two axes)
     joint_types: Mapping[str, str] = field(default_factory=dict)
-    commands: tuple[Command, ...] = ()  #: what the counters of the drives show; empty if nothing is declared
-    coordinates: tuple[Coordinate, ...] = ()  #: the numbers the tool is placed with; empty if nothing is declared
-    limit_groups: tuple[LimitGroup, ...] = ()  #: names of kinds of limits; empty if nothing is declared
-    #: components of the tool's twist that count as its motion; empty if all do
+    commands: tuple[Command, ...] = ()  #: counter readings of the drives; empty if none are declared
+    coordinates: tuple[Coordinate, ...] = ()  #: coordinates that place the tool; empty if none are declared
+    limit_groups: tuple[LimitGroup, ...] = ()  #: named groups of limits; empty if none are declared
+    #: components of the tool's twist that make up its motion; empty for all
     tool_motions: tuple[ToolComponent, ...] = ()
 
 
@@ -71,7 +71,7 @@ class _Coordinate(Schema):
 
 
 class ClosuresSchema(Schema):
-    """The keys of a closures file and their forms."""
+    """The keys and value types of a closures file."""
 
     closed_loop: list[tuple[Name, Name]] | None = None
     type: list[Literal["3d", "3D", "6d", "6D"]] | None = None
@@ -89,10 +89,10 @@ class ClosuresSchema(Schema):
 
 
 def read_closures(path: Path | str) -> ClosuresFile:
-    """Read and check a closures file, YAML with the keys of :class:`ClosuresFile`.
+    """Read and check a closures file: YAML with the keys of :class:`ClosuresFile`.
 
     Raises:
-        DescriptionError: the file is unreadable, has an unknown key, or an entry is malformed.
+        DescriptionError: the file is unreadable, or has an unknown key or a malformed entry.
     """
     path = Path(path)
     file = checked(read_mapping(path), ClosuresSchema, path)
@@ -134,7 +134,7 @@ def _commands(path: Path, file: ClosuresSchema) -> tuple[Command, ...]:
     commands = tuple(file.commands or ())
     if commands and file.name_mot and [command.joint for command in commands] != file.name_mot:
         raise DescriptionError(
-            path, "commands", f"expected one for each joint of name_mot, in its order: {', '.join(file.name_mot)}"
+            path, "commands", f"expected one for each joint of name_mot, in that order: {', '.join(file.name_mot)}"
         )
     return commands
 
@@ -148,7 +148,7 @@ def _coordinate(path: Path, index: int, entry: _Coordinate) -> Coordinate:
         raise DescriptionError(path, place, f"expected 'tool: {entry.tool}' with its unit, no offset and no scale")
     _require_scale(path, place, entry)
     if lower is not None and upper is not None and not lower < upper:
-        raise DescriptionError(path, f"{place}.range", f"expected [least, greatest], not [{lower}, {upper}]")
+        raise DescriptionError(path, f"{place}.range", f"expected [lower, upper], not [{lower}, {upper}]")
     return Coordinate(
         entry.name, entry.unit, entry.joint, entry.tool, entry.offset, entry.scale, lower=lower, upper=upper
     )
@@ -164,7 +164,7 @@ def _require_scale(path: Path, place: str, entry: Command | _Coordinate) -> None
 
 
 def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: Sequence[LoopClosure]) -> LimitGroup:
-    """Sort the members into joints and closures, the latter given as "frame_a-frame_b" or by position."""
+    """Sort the members into joints and closures; closures are given as "frame_a-frame_b" or by index."""
     positions = {f"{closure.frame_a}-{closure.frame_b}": k for k, closure in enumerate(closures)}
     positions |= {str(k): k for k in range(len(closures))}
     for member in members:
@@ -180,7 +180,7 @@ def _limit_group(path: Path, name: str, members: Sequence[str | int], closures: 
 
 
 def _pairs(path: Path, key: str, entries: Sequence[Any] | None, other: str, others: Sequence[Any] | None) -> Any:
-    """Pair the entries of two lists of one length."""
+    """Pair the entries of two lists of equal length."""
     entries, others = entries or (), others or ()
     if len(entries) != len(others):
         raise DescriptionError(
@@ -191,4 +191,4 @@ def _pairs(path: Path, key: str, entries: Sequence[Any] | None, other: str, othe
 
 def _require_unique(path: Path, key: str, names: Sequence[str]) -> None:
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DescriptionError(path, key, f"'{twice}' stands there twice, expected every name once")
+        raise DescriptionError(path, key, f"duplicate '{twice}', expected every name once")

@@ -1,4 +1,4 @@
-"""The numbers people and drives speak of: commands, coordinates, and names for kinds of limits."""
+"""The numbers that users and drives work with: commands, coordinates, and named groups of limits."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ TOOL_COMPONENTS: tuple[ToolComponent, ...] = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def unit_of(component: ToolComponent) -> Unit:
-    """Return the unit of a component of the tool's placement or twist, per second there."""
+    """Return the unit of a component of the tool's placement (or, per second, of its twist)."""
     return "m" if component in ("x", "y", "z") else "rad"
 
 
 def shown_in(unit: str) -> tuple[float, str]:
-    """Return what a number in SI units is multiplied by for people, and the unit then: angles are in degrees."""
+    """Return the factor from SI to display units, and the display unit: angles are in degrees."""
     return (180.0 / math.pi, "deg") if unit == "rad" else (1.0, unit)
 
 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the counter of a drive shows: scale times the joint's coordinate plus offset."""
+    """The counter reading of a drive: scale times the joint coordinate plus offset."""
 
     name: Name  #: its name
     joint: Name  #: the actuated joint
     unit: Unit  #: "m" or "rad"
-    offset: float = 0.0  #: what the counter shows where the joint's coordinate is zero [unit]
-    scale: float = 1.0  #: counter units per unit of the joint's coordinate, not zero
+    offset: float = 0.0  #: counter reading at joint coordinate zero [unit]
+    scale: float = 1.0  #: counter units per unit of the joint coordinate, nonzero
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One of the independent numbers that a person places the tool with.
+    """One of the independent numbers that place the tool.
 
-    It is scale times the coordinate of a joint plus offset, or a component of the tool's placement in the base: its
+    It is either scale times a joint coordinate plus offset, or a component of the tool's placement in the base:
     position x, y, z, or an angle of R = Rx(rx) Ry(ry) Rz(rz).
     """
 
@@ -49,19 +49,19 @@ class Coordinate:
     unit: Unit  #: "m" or "rad"
     joint: str | None = None  #: the joint, or None
     tool: ToolComponent | None = None  #: the component of the tool's placement, or None
-    offset: float = 0.0  #: its value where the joint's coordinate is zero [unit]
-    scale: float = 1.0  #: its change per unit of the joint's coordinate
-    lower: float | None = None  #: least value of the declared range, or None
-    upper: float | None = None  #: greatest value of the declared range, or None
+    offset: float = 0.0  #: value at joint coordinate zero [unit]
+    scale: float = 1.0  #: change per unit of the joint coordinate
+    lower: float | None = None  #: lower end of the declared range, or None
+    upper: float | None = None  #: upper end of the declared range, or None
 
     @property
     def heading(self) -> str:
-        """Heading of its column in a file that is written: angles in degrees."""
+        """Column heading in output files: angles in degrees."""
         return f"{self.name}_{shown_in(self.unit)[1]}"
 
     @property
     def headings(self) -> tuple[str, ...]:
-        """Headings that its column may have in a file that is read."""
+        """Column headings accepted in input files."""
         return (self.heading,) if self.unit == "m" else (self.heading, f"{self.name}_rad")
 
 
@@ -72,7 +72,7 @@ def tool_coordinates(components: Iterable[ToolComponent]) -> tuple[Coordinate, .
 
 @dataclass(frozen=True)
 class LimitGroup:
-    """A name for several limits of one kind: ranges of joints, and swing limits of closures, by their positions."""
+    """A named group of limits: joint ranges, and swing limits of closures by index."""
 
     name: str
     joints: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The error file: which joints and frames of a robot may sit wrong, and within which tolerances."""
+"""The error file: which joints and frames of a robot may be misplaced, and their tolerances."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ _Word = Literal["x", "y", "z", "along", "across"]
 
 @dataclass(frozen=True)
 class ErrorEntry:
-    """One line of the error file."""
+    """One entry of the error file."""
 
     group: str  #: class of parts
     places: tuple[str, ...]  #: joints or frames
     #: directions in each place's own axes: x, y, z, along the joint's axis, or across it (two)
     translations: tuple[str, ...]
-    rotations: tuple[str, ...]  #: axes, in the same words
+    rotations: tuple[str, ...]  #: axes, named the same way
     length_tolerance: float  #: tolerance of the translations [m]
     angle_tolerance: float  #: tolerance of the rotations [rad]
 
 
 @dataclass(frozen=True)
 class ErrorFile:
-    """An error file as read and checked, names not yet compared with the URDF."""
+    """A checked error file; its names are not yet compared with the URDF."""
 
     path: Path  #: the file
-    entries: tuple[ErrorEntry, ...]  #: its lines
-    #: for an actuated joint, the frame from which its command counts, along the joint's axis
+    entries: tuple[ErrorEntry, ...]  #: its entries
+    #: by actuated joint, the frame from which its command is measured along the joint axis
     command_zeros: Mapping[str, str]
-    sources: SourceNumbers  #: the numbers of all other sources of error
+    sources: SourceNumbers  #: parameters of all other error sources
 
 
 class _Line(Schema):
@@ -53,7 +53,7 @@ class _Class(Schema):
 
 
 class ErrorFileSchema(Schema):
-    """The keys of an error file and their forms."""
+    """The keys and value types of an error file."""
 
     classes: dict[str, _Class]
     command_zeros: dict[Name, Name] | None = None
@@ -61,15 +61,15 @@ class ErrorFileSchema(Schema):
 
 
 def read_error_file(path: Path | str) -> ErrorFile:
-    """Read and check an error file, YAML as `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
+    """Read and check an error file: YAML like `robots/pm3dof_description/urdf/pm3dof.errors.yaml`.
 
     Raises:
-        DescriptionError: the file is unreadable, has an unknown key, or an entry is malformed.
+        DescriptionError: the file is unreadable, or has an unknown key or a malformed entry.
     """
     path = Path(path)
     file = checked(read_mapping(path), ErrorFileSchema, path)
     if not file.classes:
-        raise DescriptionError(path, "classes", "expected classes of parts by name")
+        raise DescriptionError(path, "classes", "expected named classes of parts")
     entries = []
     for group, body in file.classes.items():
         if not body.errors:
@@ -78,14 +78,14 @@ def read_error_file(path: Path | str) -> ErrorFile:
             places, translations, rotations = (_listed(part) for part in (line.at, line.translation, line.rotation))
             if not places or not (translations or rotations):
                 element = f"classes.{group}.errors[{index}]"
-                raise DescriptionError(path, element, "expected a place, and a translation or a rotation of it")
+                raise DescriptionError(path, element, "expected 'at', and 'translation' or 'rotation'")
             tolerances = (body.length_tolerance_m, body.angle_tolerance_rad)
             entries.append(ErrorEntry(group, places, translations, rotations, *tolerances))
     return ErrorFile(path, tuple(entries), file.command_zeros or {}, file.sources)
 
 
 def error_file_text(entries: Sequence[ErrorEntry], *, comment: str, command_zeros: Mapping[str, str]) -> str:
-    """Return an error file as text below a comment; entries of one class have the tolerances of the first of them."""
+    """Return the text of an error file, headed by a comment; a class takes the tolerances of its first entry."""
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
     if command_zeros:
         zeros = ", ".join(f"{joint}: {frame}" for joint, frame in command_zeros.items())
@@ -107,7 +107,7 @@ def error_file_text(entries: Sequence[ErrorEntry], *, comment: str, command_zero
 
 
 def _number(value: float) -> str:
-    """Write a number so that YAML 1.1 reads one."""
+    """Format a number so that YAML 1.1 reads it as a number."""
     text = repr(value)
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
 

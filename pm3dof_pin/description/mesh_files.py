@@ -1,4 +1,4 @@
-"""Mesh files of every kind (STL, OBJ, Collada, ...), read as surfaces of triangles."""
+"""Mesh files (STL, OBJ, Collada, ...), read as triangle meshes."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ _MOST_BYTES = 512 * 2**20
 
 
 def find_mesh(files: RobotFiles, name: str) -> Path:
-    """Find a mesh by its name in a URDF, relative to the robot's folder or as `package://x/`.
+    """Find a mesh by its name in a URDF: relative to the robot's folder, or `package://x/`.
 
-    Only mesh files are found, and only those of the robot's own folder, of the package that the name says, and of
-    folders that were named as package paths; symbolic links are followed before that is judged.
+    Only mesh files in the robot's own folder, the named package or the package paths are accepted, after following
+    symbolic links.
 
     Raises:
         DescriptionError: the file is missing, is not a mesh, or lies outside the folders of the robot.
     """
     place, found = f"mesh '{name}'", [(path, own) for path, own in _candidates(files, name) if path.is_file()]
     if not found:
-        raise DescriptionError(files.path, place, "expected a file that exists")
+        raise DescriptionError(files.path, place, "expected an existing file")
     path, own = next(((path, own) for path, own in found if is_within(path, own)), found[0])
     require_own(path, own, files.path, place)
     if path.suffix.lower() not in _KINDS:
-        raise DescriptionError(files.path, place, f"expected one of the kinds {', '.join(sorted(_KINDS))}")
+        raise DescriptionError(files.path, place, f"expected a file of type {', '.join(sorted(_KINDS))}")
     if path.stat().st_size > _MOST_BYTES:
         raise DescriptionError(files.path, place, f"expected no more than {_MOST_BYTES >> 20} MiB")
     return path.resolve()
 
 
 def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[Path]]]:
-    """Yield where a mesh may be, and the folders that it has to be in to be taken."""
+    """Yield candidate paths of a mesh, each with the folders it must be in to be accepted."""
     folder = files.path.absolute().parent
     if not name.startswith("package://"):
         for start in (folder, *files.own_folders, *files.package_paths):
@@ -57,12 +57,12 @@ def _candidates(files: RobotFiles, name: str) -> Iterator[tuple[Path, Sequence[P
 
 
 def read_meshes(path: Path | str) -> list[trimesh.Trimesh]:
-    """Read a file of meshes, each placed where the file has it; DescriptionError where that fails."""
+    """Read the meshes of a file, placed as in the file; DescriptionError if that fails."""
     import trimesh
 
     try:
         meshes = trimesh.load_scene(path).dump()
-    except Exception as error:  # trimesh's readers raise what they like
+    except Exception as error:  # trimesh's readers may raise anything
         reason = " ".join(str(error).split())
-        raise DescriptionError(path, "mesh", f"expected a mesh that can be read ({reason})") from error
+        raise DescriptionError(path, "mesh", f"expected a readable mesh ({reason})") from error
     return [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)]

@@ -1,9 +1,9 @@
-"""MJCF files, put into the form that Pinocchio reads faithfully, and what Pinocchio leaves out of them.
+"""MJCF files, rewritten into a form that Pinocchio reads faithfully, with what Pinocchio ignores.
 
-Pinocchio's reader loses bodies in silence if the world has several, if they stand in a `<frame>`, or if they share a
-name with a site; it makes one nameless joint of several on one body, and drops sites that do not move. Here every such
-file is rewritten as one that means the same: the world becomes a body, frames and sites become bodies without joints,
-and each joint gets a body of its own.
+Pinocchio's reader silently loses bodies if the world has several, if they are inside a `<frame>`, or if they share a
+name with a site. It merges several joints of one body into one nameless joint, and drops fixed sites. Such files are
+rewritten as equivalent ones: the world becomes a body, frames and sites become bodies without joints, and each joint
+gets its own body.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TOOL_SITES = ("tool", "tool_frame", "tool0", "tcp", "ee", "eef", "end_effector"
 
 _POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 _NOT_READ = ("replicate", "attach", "composite", "flexcomp")
-_MOST_INCLUDES = 20  # within each other
+_MOST_INCLUDES = 20  # nested
 _logger = logging.getLogger(__name__)
 
 
@@ -35,42 +35,41 @@ class EqualityConstraint:
 
     name: str  #: its name, or its kind and position
     kind: str  #: "connect", two points coincide, or "weld", two frames do
-    places: tuple[str, str]  #: its two bodies or sites
-    by_sites: bool  #: the places are sites, which coincide
+    places: tuple[str, str]  #: the two bodies or sites
+    by_sites: bool  #: whether the places are sites, which coincide
     anchor: tuple[float, ...]  #: the point, in the first body of a connect and in the second of a weld [m]
-    #: position in the first body and quaternion (w, x, y, z) that a weld holds, or None for those of the initial
-    #: configuration
+    #: position in the first body and quaternion (w, x, y, z) of a weld, or None for those of the initial configuration
     relative_pose: tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
 class _JointSettings:
-    """What Pinocchio does not take from a joint."""
+    """What Pinocchio ignores of a joint."""
 
     stiffness: float  #: of its spring [N/m or N m/rad]
-    unlimited: bool  #: its range does not count
-    #: of a hinge or slide [rad, m], which Pinocchio shifts by `ref`, and of a slide takes for degrees where angles are
-    #: in degrees; None where none is given
+    unlimited: bool  #: whether its range is ignored
+    #: of a hinge or slide [rad, m], or None if not given. Pinocchio shifts it by `ref`, and reads that of a slide as
+    #: degrees where angles are in degrees
     range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Mjcf:
-    """An MJCF file as read."""
+    """A parsed MJCF file."""
 
     path: Path  #: the file
     name: str  #: name of the model
-    text: str  #: the same model in the form that Pinocchio reads
+    text: str  #: the model as Pinocchio reads it
     joints: dict[str, _JointSettings] = field(default_factory=dict)  #: settings by joint
-    equalities: tuple[EqualityConstraint, ...] = ()  #: its closures
+    equalities: tuple[EqualityConstraint, ...] = ()  #: its equality constraints
     #: name of the first actuator of each actuated joint, by joint
     actuators: dict[str, str] = field(default_factory=dict)
     gravity: tuple[float, ...] = (0.0, 0.0, -9.81)  #: acceleration of gravity [m/s^2]
-    tool: str | None = None  #: a site whose name is one of those in use for tools, or None
+    tool: str | None = None  #: a site with a customary tool name, or None
 
 
 def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:
-    """Read an MJCF file and those that it includes, from `own_folders`: by default those of its own package.
+    """Read an MJCF file and its includes from `own_folders`, by default those of its own package.
 
     Raises:
         DescriptionError: a file is unreadable or not XML, a number is malformed, or an element is not supported.
@@ -81,7 +80,7 @@ def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:
     _order_sections(root)
     for tag in _NOT_READ:
         if root.find(f"worldbody//{tag}") is not None:
-            raise DescriptionError(path, f"<{tag}>", "is not read: expected bodies written out")
+            raise DescriptionError(path, f"<{tag}>", "is not supported: expected the bodies written out")
     _drop_terrain(root)
     for directory in ("meshdir", "texturedir", "assetdir"):
         for compiler in root.iter("compiler"):
@@ -93,7 +92,7 @@ def read_mjcf(path: Path, own_folders: tuple[Path, ...] = ()) -> Mjcf:
 
 
 def _order_sections(root: ElementTree.Element) -> None:
-    """Join the sections of defaults and put them and the assets first: Pinocchio looks up only what it has met."""
+    """Merge the sections of defaults; put them and the assets first, since Pinocchio only finds earlier elements."""
     defaults = root.findall("default")
     for more in defaults[1:]:
         defaults[0].extend(more)
@@ -105,7 +104,7 @@ def _order_sections(root: ElementTree.Element) -> None:
 
 
 def _drop_terrain(root: ElementTree.Element) -> None:
-    """Take out height fields and skins: they are scenery, and Pinocchio refuses the file for their sake."""
+    """Remove height fields and skins, which are scenery and make Pinocchio refuse the file."""
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag in ("hfield", "skin") or child.get("type") == "hfield" or child.get("hfield") is not None:
@@ -113,7 +112,7 @@ def _drop_terrain(root: ElementTree.Element) -> None:
 
 
 def _include(root: ElementTree.Element, path: Path, folders: tuple[Path, ...], within: tuple[Path, ...] = ()) -> None:
-    """Put the content of files in the place of <include>: seen from the main file or else the including, as MuJoCo."""
+    """Replace <include> by the file's content; like MuJoCo, look next to the main file, then the including one."""
     for parent in list(root.iter()):
         for index, child in reversed(list(enumerate(parent))):
             if child.tag == "include":
@@ -129,7 +128,7 @@ def _include(root: ElementTree.Element, path: Path, folders: tuple[Path, ...], w
 
 
 class _Reader:
-    """Rewrites one file and notes what Pinocchio would lose."""
+    """Rewrites one file and records what Pinocchio would lose."""
 
     def __init__(self, path: Path, root: ElementTree.Element) -> None:
         self.path = path
@@ -157,8 +156,8 @@ class _Reader:
         meshes = [body.attrib["name"] for body in root.iter("body") if body.find("geom[@mesh]") is not None]
         if unknown := [name for name in meshes if root.find(f".//body[@name='{name}']/inertial") is None]:
             _logger.warning(
-                "%s: the masses of meshes are not computed: Pinocchio takes 1 kg for each of %s, whose mass and "
-                "inertia the file should give by <inertial>",
+                "%s: masses of meshes are not computed: Pinocchio assumes 1 kg for each of %s; give their mass and "
+                "inertia by <inertial>",
                 self.path,
                 ", ".join(unknown),
             )
@@ -168,7 +167,7 @@ class _Reader:
         for index, key in enumerate(self.root.findall("keyframe/key")):
             key.attrib.setdefault("name", f"key{index}")
         equalities, actuators = tuple(self._equalities()), self._actuators()
-        for tag in ("equality", "actuator", "sensor", "contact", "tendon"):  # these name bodies and sites by old names
+        for tag in ("equality", "actuator", "sensor", "contact", "tendon"):  # these use old names of bodies and sites
             for section in self.root.findall(tag):
                 self.root.remove(section)
         return Mjcf(
@@ -183,12 +182,12 @@ class _Reader:
         )
 
     def _rewrite(self, body: ElementTree.Element, default_class: str) -> None:
-        """Rewrite what hangs on a body: frames and sites become bodies, and joints after the first get their own."""
+        """Rewrite the children of a body: frames and sites become bodies, and joints after the first get their own."""
         default_class = body.get("childclass", default_class)
         for index, child in enumerate(list(body)):
             if child.tag == "frame":
                 if child.find("joint") is not None or child.find("freejoint") is not None:
-                    raise DescriptionError(self.path, "<frame>", "joints in it are not read: expected them in the body")
+                    raise DescriptionError(self.path, "<frame>", "joints in it are not supported: put them in the body")
                 child.tag = "body"
                 child.set("name", self._free_name(f"{body.get('name')}_frame{index}"))
             elif child.tag == "site" and "name" in child.attrib:
@@ -222,7 +221,7 @@ class _Reader:
         unlimited = limited == "false" or (limited == "auto" and not self.autolimits)
         (stiffness, *_) = self._numbers(joint, settings.get("stiffness", "0"))
         if stiffness and settings.get("type", "hinge") not in ("hinge", "slide"):
-            _logger.warning("%s: the spring of joint '%s' is not read", self.path, joint.get("name"))
+            _logger.warning("%s: the spring of joint '%s' is ignored", self.path, joint.get("name"))
             stiffness = 0.0
         kind, ends = settings.get("type", "hinge"), self._numbers(joint, settings.get("range", ""))
         limits = None
@@ -237,7 +236,7 @@ class _Reader:
             if element.get("active") == "false":
                 continue
             if element.tag not in ("connect", "weld"):
-                _logger.warning("%s: equality '%s', a <%s>, is not read", self.path, name, element.tag)
+                _logger.warning("%s: equality '%s', a <%s>, is ignored", self.path, name, element.tag)
                 continue
             by_sites = "site1" in element.attrib
             if by_sites:
@@ -245,7 +244,7 @@ class _Reader:
             else:
                 places = (element.get("body1", WORLD), element.get("body2", WORLD))
             if not all(places):
-                raise DescriptionError(self.path, f"<{element.tag} name='{name}'>", "expected sites that are there")
+                raise DescriptionError(self.path, f"<{element.tag} name='{name}'>", "expected existing sites")
             pose = tuple(self._numbers(element, element.get("relpose", "0 1 0 0 0 0 0")))
             yield EqualityConstraint(
                 name=name,
@@ -262,7 +261,7 @@ class _Reader:
             joint = element.get("joint") or element.get("jointinparent")
             if joint is None:
                 name = f" '{element.get('name')}'" if "name" in element.attrib else ""
-                _logger.warning("%s: actuator%s drives no joint and is not read", self.path, name)
+                _logger.warning("%s: actuator%s drives no joint and is ignored", self.path, name)
             else:
                 actuators.setdefault(joint, element.get("name", joint))
         return actuators
@@ -289,7 +288,7 @@ class _Reader:
 
 
 def _classes(default: ElementTree.Element, inherited: dict[str, str]) -> Iterator[tuple[str, dict[str, str]]]:
-    """List the joint settings of a default class and of those within it."""
+    """Yield the joint settings of a default class and of its subclasses."""
     settings = dict(inherited)
     for joint in default.findall("joint"):
         settings |= joint.attrib

@@ -1,4 +1,4 @@
-"""The numbers of an MJCF file checked before it is parsed."""
+"""Checks of the numbers of an MJCF file before it is parsed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {
     "ref": (ANY, (1,)),
     "springref": (ANY, (1,)),
 }
-"""Bounds of the numbers of an attribute, and how many there may be; any number where none is given."""
+"""Bounds of the numbers of an attribute and their permitted counts; any count if none is given."""
 
 _JOINT_NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {
     "stiffness": (Bounds("N/m or N m/rad", 1e18), ()),
@@ -47,12 +47,12 @@ _SECTIONS = ("worldbody", "default", "equality", "keyframe", "option")
 
 
 def check_mjcf(root: ElementTree.Element, path: Path) -> None:
-    """Check the numbers of an MJCF file that Pinocchio reads, and its size; included files are part of it.
+    """Check the size of an MJCF file and the numbers that Pinocchio reads, in included files too.
 
     Raises:
         DescriptionError: an attribute is not a number, not finite, negative where it must not be, or physically
             impossible; a direction is zero; moments of inertia have a wrong sign; a range is not in order; or there are
-            too many joints, or bodies in a row.
+            too many joints or nested bodies.
     """
     for section in (element for tag in _SECTIONS for element in root.findall(tag)):
         for element in section.iter():

@@ -1,4 +1,4 @@
-"""Which files belong to a description: those of its package, and of packages that were named."""
+"""Which files belong to a description: those of its package and of the packages given."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 from pm3dof_pin.exceptions import DescriptionError
 
 MANIFEST = "package.xml"
-"""File that a ROS package has."""
+"""The file that marks a ROS package."""
 
 _PARTS = ("urdf", "xacro", "robots", "mjcf", "sdf", "xml", "srdf")
-_MOST_LEVELS = 4  # above a file, up to where its package is searched
+_MOST_LEVELS = 4  # how far above a file its package is searched
 
 
 def package_of(path: Path) -> Path:
-    """Return the folder that a description's own files are in.
+    """Return the folder of a description's own files.
 
-    It is the nearest one above the file that has a package.xml; else the file's own, or the one above if that is called
-    urdf, xacro, robots, mjcf, sdf, xml or srdf.
+    This is the nearest folder above the file with a package.xml; otherwise the file's own folder, or its parent if
+    that is named urdf, xacro, robots, mjcf, sdf, xml or srdf.
     """
     folder = path.resolve().parent
     for candidate in (folder, *list(folder.parents)[:_MOST_LEVELS]):
@@ -28,18 +28,18 @@ def package_of(path: Path) -> Path:
 
 
 def is_within(path: Path, folders: Iterable[Path]) -> bool:
-    """Tell whether a file is in one of some folders, symbolic links followed."""
+    """Return whether a file is in one of the folders, following symbolic links."""
     place = path.resolve()
     return any(place.is_relative_to(folder.resolve()) for folder in folders)
 
 
 def require_own(path: Path, folders: Iterable[Path], described: Path, place: str) -> None:
-    """Refuse a file from outside some folders, naming the description and the place where it is named."""
+    """Refuse a file outside the folders, naming the description and the place that refers to it."""
     folders = list(folders)
     if not is_within(path, folders):
         listed = ", ".join(map(str, folders))
         raise DescriptionError(
             described,
             place,
-            f"is {path.resolve()}, expected a file in {listed}, or of a folder named by --package-path",
+            f"is {path.resolve()}, expected a file in {listed}, or in a folder given by --package-path",
         )

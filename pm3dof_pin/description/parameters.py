@@ -25,10 +25,10 @@ Unit: TypeAlias = Literal[
 ]
 
 ON_PLATFORM = "platform"
-"""Where the chapter's machine has the universal joint of its passive leg."""
+"""Location of the universal joint of the passive leg in the chapter's machine."""
 
 _TO_SI: dict[str, Callable[[float], float]] = {
-    # in decimal digits, so that 240.272 mm is the double nearest to 0.240272 m and not its neighbour
+    # decimal arithmetic, so that 240.272 mm is exactly the double nearest to 0.240272 m
     "mm": lambda number: float(Decimal(repr(number)).scaleb(-3)),
     "deg": math.radians,
 }
@@ -54,8 +54,8 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     value: float | tuple[float, ...]
     unit: Unit
     status: Literal["printed", "inferred", "chosen"]
-    source: str  #: table, equation or reason
-    symbol: str = "none"  #: the chapter's sign
+    source: str  #: table, equation or rationale
+    symbol: str = "none"  #: the chapter's symbol
 
     @property
     def si(self) -> float | tuple[float, ...]:
@@ -66,7 +66,7 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class RoundSection:
-    """A round bar or tube [m], beside the solid bar of `reference_radius` whose stiffness and mass are known.
+    """A round bar or tube [m], relative to the solid bar of `reference_radius` whose stiffness and mass are known.
 
     Raises:
         InvalidValueError: the radius is not greater than the bore, or a radius is not positive.
@@ -79,7 +79,7 @@ class RoundSection:
     def __post_init__(self) -> None:
         """Check the radii."""
         if not (0.0 <= self.bore < self.radius < math.inf and 0.0 < self.reference_radius < math.inf):
-            raise InvalidValueError("radius", self.radius, f"a finite one, greater than the bore of {self.bore:g} m")
+            raise InvalidValueError("radius", self.radius, f"a finite radius greater than the bore of {self.bore:g} m")
 
     @property
     def area(self) -> float:
@@ -88,17 +88,17 @@ class RoundSection:
 
     @property
     def second_moment(self) -> float:
-        """Second moment of area about a diameter, half of the polar one [m^4]."""
+        """Second moment of area about a diameter, half the polar moment [m^4]."""
         return 0.25 * math.pi * (self.radius**4 - self.bore**4)
 
     @property
     def area_ratio(self) -> float:
-        """Area over that of the reference: what the mass goes with."""
+        """Area relative to the reference, to which the mass is proportional."""
         return self._ratio(2)
 
     @property
     def moment_ratio(self) -> float:
-        """Second moment over that of the reference: what E I and G J go with."""
+        """Second moment relative to the reference, to which E I and G J are proportional."""
         return self._ratio(4)
 
     def _ratio(self, power: int) -> float:
@@ -107,7 +107,7 @@ class RoundSection:
 
 @dataclass(frozen=True, eq=False)
 class TripodParameters:
-    """A tripod of n actuated prismatic-universal-spherical legs and a passive prismatic-universal leg, in SI units.
+    """Parameters of a tripod with n actuated PUS legs and a passive PU leg, in SI units.
 
     Geometry and symbols: D. Zhang, Parallel Robotic Machine Tools (Springer 2010), Fig. 8.1, Tables 8.1 and 8.2.
     """
@@ -117,22 +117,22 @@ class TripodParameters:
     platform_joint_angles: Vector  #: beta_i, direction of E_i about the platform's z, shape=(n,) [rad]
     base_radius: float  #: l_b, radius of B_i [m]
     platform_radius: float  #: l_e, radius of E_i [m]
-    link_length: float  #: l, length of every link [m]
-    guide_slope: float  #: gamma, slope of the guideways over the base plane [rad]
-    guide_heading: float  #: direction of a guideway in plan, counted from the outward radius [rad]
-    platform_joint_height: float  #: z_0, height of E_i over O_e in the platform frame [m]
+    link_length: float  #: l, length of each link [m]
+    guide_slope: float  #: gamma, slope of the guideways relative to the base plane [rad]
+    guide_heading: float  #: direction of a guideway in plan, measured from the outward radius [rad]
+    platform_joint_height: float  #: z_0, height of E_i above O_e in the platform frame [m]
     clamp_depth_ratio: float  #: (z_min - z_b) / (z_max - z_min), which places the clamp of the passive leg
     slider_home: float  #: middle of the slider's travel along the guideway from B_i [m]
     slider_stroke: float  #: travel to either side of the middle [m]
-    spherical_limit: float  #: greatest angle between a link and its spherical joint's axis [rad]
+    spherical_limit: float  #: maximum angle between a link and its spherical joint's axis [rad]
     spherical_axis_inclination: float  #: inclination of that axis from the platform's normal towards its centre [rad]
-    universal_limit: float  #: greatest angle about each axis of a universal joint, to either side [rad]
+    universal_limit: float  #: maximum angle about each axis of a universal joint, to either side [rad]
     #: stops of the passive prismatic joint beyond z_min, z_max, as a ratio of z_max - z_min
     passive_slider_margin: float
     actuator_stiffness: float  #: k_a along the guideway [N/m]
     link_stiffness: float  #: k_t along the link [N/m]
-    bending_stiffness: float  #: E I of the passive leg, of its section [N m^2]
-    torsional_stiffness: float  #: G J of the passive leg, of its section [N m^2]
+    bending_stiffness: float  #: E I of the passive leg's section [N m^2]
+    torsional_stiffness: float  #: G J of the passive leg's section [N m^2]
     platform_mass: float  #: [kg], as the next three
     link_mass: float
     slider_mass: float
@@ -147,12 +147,12 @@ class TripodParameters:
 
     @property
     def youngs_modulus(self) -> float:
-        """E that the bending stiffness and the section of the passive leg imply [Pa]."""
+        """E implied by the bending stiffness and section of the passive leg [Pa]."""
         return self.bending_stiffness / self.passive_leg.second_moment
 
     @property
     def axial_stiffness(self) -> float:
-        """E A of the passive leg, which nothing strains: it slides along its axis [N]."""
+        """E A of the passive leg, which carries no axial load: it slides along its axis [N]."""
         return self.youngs_modulus * self.passive_leg.area
 
     @property
@@ -162,15 +162,15 @@ class TripodParameters:
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> TripodParameters:
-        """Read the parameters of a tripod, laid out as `robots/pm3dof_description/config/pm3dof.yaml`, the default.
+        """Read the parameters of a tripod from a file like `robots/pm3dof_description/config/pm3dof.yaml`, the default.
 
         Raises:
-            DescriptionError: a number is missing, is not finite, has an unknown unit or a wrong sign or length.
+            DescriptionError: a number is missing, not finite, or has an unknown unit or a wrong sign or length.
         """
         path = Path(path) if path is not None else _default_parameters_path()
         sections = read_parameters(path)
         if sections.get("universal_joint", ON_PLATFORM) != ON_PLATFORM:
-            expected = f"expected {ON_PLATFORM}: the closed form is that of the chapter's machine"
+            expected = f"expected {ON_PLATFORM}: the closed form is for the chapter's machine"
             raise DescriptionError(path, "universal_joint", expected)
         reader = _Reader(path, _quantities(path, sections))
         alpha = reader.vector("geometry.base_joint_angles")
@@ -213,18 +213,18 @@ class TripodParameters:
 
 
 def _default_parameters_path() -> Path:
-    """Return the path of the chapter's machine."""
+    """Return the path of the chapter machine's parameters."""
     return robots_directory() / "pm3dof_description" / "config" / "pm3dof.yaml"
 
 
 def read_parameters(path: Path | str) -> dict[str, Any]:
-    """Read a parameter file; one that `extends` another holds what is different.
+    """Read a parameter file; one that `extends` another contains only the differences.
 
-    `extends` is the name of a robot that comes with the package, or a path, from the folder of the file. Entries
-    replace those of the other file key by key: `section: {passive_leg_radius: {value: 10.0}}` is another radius.
+    `extends` is the name of a robot of the package, or a path relative to the file's folder. Entries replace those of
+    the other file key by key: `section: {passive_leg_radius: {value: 10.0}}` changes a radius.
 
     Raises:
-        DescriptionError: a file is missing, is no YAML or no mapping, or extends itself.
+        DescriptionError: a file is missing, is not YAML or not a mapping, or extends itself.
     """
     return _extended(Path(path), ())
 
@@ -245,19 +245,19 @@ def _extended(path: Path, before: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def find_parameters(robot: str, name: Path | str) -> Path:
-    """Return a parameter file: a path, or the name of one that comes with a robot, such as universal_joint_at_base."""
+    """Return a parameter file given by path, or by name if it comes with a robot, such as universal_joint_at_base."""
     own = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}" / "config" / f"{name}.yaml"
     return own if not Path(name).exists() and own.is_file() else Path(name)
 
 
 def read_quantities(path: Path | str) -> dict[str, Parameter]:
-    """Read every quantity of any robot's parameter file, keyed "section.name"; DescriptionError for a bad entry."""
+    """Read all quantities of a robot's parameter file, keyed "section.name"; DescriptionError for a bad entry."""
     path = Path(path)
     return _quantities(path, read_parameters(path))
 
 
 def _quantities(path: Path, sections: Mapping[str, Any]) -> dict[str, Parameter]:
-    """Every quantity of a parameter file, keyed "section.name"."""
+    """All quantities of a parameter file, keyed "section.name"."""
     return {
         (key := f"{section}.{name}"): _quantity(path, key, entry)
         for section, entries in sections.items()
@@ -276,7 +276,7 @@ def _quantity(path: Path, key: str, entry: object) -> Parameter:
 
 
 def _section(reader: _Reader) -> RoundSection:
-    """Return the section of the passive leg; a file without one has the leg as its stiffness and mass are printed."""
+    """Return the section of the passive leg; by default the one with the printed stiffness and mass."""
     keys = [f"section.passive_leg_{name}" for name in ("radius", "bore", "reference_radius")]
     if keys[0] not in reader.quantities:
         drawn = reader.positive("drawing.passive_leg_radius")
@@ -288,7 +288,7 @@ def _section(reader: _Reader) -> RoundSection:
 
 
 class _Reader:
-    """Takes SI numbers out of the quantities of one file, and complains with the file's name."""
+    """Takes SI numbers from the quantities of one file; errors name the file."""
 
     def __init__(self, path: Path, quantities: Mapping[str, Parameter]) -> None:
         self.path = path
@@ -324,7 +324,7 @@ class _Reader:
     def interval(self, key: str) -> Vector:
         vector = self.vector(key, 2)
         if not vector[0] < vector[1]:
-            raise DescriptionError(self.path, f"{key}.value", f"expected [least, greatest], not {vector.tolist()}")
+            raise DescriptionError(self.path, f"{key}.value", f"expected [lower, upper], not {vector.tolist()}")
         return vector
 
     def _si(self, key: str) -> float | tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""What a number of a description may be: bounds far beyond any machine, which slips and damage cross."""
+"""Bounds of the numbers of a description: far beyond any machine, but exceeded by typing errors and corruption."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+", re.ASCII)
 
 @dataclass(frozen=True)
 class Bounds:
-    """Magnitudes that a kind of number has."""
+    """Permitted magnitudes of a kind of number."""
 
     unit: str
     greatest: float
-    least: float = 0.0  #: least magnitude; zero counts as one only if this is zero
+    least: float = 0.0  #: least magnitude; zero is permitted only if this is zero
     negative: bool = False
-    slip: str = ""  #: what a number beyond the greatest may be
+    slip: str = ""  #: a hint for numbers above the greatest
 
     def problem(self, number: float) -> str:
-        """Return what is wrong with a number, or nothing."""
-        if not abs(number) <= self.greatest:  # so for NaN
+        """Return what is wrong with a number, or ""."""
+        if not abs(number) <= self.greatest:  # also catches NaN
             guess = f" ({self.slip})" if self.slip and abs(number) < 1e6 * self.greatest else ""
             return f"expected at most {self.greatest:g}{self._unit}, not {number:g}{guess}"
         if number < 0.0 and not self.negative:
@@ -47,7 +47,7 @@ NOT_NEGATIVE = Bounds("", 1e30)
 
 
 def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
-    """Read a number as C++ does, with no other signs, words or separators; return it, and what is wrong with it."""
+    """Read a number as C++ does, with no extra characters; return it and what is wrong with it, if anything."""
     word = text.strip()
     if not _NUMBER.fullmatch(word):
         comma = ": a decimal point, not a comma" if _DECIMAL_COMMA.fullmatch(word) else ""
@@ -57,7 +57,7 @@ def parse_number(text: str, bounds: Bounds) -> tuple[float, str]:
 
 
 def parse_numbers(text: str, bounds: Bounds, count: int | None = None) -> tuple[tuple[float, ...], str]:
-    """Read numbers with spaces between them, and judge them; see :func:`parse_number`."""
+    """Read and check numbers separated by spaces; see :func:`parse_number`."""
     words = text.split()
     if count is not None and len(words) != count:
         return (), f"expected {count} numbers, not '{_shortened(text)}'"

@@ -1,4 +1,4 @@
-"""Finding robots: from a name or a path to the files that describe a robot, whatever they are written in."""
+"""Find the files of a robot, in any supported format, from a name or a path."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ class RobotFiles:
     """The files of one robot."""
 
     name: str  #: name of the robot, or the stem of its file
-    path: Path  #: the tree of bodies and joints
-    closures: Path | None = None  #: loop closures, actuated joints, tool frame and springs, if there is such a file
-    srdf: Path | None = None  #: named configurations and collision pairs, if there is such a file
-    format: Format = "urdf"  #: what the tree is written in; MJCF says where the loops close, and more, by itself
-    package_paths: tuple[Path, ...] = ()  #: folders to look for the ROS packages of meshes in, the first first
-    #: folders that files may be taken from: the description's own, and those that were named
+    path: Path  #: file with the tree of bodies and joints
+    closures: Path | None = None  #: file with loop closures, actuated joints, tool frame and springs, if any
+    srdf: Path | None = None  #: file with named configurations and collision pairs, if any
+    format: Format = "urdf"  #: format of the tree; MJCF includes loop closures and more
+    package_paths: tuple[Path, ...] = ()  #: folders to search for the ROS packages of meshes, in order
+    #: folders that files may be read from: the description's own and those given
     own_folders: tuple[Path, ...] = ()
 
     @property
     def urdf(self) -> Path:
-        """The tree as a URDF; DescriptionError if it is not one."""
+        """The URDF file; DescriptionError if the tree is in another format."""
         if self.format != "urdf":
             raise DescriptionError(self.path, "file", f"expected URDF for this, not {self.format.upper()}")
         return self.path
 
     @property
     def source(self) -> Path:
-        """The file that names of closures, drives and springs come from."""
+        """The file with the names of closures, drives and springs."""
         return self.closures or self.path
 
     @property
     def errors(self) -> Path:
-        """The error file, which need not exist."""
+        """The error file, which may not exist."""
         return self.path.with_suffix(".errors.yaml")
 
 
 def robots_directory() -> Path:
-    """Return the folder of robot descriptions: inside the installed package, or beside it in a checkout."""
+    """Return the folder of robot descriptions: inside the installed package, or next to it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     installed = package / "robots"
     return installed if installed.is_dir() else package.parent / "robots"
 
 
 def robot_names() -> list[str]:
-    """Return the names of the robots that come with the package, sorted.
+    """Return the sorted names of the robots that come with the package.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -82,17 +82,17 @@ def find_robot(name_or_path: str | Path, package_paths: Iterable[str | Path] = (
         name_or_path: one of:
 
             - a name of :func:`robot_names`, or of a robot of example-robot-data where that is installed;
-            - a URDF. Its closures file `x.closures.yaml` or `robot.yaml` may stand beside `x.urdf` or in `../urdf`,
-              an SRDF `x.srdf` beside it or in `../srdf`; without a closures file it is a serial robot;
+            - a URDF `x.urdf`. Its closures file `x.closures.yaml` or `robot.yaml` may be next to it or in `../urdf`,
+              its SRDF `x.srdf` next to it or in `../srdf`; without a closures file it is a serial robot;
             - a xacro file that expands to a URDF, all arguments at their defaults;
             - an MJCF file;
-            - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF beside it;
+            - a closures file, `x.closures.yaml` or `robot.yaml`, with its URDF next to it;
             - a folder with one of these: `robot.yaml` with `robot.urdf`, or the folder of a ROS package with `urdf/`.
-        package_paths: folders that ROS packages are in, before those of ROS_PACKAGE_PATH and those above the file.
+        package_paths: folders of ROS packages, searched before ROS_PACKAGE_PATH and the folders above the file.
 
     Raises:
         UnknownRobotError: neither a known name nor an existing path.
-        DescriptionError: the path is not the description of a robot, or is that of several.
+        DescriptionError: the path does not describe a robot, or describes several.
     """
     tree, closures = _tree_and_closures(_existing_path(name_or_path))
     environment = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
@@ -125,7 +125,7 @@ def _existing_path(name_or_path: str | Path) -> Path:
 
 
 def _example_robot(name: str) -> Path | None:
-    """The URDF of a robot of example-robot-data, where that is installed."""
+    """The URDF of a robot of example-robot-data, if that is installed."""
     try:
         from example_robot_data.robots_loader import ROBOTS, getModelPath
     except ImportError:
@@ -138,7 +138,7 @@ def _example_robot(name: str) -> Path | None:
 
 
 def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
-    """Find the tree that a path stands for, and the closures file if the path says which."""
+    """Find the tree that a path refers to, and the closures file if the path names one."""
     if path.is_dir():
         if (path / _CLOSURES_FALLBACK).is_file():
             return _tree_and_closures(path / _CLOSURES_FALLBACK)
@@ -155,7 +155,7 @@ def _tree_and_closures(path: Path) -> tuple[Path, Path | None]:
         trees = [path.with_suffix(".urdf"), *sorted(path.parent.glob("*.urdf"))]
     trees = [tree for tree in trees if tree.is_file()]
     if not trees:
-        raise DescriptionError(path, "URDF", "expected the one that this file belongs to beside it")
+        raise DescriptionError(path, "URDF", "expected the URDF of this file next to it")
     return trees[0] if trees[0].stem == path.name.split(".")[0] else _only(trees, path.parent), path
 
 
@@ -167,16 +167,16 @@ def _only(trees: Sequence[Path], folder: Path) -> Path:
 
 
 def _beside(tree: Path, folder: str, *names: str) -> Path | None:
-    """Find a file beside the tree, or in another folder beside the tree's."""
+    """Find a file next to the tree, or in a folder next to the tree's folder."""
     candidates = [place / name for name in names for place in (tree.parent, tree.parent.parent / folder)]
-    return next((path for path in candidates if os.path.lexists(path)), None)  # one that cannot be read is an error
+    return next((path for path in candidates if os.path.lexists(path)), None)  # an unreadable one is an error
 
 
 def _format_of(tree: Path) -> Format:
     tag = read_xml(tree).tag.rpartition("}")[2]
     if tag not in _FORMAT_OF_ROOT:
         form = _NOT_READ.get(tag, f"an XML file of <{tag}>")
-        raise DescriptionError(tree, "file", f"this is {form}, which is not read: expected URDF, xacro or MJCF")
+        raise DescriptionError(tree, "file", f"this is {form}, which is not supported: expected URDF, xacro or MJCF")
     return _FORMAT_OF_ROOT[tag]
 
 
@@ -195,7 +195,7 @@ def _expand(xacro: Path, name: str, packages: Sequence[Path]) -> Path:
 
 @cache
 def _expanded(xacro: Path, name: str, packages: tuple[Path, ...], trusted: bool) -> Path:
-    """Expand a xacro file to a URDF of its own, which lasts as long as the process."""
+    """Expand a xacro file to a temporary URDF, which lasts as long as the process."""
     import shutil
     import tempfile
 

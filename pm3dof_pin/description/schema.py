@@ -1,6 +1,6 @@
-"""Plain data checked against a schema, with errors that name the file and the place in it.
+"""Check plain data against a schema, with errors that name the file and the place in it.
 
-The schemas are msgspec's: they check as precisely as Pydantic's, and importing them takes 10 ms instead of 140.
+The schemas use msgspec: it checks as precisely as Pydantic and imports in 10 ms instead of 140.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ _WORDS = {
 
 
 class Schema(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """A mapping that has these fields as keys, and no others."""
+    """A mapping with exactly these fields as keys."""
 
 
 def checked(data: Any, schema: type[T], path: Path | str, element: str = "") -> T:
-    """Return plain data as an object of a schema, naming file and element in messages.
+    """Convert plain data to an object of a schema; messages name file and element.
 
-    A number may be text, since YAML 1.1 reads 9.5e7, without a sign in the exponent, as text.
+    Numbers may be strings, since YAML 1.1 reads 9.5e7, without a sign in the exponent, as a string.
 
     Raises:
-        DescriptionError: the data is of another form, has an unknown key, or holds a number that is not finite.
+        DescriptionError: the data does not fit the schema, has an unknown key, or contains a number that is not finite.
     """
     try:
         result = msgspec.convert(data, schema, strict=False)
@@ -65,7 +65,7 @@ def checked(data: Any, schema: type[T], path: Path | str, element: str = "") -> 
 
 
 def _place_and_expected(message: str, data: Any, schema: Any) -> tuple[str, str]:
-    """Turn a message of msgspec's into a place in the data and what was expected there."""
+    """Turn a msgspec message into a place in the data and what was expected there."""
     found = _PLACE.search(message)
     place, problem = (found[2], message[: found.start()]) if found else ("", message)
     if found and found[1]:
@@ -89,11 +89,11 @@ def _in_words(kinds: str) -> str:
 
 
 def _at(place: str, data: Any, schema: Any) -> tuple[str, Any, Any]:
-    """Return a place of msgspec's spelt out, the value there, and the part of the schema it was compared with."""
+    """Return msgspec's place spelt out, the value there, and the part of the schema that applies."""
     spelt, schema = "", _plain(schema, data)
     for index, key in re.findall(r"\[(\d+|\.\.\.)\]|([^.\[\]]+)", place):
         arguments = get_args(schema)
-        if index == "...":  # some value of a mapping whose keys are free: msgspec does not say which
+        if index == "...":  # some value of a mapping with free keys: msgspec does not say which
             schema = arguments[1]
             key = next(key for key, value in data.items() if not _fits(value, schema))
             spelt, data = _joined(spelt, key), data[key]
@@ -115,7 +115,7 @@ def _fits(value: Any, schema: Any) -> bool:
 
 
 def _plain(schema: Any, data: Any) -> Any:
-    """Take the annotations off a type, and of a union the member that looks like the data."""
+    """Remove the annotations of a type; of a union return the member that matches the data."""
     if get_origin(schema) is Annotated:
         return _plain(get_args(schema)[0], data)
     if get_origin(schema) not in (Union, types.UnionType):

@@ -1,7 +1,7 @@
-"""A URDF checked before it is parsed: what urdfdom would drop in silence, and what no machine has.
+"""Checks of a URDF before it is parsed: what urdfdom would silently drop, and the physically impossible.
 
 urdfdom drops the whole inertial of a link, or all its shapes, if one of their numbers is malformed: "0,1945", "nan", or
-a number with a space behind it. It does not miss links that hang in a circle, and follows the tree by recursion.
+a number with a trailing space. It does not notice links in a cycle, and descends the tree recursively.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from pm3dof_pin.description.physical_bounds import (
 from pm3dof_pin.exceptions import DescriptionError
 
 MOST_LINKS = 10_000
-"""Links that a tree may have."""
+"""Largest number of links."""
 
 MOST_IN_A_ROW = 200
-"""Links that a chain may have, and joints that may move: Pinocchio's data take 60 bytes times their number cubed."""
+"""Longest chain of links, and most movable joints: Pinocchio's data take 60 bytes times their number cubed."""
 
 _JOINT_TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -55,16 +55,16 @@ _logger = logging.getLogger(__name__)
 
 
 def check_urdf(root: ElementTree.Element, path: Path | str) -> dict[str, str]:
-    """Check every number and name of a URDF that Pinocchio and the exports read.
+    """Check all numbers and names of a URDF that Pinocchio and the exports read.
 
-    Shapes that URDF does not have are taken out of the tree, with a warning, since urdfdom would drop those after them
-    as well; so are spaces around numbers, which urdfdom does not read. Returns, by link, what is wrong with its moments
-    of inertia though kinematics and statics do without them.
+    Shapes unknown to URDF are removed from the tree with a warning, since urdfdom would also drop those after them.
+    Spaces around numbers, which urdfdom does not accept, are removed. Returns, by link, problems of the moments of
+    inertia that do not affect kinematics and statics.
 
     Raises:
         DescriptionError: an attribute is not a number, not finite, negative where it must not be, or physically
             impossible; a mass is missing; moments of inertia have a wrong sign; limits are not in order; an axis is
-            zero; a name is missing, taken or unknown; or the links are not one tree of moderate size.
+            zero; a name is missing, duplicate or unknown; or the links are not one tree of moderate size.
     """
     checks = _Checks(path)
     if not (root.get("name") or "").strip():
@@ -95,13 +95,13 @@ class _Checks:
         if "" in names:
             self._fail(f"<{kind}>", "has no name, expected one")
         if twice := next((name for name, count in Counter(names).items() if count > 1), None):
-            self._fail(f"{kind} '{twice}'", "stands there twice, expected every name once")
+            self._fail(f"{kind} '{twice}'", "is defined twice, expected unique names")
 
     def link(self, link: ElementTree.Element, place: str) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             kind = next((child.tag for child in shape.findall("geometry/*")), "shape without geometry")
             if kind not in _SIZES:
-                _logger.warning("%s: %s: %s: a %s is left out", self._path, place, shape.tag, kind)
+                _logger.warning("%s: %s: %s: unsupported %s is ignored", self._path, place, shape.tag, kind)
                 link.remove(shape)
             else:
                 self._shape(shape, f"{place}: {shape.tag}")
@@ -178,7 +178,7 @@ class _Checks:
         number, problem = parse_number(element.attrib[key], bounds)
         if problem:
             self._fail(f"{place}: {key}", problem)
-        element.set(key, element.attrib[key].strip())  # a space behind a number ends urdfdom's reading
+        element.set(key, element.attrib[key].strip())  # a trailing space makes urdfdom fail
         return number
 
     def _numbers(
@@ -197,48 +197,48 @@ class _Checks:
 
 
 def _check_tree(path: Path | str, links: Collection[str], joints: list[ElementTree.Element]) -> None:
-    """Check that joints connect links to one tree, of moderate depth."""
+    """Check that the joints connect the links to one tree of moderate depth."""
     if not links:
-        raise DescriptionError(path, "<robot>", "expected links in it")
+        raise DescriptionError(path, "<robot>", "has no links, expected some")
     parents: dict[str, str] = {}
     for joint in joints:
         place = f"joint '{joint.get('name')}'"
         ends = {tag: _end(joint, tag) for tag in ("parent", "child")}
         for tag, link in ends.items():
             if link not in links:
-                expected = f"expected a link that is there, not '{link}'" if link else "expected a link"
+                expected = f"expected an existing link, not '{link}'" if link else "expected a link"
                 raise DescriptionError(path, f"{place}: {tag}", expected)
         if ends["child"] in parents:
             raise DescriptionError(
-                path, f"link '{ends['child']}'", "hangs on two joints: expected one; loops close in a closures file"
+                path, f"link '{ends['child']}'", "is the child of two joints: close loops in a closures file"
             )
         parents[ends["child"]] = ends["parent"]
     _check_roots(path, links, parents)
     moving = sum(joint.get("type") != "fixed" for joint in joints)
     if moving > MOST_IN_A_ROW:
-        raise DescriptionError(path, "<robot>", f"has {moving} joints that move, expected at most {MOST_IN_A_ROW}")
+        raise DescriptionError(path, "<robot>", f"has {moving} movable joints, expected at most {MOST_IN_A_ROW}")
     depths: dict[str, int] = {}
     for link in links:
         chain = [link]
         while chain[-1] in parents and chain[-1] not in depths:
             chain.append(parents[chain[-1]])
             if len(chain) > len(links):
-                raise DescriptionError(path, f"link '{link}'", "hangs on itself: expected a tree")
+                raise DescriptionError(path, f"link '{link}'", "is its own ancestor: expected a tree")
         for member in reversed(chain):
             depths.setdefault(member, depths[parents[member]] + 1 if member in parents else 1)
         if depths[link] > MOST_IN_A_ROW:
             raise DescriptionError(
-                path, f"link '{link}'", f"is the end of a chain of more than {MOST_IN_A_ROW} links, expected no more"
+                path, f"link '{link}'", f"is the end of a chain of more than {MOST_IN_A_ROW} links, the maximum"
             )
 
 
 def _check_roots(path: Path | str, links: Collection[str], parents: Mapping[str, str]) -> None:
     roots = [link for link in links if link not in parents]
     if not roots:
-        raise DescriptionError(path, "<robot>", "every link hangs on another: expected one that hangs on none")
+        raise DescriptionError(path, "<robot>", "every link is a child: expected one root link")
     if len(roots) > 1:
         listed = ", ".join(roots[:4]) + (" ..." if len(roots) > 4 else "")
-        raise DescriptionError(path, "<robot>", f"several links hang on no joint, expected one: {listed}")
+        raise DescriptionError(path, "<robot>", f"has several root links, expected one: {listed}")
 
 
 def _end(joint: ElementTree.Element, tag: str) -> str:

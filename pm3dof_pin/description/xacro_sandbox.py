@@ -1,10 +1,10 @@
-"""Expands a xacro file in a process of its own that may do little else; run as a script, never imported by the package.
+"""Expands a xacro file in a sandboxed process; run as a script, never imported by the package.
 
-A xacro file is a program: its expressions are Python. Three things stand between it and the machine:
+A xacro file is a program: its expressions are Python. Three layers protect the machine:
 
-- expressions are checked before they are evaluated: no names or attributes that lead from a value to the interpreter;
-- an audit hook of the interpreter refuses to open any file but those of given folders, to write, to start processes, to
-  connect anywhere, to load native code;
+- expressions are checked before evaluation: no names or attributes that reach the interpreter;
+- an audit hook of the interpreter refuses to open files outside the given folders, to write, to start processes, to
+  connect anywhere, and to load native code;
 - the operating system limits memory and time, and the environment is empty.
 
 The request is a JSON object on standard input, the answer one on standard output.
@@ -28,7 +28,7 @@ _INTERPRETER = frozenset({
     "cr_origin", "tb_frame", "tb_next", "f_back", "f_builtins", "f_code", "f_globals", "f_locals", "f_trace",
     "co_consts", "co_names", "func_globals", "func_code",
 })  # fmt: skip
-"""Attributes that lead from a value to the interpreter, beside those that begin with an underscore."""
+"""Attributes that reach the interpreter, in addition to those that begin with an underscore."""
 
 _NOT_OFFERED = ("type", "vars")
 _FORBIDDEN_EVENTS = (
@@ -41,12 +41,12 @@ _FORBIDDEN_EVENTS = (
 
 
 class _RefusedError(Exception):
-    """A file does what a file from others may not."""
+    """The file attempts something forbidden."""
 
 
 @functools.cache
 def _checked(expression: str) -> Any:
-    """Return an expression compiled, if it leads nowhere that it may not."""
+    """Return the compiled expression if it contains nothing forbidden."""
     tree = ast.parse(expression.strip(), "<expression>", mode="eval")
     for node in ast.walk(tree):
         name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
@@ -57,7 +57,7 @@ def _checked(expression: str) -> Any:
 
 
 def _close(xacro: Any, substitution: Any, folders: list[str]) -> None:
-    """Put checks before all that evaluates, and bound what is found by name."""
+    """Check every expression before evaluation, and restrict package look-ups."""
 
     def checked_eval(expression: str, symbols: Any, local: Any = None) -> Any:
         symbols.update(__builtins__={})
@@ -90,7 +90,7 @@ def _is_within(path: str, folders: list[str]) -> bool:
 
 
 def _watch(folders: list[str], files: list[str]) -> None:
-    """From now on, nothing but reading files in these folders, and these files."""
+    """From now on, permit only reading these files and those in these folders."""
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":
@@ -101,8 +101,8 @@ def _watch(folders: list[str], files: list[str]) -> None:
             if not (_is_within(path, folders) or os.path.realpath(path) in files):
                 allowed = ", ".join(folders)
                 raise _RefusedError(f"it reads {path}, which is not in {allowed}")
-            if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
-                raise _RefusedError(f"it reads {path}, which is no ordinary file")
+            if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe would block
+                raise _RefusedError(f"it reads {path}, which is not a regular file")
         elif event in ("os.listdir", "os.scandir", "glob.glob"):
             path = os.fsdecode(arguments[0] or ".") if not isinstance(arguments[0], int) else "."
             if event != "glob.glob" and not _is_within(path, folders):
@@ -125,7 +125,7 @@ def _limit() -> None:
 
 def _answer(request: dict[str, Any]) -> dict[str, str]:
     sys.path[:] = request["modules"]
-    import glob  # noqa: F401  imported before modules can no longer be
+    import glob  # noqa: F401  while imports are still possible
     import xml.dom.expatbuilder
     from xml.parsers.expat import ExpatError
 
@@ -134,7 +134,7 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     from xacro import substitution_args
 
     del xml
-    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # type: ignore[misc]  # libyaml, where it is there
+    yaml.SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # type: ignore[misc]  # libyaml, if available
     folders = [os.path.realpath(folder) for folder in request["folders"]]
     _close(xacro, substitution_args, folders)
     _limit()
@@ -145,7 +145,7 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     except _RefusedError as error:
         return {"refused": str(error)}
     except xacro.XacroException as error:
-        outer: Any = error  # xacro wraps an error once for every expression around it
+        outer: Any = error  # xacro wraps an error once per enclosing expression
         while isinstance(outer.exc, xacro.XacroException):
             outer = outer.exc
         inner = outer.exc
@@ -159,14 +159,14 @@ def _answer(request: dict[str, Any]) -> dict[str, str]:
     except MemoryError:
         return {"error": f"takes more than {_BYTES >> 30} GiB of memory"}
     except RecursionError:
-        return {"error": "goes into itself without end"}
+        return {"error": "recurses without end"}
     except Exception as error:
         return {"error": f"{type(error).__name__}: {' '.join(str(error).split())}"}
 
 
 if __name__ == "__main__":
     _stdout = sys.stdout
-    sys.stdout = io.StringIO()  # what the file prints is no answer
+    sys.stdout = io.StringIO()  # discard what the file prints
     _stdout.write(json.dumps(_answer(json.load(sys.stdin))))
     _stdout.flush()
     os._exit(0)

@@ -1,4 +1,4 @@
-"""Reading an XML file into its elements, with bounds on what a file may ask of the reader."""
+"""Read an XML file into its elements, with limits on its size and nesting."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_bytes
 
 MOST_DEPTH = 200
-"""Elements within each other that are read: what comes after, in C++ and here, goes into them by recursion."""
+"""Maximum nesting of elements: later stages, in C++ and here, are recursive."""
 
 
 def read_xml(path: Path | str) -> ElementTree.Element:
-    """Read the root element of an XML file without comments; entities, which can grow without end, are refused.
+    """Read the root element of an XML file, without comments; entities, which can expand without limit, are refused.
 
     Raises:
-        DescriptionError: the file is unreadable, too large, nested too deeply, declares entities, or is not XML, with
-            the line.
+        DescriptionError: the file is unreadable, too large, too deeply nested, declares entities or is not XML; the
+            message names the line.
     """
     try:
         content = read_bytes(path)
@@ -27,13 +27,13 @@ def read_xml(path: Path | str) -> ElementTree.Element:
     except expat.ExpatError as error:
         place = f"line {error.lineno}, column {error.offset}"
         raise DescriptionError(path, place, f"expected XML ({expat.ErrorString(error.code)})") from error
-    except (ValueError, LookupError) as error:  # an encoding that is not there
-        raise DescriptionError(path, "file", f"expected XML in an encoding that is known ({error})") from error
+    except (ValueError, LookupError) as error:  # an unknown encoding
+        raise DescriptionError(path, "file", f"expected XML in a known encoding ({error})") from error
     return reader.builder.close()
 
 
 def comment_text(text: str) -> str:
-    """Write text so that it does not end the comment it stands in."""
+    """Return text that does not end the comment it is put in."""
     return " ".join(text.replace("--", "- -").replace("--", "- -").split())
 
 
@@ -67,5 +67,5 @@ class _Reader:
 
 
 def _qualified(name: str) -> str:
-    """Write a name as ElementTree does: {namespace}name."""
+    """Format a name as ElementTree does: {namespace}name."""
     return f"{{{name}" if "}" in name else name

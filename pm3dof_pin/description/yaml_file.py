@@ -1,4 +1,4 @@
-"""Reading a YAML file into a mapping, with errors that name the file and the line."""
+"""Read a YAML file into a mapping, with errors that name the file and the line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from pm3dof_pin.exceptions import DescriptionError
 from pm3dof_pin.files import read_text
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, where it is built in
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml, ten times faster, if available
 _MOST_DEPTH = 50
 _MOST_ENTRIES = 1_000_000
 
@@ -21,7 +21,7 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping of plain data.
 
     Raises:
-        DescriptionError: the file is missing, too large or nested too deeply, is no YAML, or is no mapping.
+        DescriptionError: the file is missing, too large, too deeply nested, not YAML, or not a mapping.
     """
     path = Path(path)
     try:
@@ -37,12 +37,12 @@ def read_mapping(path: Path | str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise DescriptionError(path, "file", "expected a mapping of keys to values at the top level")
     if _size(data, {}) > _MOST_ENTRIES:
-        raise DescriptionError(path, "file", f"expected at most {_MOST_ENTRIES} entries, those of aliases included")
+        raise DescriptionError(path, "file", f"expected at most {_MOST_ENTRIES} entries, aliases expanded")
     return data
 
 
 def _check_nesting(path: Path, text: str) -> None:
-    """Refuse lists and mappings that are deep within each other, which the loader would follow by recursion."""
+    """Refuse deeply nested lists and mappings, since the loader is recursive."""
     depth = 0
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.CollectionStartEvent):
@@ -55,7 +55,7 @@ def _check_nesting(path: Path, text: str) -> None:
 
 
 def _size(data: Any, known: dict[int, float]) -> float:
-    """Count the entries as if every alias were written out; something that contains itself has infinitely many."""
+    """Count the entries with all aliases expanded; data that contains itself has infinitely many."""
     if not isinstance(data, (dict, list)):
         return 1.0
     if id(data) not in known:
@@ -67,7 +67,7 @@ def _size(data: Any, known: dict[int, float]) -> float:
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with the values of another one in the place of its own, level by level."""
+    """Return a mapping updated with the values of another, recursively."""
     result = dict(base)
     for key, value in changes.items():
         own = result.get(key)

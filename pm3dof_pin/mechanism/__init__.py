@@ -1,1 +1,1 @@
-"""Closed-chain mechanisms as data on Pinocchio: the tree, its loop closures, and one read-only configuration of it."""
+"""Closed-chain mechanisms as data on Pinocchio: the tree, its loop closures, and a read-only configuration."""

@@ -1,9 +1,9 @@
-"""Any robot as a plain URDF with a closures file: for tools, and for whatever edits a URDF.
+"""Any robot as a plain URDF with a closures file, for tools that read or edit URDF.
 
-A spherical joint, which URDF does not have, becomes hinges about x, y and z in one point, which do the same as long as
-the second stays away from 90 degrees; for tools that know no floating joint, slides along x, y and z come before these.
-Links between them, and others that move without mass, get a mass of 0.01 g, which simulators need and statics do not
-feel.
+A spherical joint, which URDF does not have, becomes revolute joints about x, y and z through one point: equivalent as
+long as the second stays away from 90 degrees. For tools without floating joints, prismatic joints along x, y and z
+precede these. The links between them, and other moving links without mass, get a mass of 0.01 g, which simulators need
+and which is negligible in statics.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pm3dof_pin.mechanism.visuals import read_visuals
 from pm3dof_pin.typing import Matrix, Vector
 
 NEGLIGIBLE_MASS = 1e-5
-"""Mass of links that move and have none [kg]."""
+"""Mass of moving links that have none [kg]."""
 
 NEGLIGIBLE_MOMENT = 1e-9
 """Moment of inertia of such links about every axis [kg m^2]."""
@@ -55,21 +55,21 @@ _SIMPLE_JOINTS = {
         *((f"_about_{axis}", axis, kind) for _, axis, kind in _BALL),
     ),
 }
-"""What stands for joints that URDF, or a tool, does not have: what to add to the name, axis, and kind."""
+"""Replacements of joints that URDF, or a tool, does not have: name suffix, axis and type."""
 
 
 def as_urdf(mechanism: Mechanism, *, floating: bool = True) -> RobotFiles:
-    """Return the files of a robot, its tree a URDF with hinges and slides only, but for a `floating` base.
+    """Return the files of a robot as a URDF with revolute and prismatic joints only, except for a `floating` base.
 
-    A URDF whose joints are all its own is returned as it is; otherwise files are written that last as long as the
-    process.
+    A URDF without replaced joints is returned unchanged; otherwise temporary files are written, which last as long as
+    the process.
 
     Raises:
-        DescriptionError: the mechanism was not read from files, or a joint is of a kind that cannot be written.
+        DescriptionError: the mechanism was not read from files, or a joint type cannot be written.
     """
     files = mechanism.files
     if files is None:
-        raise DescriptionError(mechanism.source, "files", "expected a mechanism that was read from some")
+        raise DescriptionError(mechanism.source, "files", "expected a mechanism that was read from files")
     names = (
         {str(joint.get("name")) for joint in read_xml(files.path).iter("joint")} if files.format == "urdf" else set()
     )
@@ -93,7 +93,7 @@ def as_urdf(mechanism: Mechanism, *, floating: bool = True) -> RobotFiles:
         closures=closures,
         srdf=urdf.with_suffix(".srdf"),
         format="urdf",
-        own_folders=(*files.own_folders, *_mesh_folders(urdf)),  # checked where they were read
+        own_folders=(*files.own_folders, *_mesh_folders(urdf)),  # checked when they were read
     )
 
 
@@ -132,7 +132,7 @@ def _tree(mechanism: Mechanism, files: RobotFiles, floating: bool) -> ElementTre
 
 
 def _name_of_link(model: pin.Model, joint: int) -> str:
-    """Name the link of a joint: the body that stands in the joint's frame, if there is one."""
+    """Name the link of a joint: the body in the joint's frame, if there is one."""
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY and frame.parentJoint == joint and frame.placement.isIdentity(0.0):
             return str(frame.name)
@@ -162,7 +162,7 @@ def _add_joint(
             parent, placement = link, pin.SE3.Identity()
         return
     if joint.nv != 1:
-        raise DescriptionError(mechanism.source, f"joint '{name}'", f"expected one that URDF has, not a {kind}")
+        raise DescriptionError(mechanism.source, f"joint '{name}'", f"expected a joint type of URDF, not {kind}")
     data = joint.createData()
     joint.calc(data, pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq])
     subspace = np.asarray(data.S).reshape(6)
@@ -219,12 +219,12 @@ def _add_inertial(link: ElementTree.Element, inertia: pin.Inertia) -> None:
 
 
 def _shapes(mechanism: Mechanism, files: RobotFiles) -> dict[int, list[ElementTree.Element]]:
-    """What is drawn, by joint; shapes that URDF does not have are left out."""
+    """The visual elements, by joint; shapes that URDF does not have are omitted."""
     shapes: dict[int, list[ElementTree.Element]] = {}
     try:
         visuals = read_visuals(mechanism.model, files)
     except DescriptionError as error:
-        _logger.warning("%s: its shapes are left out", error)
+        _logger.warning("%s: its shapes are omitted", error)
         return shapes
     for shape in visuals.geometryObjects:
         for tag, sizes, offset in _primitives(shape):
@@ -238,7 +238,7 @@ def _shapes(mechanism: Mechanism, files: RobotFiles) -> dict[int, list[ElementTr
 
 
 def _primitives(shape: Any) -> Iterator[tuple[str, dict[str, str], float]]:
-    """Yield the URDF shapes that a shape is made of: tag, sizes, and how far along its z axis."""
+    """Yield the URDF shapes that a shape consists of: tag, sizes, and offset along its z axis."""
     geometry, kind = shape.geometry, type(shape.geometry).__name__
     if hasattr(geometry, "num_tris"):
         yield "mesh", {"filename": str(shape.meshPath), "scale": _text(np.asarray(shape.meshScale))}, 0.0
@@ -253,7 +253,7 @@ def _primitives(shape: Any) -> Iterator[tuple[str, dict[str, str], float]]:
             yield from (("sphere", {"radius": radius}, end) for end in (-half, half))
 
 
-# Beside the tree
+# The other files
 
 
 def _closures(mechanism: Mechanism) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def _joint_values(mechanism: Mechanism, q: Vector, floating: bool) -> Iterator[t
 
 
 def _roll_pitch_yaw(rotation: Matrix) -> tuple[float, float, float]:
-    """Return angles with R = Rz(yaw) Ry(pitch) Rx(roll), to the last digits at 90 degrees of pitch too."""
+    """Return angles with R = Rz(yaw) Ry(pitch) Rx(roll), accurate to rounding even at 90 degrees of pitch."""
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
     pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)

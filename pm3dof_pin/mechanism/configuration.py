@@ -1,4 +1,4 @@
-"""One configuration of a mechanism, with everything that hangs on it computed at its own q."""
+"""One configuration of a mechanism: placements, Jacobians and closure errors at its q."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pm3dof_pin.mechanism.mechanism import Mechanism
 from pm3dof_pin.typing import Matrix, Vector
 
 LIMIT_TOLERANCE = 1e-9
-"""Excess over a limit that still counts as inside, for rounding [m, rad]."""
+"""Tolerance of limits, for rounding [m, rad]."""
 
 ASSEMBLED_TOLERANCE = 1e-6
-"""Closure residual up to which a configuration counts as assembled [characteristic lengths, or rad]."""
+"""Largest closure residual of an assembled configuration [characteristic lengths, or rad]."""
 
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """A joint (`joint[k]` for component k), or a closure's swing, outside its range [m, rad]."""
+    """A joint (`joint[k]` for component k), or the swing of a closure, outside its range [m, rad]."""
 
     name: str
     kind: Literal["joint", "swing"]
@@ -36,9 +36,9 @@ class LimitViolation:
 class Configuration:
     """A mechanism at one q: placements, Jacobians and closure errors. Read-only.
 
-    Made by :meth:`Robot.configuration`. The closure error and its Jacobian are computed when the object is made,
-    frames when they are asked for, all from this q and nothing else; q cannot change, so nothing can be stale. The
-    loops need not be closed: see :attr:`closure_residual`.
+    Created by :meth:`Robot.configuration`. The closure error and its Jacobian are computed on construction, frames on
+    request, always from this q; since q cannot change, nothing can be stale. The loops need not be closed: see
+    :attr:`closure_residual`.
 
     Velocities v, shape=(nv,), are Pinocchio's (tangent) velocities. Twists are [v; omega], linear part first. All
     arrays are read-only.
@@ -56,8 +56,8 @@ class Configuration:
         q: joint configuration, shape=(nq,) [m, rad; cosine and sine for a continuous joint].
 
     Raises:
-        InvalidValueError: q has another shape, is not finite, or holds a cosine-sine pair or quaternion of a length
-            other than 1.
+        InvalidValueError: q has the wrong shape, is not finite, or contains a cosine-sine pair or quaternion that is
+            not of unit length.
     """
 
     __slots__ = ("_closure_error", "_constraint_jacobian", "_mechanism", "_q")
@@ -78,7 +78,7 @@ class Configuration:
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism this is a configuration of."""
+        """The mechanism."""
         return self._mechanism
 
     @property
@@ -88,10 +88,10 @@ class Configuration:
 
     @property
     def closure_error(self) -> Vector:
-        """Closure error e, shape=(m,), closure after closure.
+        """Closure error e, shape=(m,), closure by closure.
 
-        For a 3d closure, the position of frame b's origin in frame a [m], axes of frame a; for a 6d closure log6 of the
-        placement of frame b in frame a [m, rad].
+        For a 3d closure, the position of frame b's origin in frame a [m], axes of frame a; for a 6d closure, log6 of
+        the placement of frame b in frame a [m, rad].
         """
         return self._closure_error
 
@@ -104,8 +104,8 @@ class Configuration:
     def constraint_jacobian(self) -> Matrix:
         """Constraint Jacobian G, shape=(m, nv): de/dt = G v with e the :attr:`closure_error`.
 
-        Exact at any q. On a closed loop G v is the velocity of frame b against frame a, in the axes of frame a. A force
-        (6d: wrench) f on frame b with -f on frame a, in the same axes, has the generalised forces G^T f.
+        Exact at any q. On a closed loop, G v is the velocity of frame b relative to frame a, in the axes of frame a. A
+        force (6d: wrench) f on frame b with -f on frame a, in the same axes, has the generalised forces G^T f.
         """
         return self._constraint_jacobian
 
@@ -120,7 +120,7 @@ class Configuration:
         return self._jacobian(self._mechanism.tool_frame_id)
 
     def frame_placement(self, name: str) -> pin.SE3:
-        """Compute the placement of a link or frame in the world; FrameNotFoundError if the model has none such."""
+        """Compute the placement of a link or frame in the world; FrameNotFoundError if there is no such frame."""
         return self._placement(self._mechanism.frame_id(name))
 
     def frame_jacobian(self, name: str) -> Matrix:
@@ -129,25 +129,25 @@ class Configuration:
 
     @property
     def commands(self) -> Vector:
-        """What the drives' counters show, in their order, shape=(number of actuated joints,) [m, rad]."""
+        """Counter readings of the drives, in order, shape=(number of actuated joints,) [m, rad]."""
         commands = self._mechanism.commands
         return frozen(np.array([c.scale * self.joint_position(c.joint) + c.offset for c in commands]))
 
     def joint_position(self, name: str) -> float:
-        """Return the coordinate of a single-DoF joint [m, rad]; the angle in (-pi, pi] of a continuous joint.
+        """Return the coordinate of a single-DoF joint [m, rad]; for a continuous joint, the angle in (-pi, pi].
 
-        Errors are those of :meth:`Mechanism.single_joint <pm3dof_pin.mechanism.mechanism.Mechanism.single_joint>`.
+        Raises as :meth:`Mechanism.single_joint <pm3dof_pin.mechanism.mechanism.Mechanism.single_joint>`.
         """
         return float(self._mechanism.single_joint(name).coordinate(self._q))
 
     def swing(self, closure: int) -> float:
-        """Return the angle between the z axes of a closure's two frames, by its position [rad], in [0, pi]."""
+        """Return the angle between the z axes of the two frames of the closure of this index [rad], in [0, pi]."""
         loop = self._mechanism.closures[closure]
         x, y, z = self.frame_placement(loop.frame_a).actInv(self.frame_placement(loop.frame_b)).rotation[:, 2]
         return math.atan2(math.hypot(x, y), z)
 
     def violated_limits(self) -> tuple[LimitViolation, ...]:
-        """Return the joints outside their limits and the closures beyond their swing, in the model's order."""
+        """Return the joints outside their limits and the closures beyond their swing limit, in the model's order."""
         mechanism, q = self._mechanism, self._q
         outside = (q < mechanism.lower_limits - LIMIT_TOLERANCE) | (q > mechanism.upper_limits + LIMIT_TOLERANCE)
         lower, upper = mechanism.lower_limits, mechanism.upper_limits
@@ -176,6 +176,6 @@ def require_assembled(configuration: Configuration) -> None:
 
 
 def mechanism_of(configuration: Configuration) -> Mechanism:
-    """Return the mechanism of a configuration; InvalidValueError for anything else than one."""
+    """Return the mechanism of a configuration; InvalidValueError for any other object."""
     require_kind("configuration", configuration, Configuration, "Poses.configuration")
     return configuration.mechanism

@@ -1,4 +1,4 @@
-"""Joints of a tree replaced by those they stand for: spherical and universal joints, which URDF does not have."""
+"""Replaces joints of a tree by the spherical and universal joints they stand for, which URDF does not have."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ VELOCITY_CONSTANTS = (
     *("lowerEffortLimit", "upperEffortLimit", "lowerVelocityLimit", "upperVelocityLimit"),
     *("lowerDryFrictionLimit", "upperDryFrictionLimit", "damping", "armature", "rotorInertia", "rotorGearRatio"),
 )
-"""What a model has for each entry of v."""
+"""The attributes a model has for each entry of v."""
 
 
 def with_joint_types(model: pin.Model, joint_types: Mapping[str, str], source: Path | str) -> pin.Model:
     """Return a copy of a model with joints replaced, as the loader of example-parallel-robots does.
 
-    The new joints stand in the axes of the old ones' frames, and are unlimited. A universal joint becomes two joints,
-    `name_X` and `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second. Inertias and
-    frames stay, named configurations are dropped.
+    The new joints have the frames of the old ones, and no limits. A universal joint becomes two joints, `name_X` and
+    `name_Y` for UJOINT_XY (or any two of the axes); the frame `name` moves with the second. Inertias and frames are
+    kept, named configurations are dropped.
 
     Raises:
         JointNotFoundError: the model has no such joint.
-        DescriptionError: there is no such type.
+        DescriptionError: the type is unknown.
     """
     for name, kind in joint_types.items():
         if not model.existJointName(name):
@@ -41,7 +41,7 @@ def with_joint_types(model: pin.Model, joint_types: Mapping[str, str], source: P
             )
     changed = pin.Model()
     changed.name, changed.gravity = model.name, model.gravity
-    carriers = [0]  # the joint that carries what each old joint carried
+    carriers = [0]  # by old joint, the new joint that carries its children
     for old in range(1, model.njoints):
         name, kind = model.names[old], joint_types.get(model.names[old], "")
         parent, placement = carriers[model.parents[old]], model.jointPlacements[old]

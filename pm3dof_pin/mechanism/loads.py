@@ -1,4 +1,4 @@
-"""What acts on a mechanism beside its own weight: payloads fixed to frames, and dead wrenches."""
+"""Loads on a mechanism other than its own weight: payloads fixed to frames, and dead wrenches."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from pm3dof_pin.mechanism.mechanism import Mechanism
 
 Payloads: TypeAlias = "Mapping[str, float | pin.Inertia]"
-"""By frame: a point mass at the frame's origin [kg], or an inertia in the axes of the frame."""
+"""By frame: a point mass at its origin [kg], or an inertia in its axes."""
 
 Wrenches: TypeAlias = Mapping[str, ArrayLike]
 """Wrenches [f; m] on frames, at their origins, world axes, shape=(6,) [N, N m]."""
 
 
 def add_payloads(model: pin.Model, mechanism: Mechanism, payloads: Payloads) -> None:
-    """Fix payloads, see :data:`Payloads`, to the bodies of a copy of a mechanism's model.
+    """Add :data:`Payloads` to the bodies of `model`, a copy of the mechanism's model.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
@@ -37,7 +37,7 @@ def add_payloads(model: pin.Model, mechanism: Mechanism, payloads: Payloads) -> 
 
 
 def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.Model:
-    """Return a mechanism's tree with payloads fixed to it, as :func:`add_payloads`; its own model if there are none."""
+    """Return a mechanism's model with payloads, see :func:`add_payloads`; the model itself if there are none."""
     if not payloads:
         return mechanism.model
     model = mechanism.model.copy()
@@ -46,7 +46,7 @@ def model_with_payloads(mechanism: Mechanism, payloads: Payloads | None) -> pin.
 
 
 def generalised_forces(configuration: Configuration, wrenches: Wrenches | None) -> Vector:
-    """Return the generalised forces of wrenches, see :data:`Wrenches`: the sum of J^T w, shape=(nv,) [N, N m].
+    """Return the generalised forces of :data:`Wrenches`: the sum of J^T w, shape=(nv,) [N, N m].
 
     Raises:
         FrameNotFoundError: the model has no such frame.
@@ -67,5 +67,5 @@ def weight_scale(model: pin.Model, length: float) -> float:
 def _inertia(frame: str, payload: float | pin.Inertia) -> pin.Inertia:
     mass = float(finite_array(f"payload on {frame}", getattr(payload, "mass", payload), ()))
     if mass < 0.0:
-        raise InvalidValueError(f"payload on {frame}", mass, "a mass that is not negative [kg]")
+        raise InvalidValueError(f"payload on {frame}", mass, "a nonnegative mass [kg]")
     return payload if isinstance(payload, pin.Inertia) else pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))

@@ -1,4 +1,4 @@
-"""Closure errors and constraint Jacobians out of Pinocchio, always at the configuration asked for."""
+"""Closure errors and constraint Jacobians from Pinocchio, always at the requested configuration."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ import pinocchio as pin
 from pm3dof_pin.typing import Matrix, Vector
 
 _CLOSED = 1e-13
-"""Closure error at the level of rounding [m, rad]."""
+"""Closure error due to rounding [m, rad]."""
 
 
 class LoopKinematics(threading.local):
-    """Pinocchio's work space for one mechanism, one for each thread.
+    """Pinocchio's data for one mechanism, one copy per thread.
 
-    Pinocchio fills the data of a constraint only when told to (`calc`) and hands out stale rows otherwise. Here every
-    method starts from q, runs each step that its result depends on, and returns fresh arrays: nothing is remembered
-    between two calls, and no other code touches the work space. (The bindings hand out a matrix of one column as a
-    vector, hence the reshaping.)
+    Pinocchio updates the data of a constraint only on `calc` and returns stale rows otherwise. Here every method starts
+    from q, runs every step its result depends on, and returns new arrays: no state survives a call, and no other code
+    uses the data. (The bindings return a one-column matrix as a vector, hence the reshaping.)
     """
 
     def __init__(
@@ -50,10 +49,9 @@ class LoopKinematics(threading.local):
     def closures(self, q: Vector) -> tuple[Vector, Matrix]:
         """Compute the closure error e, shape=(m,) [m, rad], and its derivative G, de/dt = G v, shape=(m, nv), at q.
 
-        e is for a point closure the position of frame b's origin in frame a, for a frame closure log6 of the placement
-        of b in a. G is exact at any q, closed or not. Pinocchio's own rows for frame closures are Ad(M) J_b - J_a, M
-        the placement of b in a, which is the derivative of log6(M) only where the loop is closed; Jlog6(M) Ad(M)^-1
-        makes them so everywhere.
+        For a 3d closure, e is the position of frame b's origin in frame a; for a 6d closure, log6 of the placement M of
+        b in a. G is exact at any q, closed or not. Pinocchio's own rows for a 6d closure, Ad(M) J_b - J_a, are the
+        derivative of log6(M) only where the loop is closed; the factor Jlog6(M) Ad(M)^-1 makes them exact everywhere.
         """
         jacobian = self._constraint_rows(q)
         error = np.empty(self.row_count)
@@ -65,7 +63,7 @@ class LoopKinematics(threading.local):
         return error, jacobian
 
     def _constraint_rows(self, q: Vector) -> Matrix:
-        """Fill the work space at q and return Pinocchio's constraint Jacobian, shape=(m, nv)."""
+        """Update the data at q and return Pinocchio's constraint Jacobian, shape=(m, nv)."""
         pin.computeJointJacobians(self._model, self._data, q)
         for constraint, constraint_data in self._pairs:
             constraint.calc(self._model, self._data, constraint_data)

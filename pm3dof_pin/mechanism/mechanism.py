@@ -1,4 +1,4 @@
-"""A mechanism: a tree of bodies on Pinocchio, its loop closures, and which joints are driven."""
+"""A mechanism: a tree of bodies in Pinocchio, its loop closures, and its actuated joints."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from pm3dof_pin.mechanism.loop_kinematics import LoopKinematics
 from pm3dof_pin.typing import Array, Indices, Mask, Vector
 
 _MEETING = 1e-9  # m, rad
-_MOST_GROUPS = 31  # beside REACH, in 32 bits
+_MOST_GROUPS = 31  # with REACH, 32 bits
 _NORM_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class _SingleJoint:
-    """A single-DoF joint that slides (`translates`) or turns: where its coordinate and its rate stand in q and v.
+    """A single-DoF joint, prismatic (`translates`) or revolute: the indices of its coordinate in q and rate in v.
 
-    Of a continuous joint, q holds cosine and sine from that index on.
+    For a continuous joint, q has cosine and sine from that index on.
     """
 
     name: str
@@ -55,7 +55,7 @@ class _SingleJoint:
         return "m" if self.translates else "rad"
 
     def coordinate(self, q: Array) -> Array:
-        """Read the joint's coordinate out of q, shape=(..., nq) [m, rad]."""
+        """Return the joint's coordinate in q, shape=(..., nq) [m, rad]."""
         first = q[..., self.q_index]
         return np.asarray(np.arctan2(q[..., self.q_index + 1], first) if self.is_continuous else first)
 
@@ -68,44 +68,43 @@ class _SingleJoint:
 
 
 class Mechanism:
-    """A closed-chain (or serial) mechanism. Not to be changed once made; its arrays are read-only.
+    """A closed-chain (or serial) mechanism. Immutable by convention; its arrays are read-only.
 
     Data and Jacobians only: :class:`~pm3dof_pin.kinematics.robot.Robot` closes the loops.
 
     Args:
         model: tree of bodies and joints; copied.
         closures: loop closures between frames of the model; none for a serial robot.
-        actuated_joints: driven joints, each with a single degree of freedom. If none are named, a mechanism without
-            closures has all its single-DoF joints driven, one with closures none.
-        tool_frame: frame meant by "the tool"; operations that need it raise if it is None.
-        motion_coordinates: joints, each with a single degree of freedom, whose rates are the platform's independent
-            motions.
+        actuated_joints: actuated joints, each single-DoF. By default, all single-DoF joints of a mechanism without
+            closures, and none of one with closures.
+        tool_frame: the tool's frame; operations that need it raise if it is None.
+        motion_coordinates: single-DoF joints whose rates are the platform's independent motions.
         springs: raw spring entries of the description, not yet parsed.
-        commands: what the counters of the drives show, one for each actuated joint in its order; by default the joints'
-            own coordinates.
+        commands: counter readings of the drives, one for each actuated joint, in that order; by default the joint
+            coordinates.
         coordinates: the independent numbers that place the tool; by default those of the motion coordinates, or none.
-        limit_groups: names for kinds of limits; limits in none of them are grouped by the names of their joints.
-        tool_motions: components of the tool's twist, world axes, that count as its motion where degrees of freedom are
-            counted and singularities are named: x, y of a planar point tool; all six by default.
-        characteristic_length: length that makes a translation comparable with a rotation wherever ranks or directions
-            are decided [m]. By default the root mean square distance of joints, closure points and tool from their
+        limit_groups: named groups of limits; limits in none of them are grouped by the names of their joints.
+        tool_motions: components of the tool's twist, world axes, that make up its motion when degrees of freedom are
+            counted and singularities are named, such as x, y of a planar point tool; all six by default.
+        characteristic_length: length that makes translations comparable with rotations wherever ranks or directions
+            are determined [m]. By default the root mean square distance of joints, closure points and tool from their
             centroid at the neutral configuration.
-        source: file that the names of frames, joints and springs come from, for messages; by default that of `files`.
-        files: the files that it was read from, if any.
+        source: file with the names of frames, joints and springs, for messages; by default that of `files`.
+        files: the files the mechanism was read from, if any.
 
     Attributes:
-        model: Pinocchio's model, to be treated as read-only; other arguments are attributes by their names too.
-        declared_coordinates: the coordinates that the description declares; may be empty.
+        model: Pinocchio's model, to be treated as read-only. The other arguments are attributes of the same name.
+        declared_coordinates: the coordinates declared by the description; may be empty.
         passive_joints: names of all joints that are not actuated, in the model's order.
-        actuated_indices, passive_indices: of driven joints' rates in v, shape=(number of driven joints,); all other.
-        lower_limits, upper_limits: of each entry of q, shape=(nq,) [m, rad]; infinite where there is none.
+        actuated_indices, passive_indices: indices in v of the actuated joints, shape=(number of actuated joints,), and
+            of all others.
+        lower_limits, upper_limits: limits of each entry of q, shape=(nq,) [m, rad]; infinite if there is none.
         q_names: name of each entry of q: its joint, or `joint[k]` where a joint has several.
         named_configurations: joint configurations by name, each of shape=(nq,).
-        velocity_scale: the characteristic length for every entry of v that is a velocity [m/s], 1 for angular ones,
-            shape=(nv,).
+        velocity_scale: the characteristic length for every linear entry of v [m/s], 1 for angular ones, shape=(nv,).
         twist_scale, closure_scale: the same for the entries of a twist, shape=(6,), and of the closure error,
             shape=(m,).
-        loop_kinematics: the mechanism's work space, one for each thread.
+        loop_kinematics: Pinocchio's data, one copy per thread.
 
     Raises:
         FrameNotFoundError: a closure or the tool names a frame that the model does not have.
@@ -188,7 +187,7 @@ class Mechanism:
             "source": self.source,
             "files": files,
         }
-        self._described = frozenset(vars(self)) | {"_described"}  # and not what is kept with it once it is known
+        self._described = frozenset(vars(self)) | {"_described"}  # excludes properties cached later
 
     def __repr__(self) -> str:
         return (
@@ -203,7 +202,7 @@ class Mechanism:
     def replace(
         self, *, model: pin.Model | None = None, closures: Iterable[LoopClosure] | None = None, **changes: Any
     ) -> Self:
-        """Make a mechanism like this one with another model, closures, or other arguments of :class:`Mechanism`."""
+        """Return a copy with another model, closures, or other arguments of :class:`Mechanism`."""
         variant = type(self)(
             self.model if model is None else model,
             self.closures if closures is None else closures,
@@ -213,7 +212,7 @@ class Mechanism:
         return variant
 
     def displaced(self, model: pin.Model) -> Self:
-        """Make a mechanism like this one, quicker than :meth:`replace`; its model differs in placements only."""
+        """Return a copy with a model that differs in placements only; faster than :meth:`replace`."""
         kind = type(self)
         variant = kind.__new__(kind)
         vars(variant).update({name: vars(self)[name] for name in self._described})
@@ -224,18 +223,18 @@ class Mechanism:
 
     @property
     def prototype(self) -> Self:
-        """The mechanism that this one was made from by :meth:`replace`, first of all; or itself.
+        """The mechanism from which this one was originally made by :meth:`replace`, or itself.
 
-        Compiled programs of the prototype serve all that differ from it in numbers only.
+        Compiled programs of the prototype serve all mechanisms that differ from it in numbers only.
         """
         return self if self._prototype is None else self._prototype
 
     @cached_property
     def impossible_inertias(self) -> Mapping[str, str]:
-        """What is wrong with the moments of inertia of moving bodies, links fixed to each other being one, by link."""
+        """Problems with the moments of inertia of moving bodies, by link; links fixed to each other are one body."""
         links = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
         links.sort(key=lambda link: self.model.frames[link.parentFrame].type == pin.FrameType.JOINT)
-        bodies = {link.parentJoint: str(link.name) for link in links}  # by the link that a joint moves itself
+        bodies = {link.parentJoint: str(link.name) for link in links}  # the link moved directly by each joint
         problems = {
             bodies.get(joint, self.model.names[joint]): inertia_problem(inertia.mass, np.array(inertia.inertia))
             for joint, inertia in enumerate(self.model.inertias)
@@ -244,19 +243,19 @@ class Mechanism:
         return MappingProxyType({name: problem for name, problem in problems.items() if problem})
 
     def require_possible_inertias(self) -> None:
-        """Raise DescriptionError if a moving body has moments that no body has: see :attr:`impossible_inertias`."""
+        """Raise DescriptionError if a moving body has :attr:`impossible_inertias`."""
         for name, problem in self.impossible_inertias.items():
             path = self.source if self.files is None else self.files.path
-            raise DescriptionError(path, f"link '{name}', with what is fixed to it: inertia", problem)
+            raise DescriptionError(path, f"link '{name}', with all links fixed to it: inertia", problem)
 
     @cached_property
     def length_unit(self) -> float:
-        """The power of two next to the characteristic length [m]: numbers in this unit are scaled without rounding."""
+        """The power of two nearest to the characteristic length [m], so that scaling by it does not round."""
         return float(2.0 ** np.round(np.log2(self.characteristic_length)))
 
     @property
     def tool_frame_id(self) -> int:
-        """Pinocchio's index of the tool frame; DescriptionError where the mechanism has none."""
+        """Pinocchio's index of the tool frame; DescriptionError if the mechanism has none."""
         if self.tool_frame is None:
             raise DescriptionError(
                 self.source, "tool_frame", "is missing: --tool-frame NAME, or tool_frame in a closures file"
@@ -264,16 +263,16 @@ class Mechanism:
         return self._frame_ids[self.tool_frame]
 
     def frame_id(self, name: str) -> int:
-        """Return Pinocchio's index of a frame, a link before a joint of its name; FrameNotFoundError without either."""
+        """Return Pinocchio's index of a frame, preferring links to joints; FrameNotFoundError if there is none."""
         return self._frame_id(name, self.name)
 
     def frame_name(self, name: str | None = None) -> str:
-        """Return the name of a frame that is there, by default the tool's; errors as of the indices above."""
+        """Return the name of an existing frame, by default the tool's; raises as the indices above."""
         index = self.tool_frame_id if name is None else self.frame_id(name)
         return str(self.model.frames[index].name)
 
     def single_joint(self, name: str) -> _SingleJoint:
-        """Return where the coordinate and rate of a single-DoF joint stand.
+        """Return the indices of the coordinate and rate of a single-DoF joint.
 
         Raises:
             JointNotFoundError: the model has no such joint.
@@ -285,7 +284,7 @@ class Mechanism:
         return joint
 
     def joint_axis(self, name: str) -> Vector:
-        """Return the axis of a :meth:`single_joint` in its own axes, a unit vector, shape=(3,)."""
+        """Return the axis of a :meth:`single_joint` in the joint frame, a unit vector, shape=(3,)."""
         column = self.single_joint(name).v_index
         data = self.model.createData()
         jacobian = pin.computeJointJacobian(self.model, data, pin.neutral(self.model), self.model.getJointId(name))
@@ -294,18 +293,18 @@ class Mechanism:
         return np.asarray(direction / np.linalg.norm(direction))
 
     def velocity_indices(self, joints: Iterable[str]) -> Indices:
-        """Return the indices in v of joints as :meth:`single_joint`, in the order given."""
+        """Return the indices in v of single-DoF joints, in the order given; raises as :meth:`single_joint`."""
         return frozen(np.array([self.single_joint(name).v_index for name in joints], dtype=np.intp))
 
     def checked_positions(self, q: ArrayLike) -> Vector:
-        """Return q as a new array; InvalidValueError unless it is finite and a configuration of this mechanism."""
+        """Return q as a new array; InvalidValueError unless it is finite and valid for this mechanism."""
         positions = finite_array("q", q, (self.model.nq,))
         if self.model.nq != self.model.nv and not pin.isNormalized(self.model, positions, _NORM_TOLERANCE):
             raise InvalidValueError("q", positions, "cosine-sine pairs and quaternions of length 1")
         return positions
 
     def place_joints(self, q: Vector, coordinates: Mapping[str, ArrayLike]) -> tuple[Vector, Indices]:
-        """Set coordinates of joints [m, rad] in q; return q and the indices in v that stay free to move.
+        """Set joint coordinates [m, rad] in q; return q and the indices in v that remain free.
 
         Raises:
             JointNotFoundError: the model has no such joint.
@@ -333,8 +332,8 @@ class Mechanism:
             raise DescriptionError(
                 self.source,
                 f"closed_loop[{index}]",
-                f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two, or in one place "
-                "with springs between them",
+                f"'{loop.frame_a}' and '{loop.frame_b}' are on one body, expected frames of two bodies, or coincident "
+                "frames with springs between them",
             )
         anchor = pin.PointAnchorConstraintModel if loop.type == "3d" else pin.FrameAnchorConstraintModel
         return anchor(self.model, frame_a.parentJoint, frame_a.placement, frame_b.parentJoint, frame_b.placement)
@@ -347,7 +346,7 @@ class Mechanism:
         return names
 
     def _checked_commands(self, commands: tuple[Command, ...]) -> tuple[Command, ...]:
-        """Return a command for every actuated joint, in their order."""
+        """Return a command for each actuated joint, in order."""
         declared = {command.joint: command for command in commands}
         for joint in declared:
             if joint not in self.actuated_joints:
@@ -361,7 +360,7 @@ class Mechanism:
         return tuple(Coordinate(name, self._single_joints[name].unit, joint=name) for name in self.motion_coordinates)
 
     def _complete_limit_groups(self, groups: tuple[LimitGroup, ...]) -> tuple[LimitGroup, ...]:
-        """Add groups for limits that are in none, named after their joints or frames without numbers; at most 31."""
+        """Add groups for ungrouped limits, named after their joints or frames without numbers; at most 31."""
         joints = {joint for group in groups for joint in group.joints}
         for group in groups:
             for name in group.joints:
@@ -406,7 +405,7 @@ class Mechanism:
 
 
 def _meet(frame_a: pin.Frame, frame_b: pin.Frame, kind: str) -> bool:
-    """Tell whether two frames of one body are where a closure wants them."""
+    """Return whether two frames of one body satisfy a closure."""
     apart = frame_a.placement.actInv(frame_b.placement)
     rows = pin.log6(apart).vector if kind == "6d" else apart.translation
     return bool(np.abs(rows).max() < _MEETING)
@@ -439,13 +438,13 @@ def _coordinate_names(model: pin.Model) -> tuple[str, ...]:
 
 
 def _limits(model: pin.Model, limits: Vector, unlimited: float) -> Vector:
-    """Put `unlimited` where Pinocchio has no limit: cosines, sines, quaternions, and its greatest number."""
+    """Put `unlimited` where Pinocchio has no limit: for cosines, sines, quaternions, and its greatest number."""
     limited = np.array(list(model.hasConfigurationLimit()), dtype=bool) & (np.abs(limits) < np.finfo(float).max)
     return np.where(limited, limits, unlimited)
 
 
 def _is_translation(model: pin.Model) -> Mask:
-    """Tell which entries of v are velocities along an axis, without any rotation, shape=(nv,)."""
+    """Return which entries of v are linear velocities without any rotation, shape=(nv,)."""
     neutral, translates = pin.neutral(model), np.empty(model.nv, dtype=bool)
     for joint in list(model.joints)[1:]:
         data = joint.createData()

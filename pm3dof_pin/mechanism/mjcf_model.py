@@ -1,4 +1,4 @@
-"""An MJCF file in Pinocchio: its tree, closures between frames, drives, springs and named configurations."""
+"""An MJCF file in Pinocchio: tree, loop closures, drives, springs and named configurations."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ _HOME = "home"
 
 
 def read_mjcf_model(files: RobotFiles, closures_file: ClosuresFile) -> tuple[pin.Model, ClosuresFile]:
-    """Read the model of an MJCF file, and complete the closures file beside it, whose entries go first.
+    """Read the model of an MJCF file, and complete the closures file next to it, whose entries take precedence.
 
-    Joints stand where MuJoCo has them: q is qpos but for the order of a quaternion's numbers, and home is the key of
-    that name, or the initial configuration. Connects and welds become closures, as they are in the initial
-    configuration where the file does not say; springs of joints become springs, actuated joints drives.
+    Joints are where MuJoCo has them: q is qpos except for the order of quaternion components, and home is the key of
+    that name, or the initial configuration. Connects and welds become closures, by default as they are in the initial
+    configuration; joint springs become springs, actuated joints drives.
 
     Raises:
-        DescriptionError: the file is unreadable or of a form that is not read.
-        FrameNotFoundError: a closure is at a body that is not there.
-        JointNotFoundError: an actuator is at a joint that is not there.
+        DescriptionError: the file is unreadable or uses unsupported features.
+        FrameNotFoundError: a closure refers to an unknown body.
+        JointNotFoundError: an actuator refers to an unknown joint.
     """
     mjcf = read_mjcf(files.path, files.own_folders)
     model = _tree(mjcf)
     for name, settings in mjcf.joints.items():
         joint = model.joints[model.getJointId(name)]
-        if settings.unlimited or joint.nq > 1:  # Pinocchio keeps free joints within 1.01 m of the origin
+        if settings.unlimited or joint.nq > 1:  # Pinocchio limits free joints to 1.01 m from the origin
             entries = slice(joint.idx_q, joint.idx_q + joint.nq)
             model.lowerPositionLimit[entries], model.upperPositionLimit[entries] = -UNLIMITED, UNLIMITED
         elif settings.range is not None:
@@ -77,7 +77,7 @@ def _tree(mjcf: Mjcf) -> pin.Model:
             raise DescriptionError(mjcf.path, "MJCF", f"expected a model that Pinocchio reads ({reason})") from error
     if lost := [name for name in mjcf.joints if not model.existJointName(name)]:
         raise DescriptionError(
-            mjcf.path, f"joint '{lost[0]}'", "is not read: expected a hinge, slide, ball or free joint"
+            mjcf.path, f"joint '{lost[0]}'", "is not supported: expected a hinge, slide, ball or free joint"
         )
     for body, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         if not np.isfinite(inertia.toDynamicParameters()).all():
@@ -93,7 +93,7 @@ def _tree(mjcf: Mjcf) -> pin.Model:
 
 
 def _closures(model: pin.Model, mjcf: Mjcf) -> list[LoopClosure]:
-    """Put frames where the equality constraints hold the bodies."""
+    """Add the frames at which the equality constraints hold the bodies."""
     data = model.createData()
     references = {entry.key(): np.array(entry.data()) for entry in model.referenceConfigurations}
     pin.framesForwardKinematics(model, data, references.get(_INITIAL, pin.neutral(model)))
@@ -113,7 +113,7 @@ def _closures(model: pin.Model, mjcf: Mjcf) -> list[LoopClosure]:
 
 
 def _placements(equality: EqualityConstraint, initial: pin.SE3) -> tuple[pin.SE3, pin.SE3]:
-    """Where the closure's frames are in its two bodies, the second of which is at `initial` in the first."""
+    """Placements of the closure's frames in its two bodies; the second body is at `initial` in the first."""
     anchor = pin.SE3(np.eye(3), np.array(equality.anchor))
     if equality.kind == "connect":
         return anchor, initial.actInv(anchor)
@@ -142,7 +142,7 @@ def _drives(model: pin.Model, mjcf: Mjcf) -> tuple[Command, ...]:
         if not model.existJointName(joint):
             raise JointNotFoundError(joint, f"{mjcf.path}: <actuator>", list(model.names)[1:])
         if model.joints[model.getJointId(joint)].nv > 1:
-            _logger.warning("%s: actuator '%s' turns a ball or free joint and is not read", mjcf.path, name)
+            _logger.warning("%s: actuator '%s' drives a ball or free joint and is ignored", mjcf.path, name)
         else:
             drives.append(Command(name, joint, "m" if _slides(model, joint) else "rad"))
     return tuple(drives)

@@ -1,7 +1,7 @@
-"""What urdfdom says while it reads a file, taken from its own logger.
+"""urdfdom's messages while it reads a file, taken from its own logger.
 
-urdfdom speaks through console_bridge, whose output can be led into a file. Nothing of this process is redirected: other
-threads write to the terminal as ever. Where that library is not found, its messages go to the terminal.
+urdfdom logs through console_bridge, whose output can go to a file. No stream of this process is redirected: other
+threads write to the terminal as usual. If that library is not found, its messages go to the terminal.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import pinocchio as pin
 
 _one_reader = threading.Lock()
 _NAMESPACE = "_ZN14console_bridge"
-_HANDLER_BYTES = 256  # a virtual table's address and a FILE*, with room to spare
+_HANDLER_BYTES = 256  # a vtable pointer and a FILE*, with room to spare
 
 
 @contextmanager
 def parser_messages() -> Iterator[list[str]]:
-    """Collect what urdfdom says in a block, as lines that stand in the list once the block is left."""
+    """Collect urdfdom's messages during a block; the list is filled when the block ends."""
     lines: list[str] = []
     library = _console_bridge()
     if library is None:
@@ -45,7 +45,7 @@ def parser_messages() -> Iterator[list[str]]:
 
 
 class _Library:
-    """console_bridge's functions, by the names that compilers on Linux and macOS give them."""
+    """console_bridge's functions, by their mangled names on Linux and macOS."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self.construct = self._function(library, "17OutputHandlerFileC1EPKc", ctypes.c_void_p, ctypes.c_char_p)
@@ -73,6 +73,6 @@ def _console_bridge() -> _Library | None:
 
 
 def _messages(text: str) -> list[str]:
-    """Return the messages without the lines that name places in urdfdom's sources."""
+    """Return the messages without the lines that refer to urdfdom's sources."""
     lines = (line.strip() for line in text.splitlines())
     return [line for line in lines if line and not line.startswith("at line ")]

@@ -1,4 +1,4 @@
-"""All that the files of a robot say, whatever they are written in, as a mechanism takes it."""
+"""The content of a robot's files, in any supported format, as arguments of a mechanism."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _logger = logging.getLogger(__name__)
 
 
 def read_description(files: RobotFiles, tool_frame: str | None = None) -> dict[str, Any]:
-    """Read all files of a robot, as the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
+    """Read all files of a robot into the arguments of :class:`~pm3dof_pin.mechanism.mechanism.Mechanism`.
 
-    The tool frame is another than described if given.
+    `tool_frame` replaces the tool frame of the description if given.
 
     Raises:
         DescriptionError: a file is unreadable or malformed.

@@ -23,7 +23,7 @@ def rotation_of_angles(angles: ArrayLike) -> Array:
 def tool_components(transforms: ArrayLike) -> Array:
     """Return x, y, z [m], rx, ry, rz [rad] of homogeneous transforms, shape=(..., 4, 4), as shape=(..., 6).
 
-    ry is in [-pi/2, pi/2], at its ends rx and rz are not unique.
+    ry is in [-pi/2, pi/2]; at its ends rx and rz are not unique.
     """
     r = np.asarray(transforms, dtype=float)
     ry = np.arctan2(r[..., 0, 2], np.hypot(r[..., 0, 0], r[..., 0, 1]))

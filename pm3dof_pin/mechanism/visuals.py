@@ -1,4 +1,4 @@
-"""What a robot's files draw: shapes and meshes on the frames of its model."""
+"""The visual geometry of a robot: shapes and meshes on the frames of its model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pm3dof_pin.mechanism.parser_messages import parser_messages
 
 
 def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
-    """Read the visual geometry of a model's files; `package://x/y` is the file `x/y` below one of their package paths.
+    """Read the visual geometry of a model's files; `package://x/y` is the file `x/y` in one of their package paths.
 
     Raises:
         DescriptionError: a shape or mesh cannot be read, or a mesh lies outside the folders of the robot, see
@@ -37,9 +37,7 @@ def read_visuals(model: pin.Model, files: RobotFiles) -> pin.GeometryModel:
             shapes = pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise DescriptionError(
-            files.path, "visual", f"expected shapes and meshes that can be read ({reason})"
-        ) from error
+        raise DescriptionError(files.path, "visual", f"expected readable shapes and meshes ({reason})") from error
     for path in {str(shape.meshPath) for shape in shapes.geometryObjects if Path(str(shape.meshPath)).is_file()}:
         require_own(Path(path), files.own_folders, files.path, "mesh")
     return shapes

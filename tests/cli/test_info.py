@@ -143,7 +143,7 @@ def test_a_walker_in_mjcf(tmp_path: Path) -> None:
 
 def test_sdf_is_refused_by_what_it_is(tmp_path: Path) -> None:
     (tmp_path / "arm.sdf").write_text('<?xml version="1.0"?><sdf version="1.9"><model name="arm"/></sdf>')
-    with pytest.raises(DescriptionError, match="this is SDF, which is not read"):
+    with pytest.raises(DescriptionError, match="this is SDF, which is not supported"):
         info("--robot", tmp_path / "arm.sdf")
 
 

@@ -304,9 +304,9 @@ def test_an_expansion_that_ends_early_is_refused(tmp_path: Path, monkeypatch: py
     huge = subprocess.CompletedProcess([], 0, json.dumps({"text": " " * (expand.MOST_BYTES + 1)}), "")
     for ending, said in (
         (slow, "takes more than 15 s"),
-        (OSError("no more processes"), "in a process of its own .no more processes"),
-        (killed, "ended early: too much time or memory"),
-        (failed, "ended early: MemoryError"),
+        (OSError("no more processes"), "in a separate process .no more processes"),
+        (killed, "expansion aborted: too much time or memory"),
+        (failed, "expansion aborted: MemoryError"),
         (huge, "MiB when expanded"),
     ):
         monkeypatch.setattr(expand.subprocess, "run", Mock(side_effect=[ending]))

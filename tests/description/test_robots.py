@@ -85,7 +85,7 @@ def test_a_folder_of_several_robots_or_none_is_refused(urdf: Path, tmp_path: Pat
 
 def test_a_closures_file_alone_is_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.closures.yaml").touch()
-    with pytest.raises(DescriptionError, match=r"arm\.closures\.yaml: URDF: expected the one .* beside it"):
+    with pytest.raises(DescriptionError, match=r"arm\.closures\.yaml: URDF: expected the URDF .* next to it"):
         find_robot(tmp_path / "arm.closures.yaml")
 
 
@@ -109,10 +109,10 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("arm.sdf", "<sdf version='1.7'><model name='arm'/></sdf>", "this is SDF, which is not read"),
-        ("arm.urdf", "<sdf version='1.7'/>", "this is SDF, which is not read"),
+        ("arm.sdf", "<sdf version='1.7'><model name='arm'/></sdf>", "this is SDF, which is not supported"),
+        ("arm.urdf", "<sdf version='1.7'/>", "this is SDF, which is not supported"),
         ("arm.dae", "<COLLADA xmlns='http://www.collada.org/2005/11/COLLADASchema'/>", "this is Collada"),
-        ("arm.xml", "<scene/>", "this is an XML file of <scene>, which is not read"),
+        ("arm.xml", "<scene/>", "this is an XML file of <scene>, which is not supported"),
         ("arm.stl", "solid arm", "line 1, column 0: expected XML"),
     ],
 )

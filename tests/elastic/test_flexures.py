@@ -157,7 +157,7 @@ def test_the_columns_of_a_portal_buckle(tmp_path: Path) -> None:
 def test_frames_on_one_body_need_springs_and_one_place(tmp_path: Path) -> None:
     with pytest.raises(DescriptionError, match=r"closed_loop\[0\]: 'beam_end' and 'right_top' are on one body"):
         Robot.load(portal(tmp_path, 30.0, springs=False))
-    with pytest.raises(DescriptionError, match="in one place with springs between them"):
+    with pytest.raises(DescriptionError, match="coincident frames with springs between them"):
         Robot.load(portal(tmp_path, 30.0, gap=0.31))
 
 

@@ -162,13 +162,13 @@ def test_the_tool_may_be_named(four_bar: Path, tmp_path: Path) -> None:
 
 def test_a_mesh_that_cannot_be_rewritten_is_named(four_bar: Path, tmp_path: Path) -> None:
     (four_bar.parent / "more" / "arm.dae").write_text("no mesh")
-    with pytest.raises(DescriptionError, match=r"arm\.dae: mesh: expected a mesh that can be read"):
+    with pytest.raises(DescriptionError, match=r"arm\.dae: mesh: expected a readable mesh"):
         export_robot(four_bar, "mjcf", tmp_path)
 
 
 def test_a_missing_mesh_is_named(run: Run, four_bar: Path) -> None:
     (four_bar.parent / "more" / "arm.obj").unlink()
-    with pytest.raises(DescriptionError, match=r"mesh 'more/arm\.obj': expected a file that exists"):
+    with pytest.raises(DescriptionError, match=r"mesh 'more/arm\.obj': expected an existing file"):
         read_robot(four_bar)
     failed = run("mjcf", "--robot", str(four_bar), cwd=four_bar.parent)
     assert failed.returncode == 1
@@ -178,7 +178,7 @@ def test_a_missing_mesh_is_named(run: Run, four_bar: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('type="continuous"', 'type="planar"', "joint 'crank_joint': expected one that URDF has"),
+        ('type="continuous"', 'type="planar"', "joint 'crank_joint': expected a joint type of URDF"),
         ("<mesh filename=", "<capsule filename=", "<visual>: expected a box, cylinder, sphere, mesh"),
     ],
 )

@@ -103,7 +103,7 @@ def test_universal_joints_become_two_hinges(tmp_path: Path) -> None:
 
 
 def test_a_mechanism_made_by_hand_has_no_files() -> None:
-    with pytest.raises(DescriptionError, match="expected a mechanism that was read from some"):
+    with pytest.raises(DescriptionError, match="expected a mechanism that was read from files"):
         as_urdf(Robot(pin.buildSampleModelManipulator()))
 
 

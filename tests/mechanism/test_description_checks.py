@@ -72,13 +72,13 @@ MJCF = """<mujoco model="arm"><worldbody><body name="forearm" pos="0 0 0.5">
         ('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint 'elbow': axis: expected a direction"),
         ('type="revolute"', 'type="screw"', "joint 'elbow': expected one of fixed, .*not 'screw'"),
         ('name="arm"', 'name=""', "<robot>: has no name"),
-        ('<link name="base"/>', '<link name="forearm"/>', "link 'forearm': stands there twice"),
+        ('<link name="base"/>', '<link name="forearm"/>', "link 'forearm': is defined twice"),
         (
             '<link name="base"/>',
             '<link name="base"/><link name="spare"/>',
-            "<robot>: several links hang on no joint, expected one: base, spare",
+            "<robot>: has several root links, expected one: base, spare",
         ),
-        ('parent link="base"', 'parent link="forearm"', "link 'forearm': hangs on itself"),
+        ('parent link="base"', 'parent link="forearm"', "link 'forearm': is its own ancestor"),
         ("<robot", '<!DOCTYPE robot [<!ENTITY a "b">]><robot', "line 1: declares the entity 'a'"),
     ],
 )
@@ -98,7 +98,7 @@ def test_an_unknown_shape_is_named_and_takes_nothing_along(
 ) -> None:
     path = write_robot(ARM.replace("<visual>", "<visual><geometry><capsule/></geometry></visual><visual>"), "{}\n")
     assert read_model(path).inertias[1].mass == 2.0
-    assert "link 'forearm': visual: a capsule is left out" in caplog.text
+    assert "link 'forearm': visual: unsupported capsule is ignored" in caplog.text
 
 
 @pytest.mark.parametrize(("izz", "possible"), [("0.0502", True), ("0.06", False)])
