@@ -1,1 +1,1 @@
-"""Errors and calibration, section 8.3: error models, error maps, tolerances, planning of measurements."""
+"""Errors and calibration, section 8.3: error models, error maps, tolerances, measurement planning."""

@@ -1,4 +1,4 @@
-"""From measurements to a compensation, by one of five methods: identification first, then what is learned."""
+"""Calibration from measurements, by one of five methods: identification first, then learning."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ Method = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
 LEAST_POSES = 4
-"""Fewest measurements that anything is learned from."""
+"""Fewest measurements to learn from."""
 
 SMOOTH = 1.5
-"""Noise factor from which what parameters leave is taken to go on from pose to pose, and not to scatter."""
+"""Noise factor from which the remaining errors are taken to vary smoothly over the poses instead of scattering."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to calibrate."""
+    """Options of a calibration."""
 
     #: "lm" (parameters, least squares), "nn" (neural network), "gp" (Gaussian process), or both
     method: Method = "lm+gp"
-    seed: int = 0  #: of networks and folds
+    seed: int = 0  #: random seed of networks and folds
     eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
-    #: standard deviation of the parameters beforehand, in units of their tolerances; None for what makes the
-    #: measurements most likely, from 1 to 3
+    #: prior standard deviation of the parameters, in units of their tolerances; None for the value, from 1 to 3, under
+    #: which the measurements are most likely
     prior: float | None = None
-    loss: Loss = "tukey"  #: of the identification
+    loss: Loss = "tukey"  #: loss of the identification
 
     def __post_init__(self) -> None:
         """Check the method."""
@@ -69,15 +69,15 @@ class Options:
 class Calibration:
     """A calibrated machine."""
 
-    options: Options  #: how it was calibrated, with the prior that was taken
-    measurements: Measurements  #: what was measured
-    #: the parameters identified; by the methods without parameters for finding outliers only
+    options: Options  #: options used, with the prior that was chosen
+    measurements: Measurements  #: the measurements
+    #: identified parameters; for methods without parameters, used only to find outliers
     identification: Identification
-    compensation: Compensation  #: what to command the machine by
+    compensation: Compensation  #: corrects the commands
 
     @cached_property
     def gain(self) -> Gain | None:
-        """What corrections gain over the measured commands; None for a method without parameters."""
+        """Gain of the corrections over the measured commands; None for a method without parameters."""
         if not self.options.identifies:
             return None
         whole = Compensation.of(self.identification, self.options.eta)
@@ -85,7 +85,7 @@ class Calibration:
 
     @property
     def chance_of_harm(self) -> float:
-        """Probability that corrected commands are worse than uncorrected ones, by what the parameters tell.
+        """Probability that corrected commands are worse than uncorrected ones, given the identified parameters.
 
         See :mod:`pm3dof_pin.calibration.caution`. 0 for a method without parameters.
         """
@@ -94,13 +94,13 @@ class Calibration:
 
     @property
     def part_corrected(self) -> float:
-        """How much of the correction that the parameters would be is sure enough to be made, 1 for all of it."""
+        """Fraction of the parameters' correction that is certain enough to be applied; 1 for all of it."""
         values = self.compensation.values
         return 1.0 if self.gain is None or values is None else self.gain.part(values)
 
     @property
     def scatters(self) -> bool:
-        """Whether what parameters leave scatters from pose to pose: its noise factor is less than :data:`SMOOTH`."""
+        """Whether the remaining errors scatter from pose to pose: the noise factor is below :data:`SMOOTH`."""
         return self.identification.noise_factor < SMOOTH
 
     def tip_interval(self, wanted: Poses) -> tuple[float, float] | None:
@@ -109,18 +109,18 @@ class Calibration:
 
     @property
     def can_be_judged(self) -> bool:
-        """Whether there are enough poses for a cross-validation, each part of them with enough to learn from."""
+        """Whether there are enough poses for a cross-validation, with enough to learn from in each fold."""
         return int(self.measurements[self.identification.trusted].pose_numbers.max(initial=-1)) > LEAST_POSES
 
     def with_scatter(self, scatter: Scatter) -> Calibration:
-        """Return it with what a cross-validation says is left of errors."""
+        """Return it with the error scatter found by a cross-validation."""
         return replace(self, compensation=replace(self.compensation, scatter=scatter))
 
 
 def calibrate(measurements: Measurements, errors: GeometricErrors, options: Options | None = None) -> Calibration:
     """Calibrate a machine.
 
-    Measurements that the identification names as outliers are shown to no learned model either.
+    Measurements that the identification rejects as outliers are not used for learning either.
 
     Example:
         >>> import numpy as np
@@ -137,12 +137,12 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
     Args:
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
-        options: how.
+        options: method and settings.
 
     Raises:
-        InvalidValueError: too few measurements, or those of another frame or machine.
-        ConvergenceError: the parameters did not settle.
-        SingularConfigurationError: at a command the tool can move while all drives stand still.
+        InvalidValueError: too few measurements, or measurements of another frame or machine.
+        ConvergenceError: the parameters did not converge.
+        SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     require_kind("measurements", measurements, Measurements, "pm.read_measurements")
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
@@ -165,9 +165,9 @@ def calibrate(measurements: Measurements, errors: GeometricErrors, options: Opti
 
 
 def _scatter(compensation: Compensation, shown: Measurements, identification: Identification) -> Scatter:
-    """Return what is left in the measurements that were calibrated from, without noise.
+    """Return the noise-free scatter that remains in the calibration measurements.
 
-    Of the directions that drives correct, what is learned says itself how well it does.
+    In the directions that drives correct, the learned part states its own uncertainty.
     """
     visits = shown.visits
     nominal = compensation.errors.robot.forward(visits.commands)
@@ -190,9 +190,9 @@ def compensation_from(
     options: Options,
     identification: Identification | None,
 ) -> Compensation:
-    """Put identified parameters (None for the robot as described) and a part learned from measurements together.
+    """Combine identified parameters (None for the robot as described) with a part learned from measurements.
 
-    Of the parameters' correction, what is sure enough to do no harm: see :mod:`pm3dof_pin.calibration.caution`.
+    The parameters' correction is reduced to what is certain enough: see :mod:`pm3dof_pin.calibration.caution`.
 
     Raises:
         InvalidValueError: too few measurements to learn from.
@@ -221,14 +221,14 @@ def _warn_of_unseen_motions(measurements: Measurements, nominal: Poses, options:
     try:
         found = pseudo_errors(measurements, nominal, options.eta)
     except UnreachablePoseError as error:
-        problem = "where no commands bring the machine"
-        raise InvalidValueError("poses measured", problem, "poses near those of the commands") from error
+        problem = "not reachable by any commands"
+        raise InvalidValueError("poses measured", problem, "poses near the commanded ones") from error
     seen, drives = int(np.linalg.matrix_rank(control_inverse(found.control)).max()), found.control.shape[2]
-    if seen < drives and not measurements.joints:  # which show more, but of the tool by the model alone
+    if seen < drives and not measurements.joints:  # encoders show more, but of the tool only by the model
         advice = "" if measurements.measured == "pose" else ": measure poses, or targets off the tool point"
-        logger.warning("a measurement shows %d of %d motions of the drives%s", seen, drives, advice)
+        logger.warning("each measurement shows %d of the %d motions of the drives%s", seen, drives, advice)
     if options.learns and measurements.points.any():
-        logger.warning("a single target shows no whole pose, so a learned correction is poor: method lm does better")
+        logger.warning("a single target does not show full poses, so a learned correction is poor; use method lm")
 
 
 def _warn_of_gaps(identification: Identification) -> None:
@@ -236,8 +236,8 @@ def _warn_of_gaps(identification: Identification) -> None:
     equations = int(identification.measurements.seen.sum())
     if equations < len(names):
         logger.warning(
-            "%d measurements give %d equations for %d parameters: too few; %d combinations are identified, the rest "
-            "keeps its nominal value as far as the tolerances allow",
+            "%d measurements give %d equations for %d parameters, too few: %d combinations are identified, the rest "
+            "stay near their nominal values, within the tolerances",
             len(identification.measurements),
             equations,
             len(names),
@@ -245,4 +245,4 @@ def _warn_of_gaps(identification: Identification) -> None:
         )
     if identification.outliers:
         lines = ", ".join(map(str, identification.outlier_lines))
-        logger.warning("outliers, left out of what is learned: lines %s", lines)
+        logger.warning("outliers, not used for learning: lines %s", lines)

@@ -1,4 +1,4 @@
-"""A calibrated machine as files: the URDF with its joints and frames where the parameters say, and its closures."""
+"""Files of a calibrated machine: the URDF with joints and frames at the calibrated places, and its closures."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _BANNER = '<?xml version="1.0"?>\n<!-- {name} with {count} calibrated geometric 
 
 
 def calibrated_urdf(errors: GeometricErrors, values: ArrayLike | Mapping[str, float], urdf: Path | str) -> str:
-    """Return a robot's URDF with geometric parameters p, all or by name, applied to its joints, every digit kept.
+    """Return a robot's URDF with geometric parameters p, all or by name, applied to its joints at full precision.
 
-    Offsets of actuators stand in the origins too, so commands mean what they did.
+    Actuator offsets go into the origins too, so commands keep their meaning.
 
     Raises:
-        DescriptionError: the file is unreadable, or a parameter's place has no origin in it: it is neither a joint nor
-            a link at the end of a fixed joint.
+        DescriptionError: the file is unreadable, or a parameter's place is neither a joint nor a link at the end of a
+            fixed joint, with an origin.
         InvalidValueError: an unknown parameter, a wrong shape, or a number that is not finite.
     """
     path = Path(urdf)
@@ -54,11 +54,11 @@ def write_calibrated_robot(
     directory: Path | str,
     stiffness: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write a calibrated robot that loads like any other, with closures, SRDF and error file; return its URDF.
+    """Write a calibrated robot with closures, SRDF and error file, loadable like any other; return its URDF.
 
-    The SRDF's named configurations keep the commands they had, and their loops are closed again. A robot that is
-    written in something else, or has joints that URDF lacks, becomes a plain URDF. `stiffness` is by spring how many
-    times stiffer it is than described.
+    The SRDF's named configurations keep their commands, with the loops closed again. A robot in another format, or with
+    joints that URDF lacks, becomes a plain URDF. `stiffness` gives, by spring, how many times stiffer it is than
+    described.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -79,7 +79,7 @@ def write_calibrated_robot(
 
 
 def _closed_again(srdf: Path, calibrated: Robot) -> str:
-    """Return an SRDF whose named configurations are those of the calibrated machine at the same commands."""
+    """Return an SRDF with the named configurations of the calibrated machine at the same commands."""
     tree = ElementTree.parse(srdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
     for state in tree.getroot().findall("group_state"):
         name = state.get("name", "")
@@ -87,7 +87,7 @@ def _closed_again(srdf: Path, calibrated: Robot) -> str:
         commands = {name: described.joint_position(name) for name in calibrated.actuated_joints}
         result = assemble(calibrated, described, joints=commands)
         if not result.converged:
-            logger.warning("named configuration '%s' is left out: its loops do not close any more", name)
+            logger.warning("named configuration '%s' is left out: its loops no longer close", name)
             tree.getroot().remove(state)
             continue
         for joint in state.findall("joint"):

@@ -1,10 +1,10 @@
-"""Why measurements do not fit a machine: the usual mistakes, tried one after the other.
+"""Why measurements do not fit a machine: the usual mistakes are tried one after another.
 
-Each is a change of the measurements (:mod:`pm3dof_pin.calibration.mistakes`). The machine as described, which is at
-most tolerances away from the real one, is compared with what was measured before and after the change; the base of the
-instrument is found anew where that was asked for. A mistake that explains most of what does not fit is likely the one
-that was made, and of several that explain as much the simplest. Others that cannot be told from it are named beside it:
-where the platform never turns, another tool point is another frame.
+Each is a change of the measurements (:mod:`pm3dof_pin.calibration.mistakes`). The machine as described, which differs
+from the real one by tolerances at most, is compared with the measurements before and after the change; the
+instrument's base is located again if that was requested. A mistake that explains most of the misfit is likely the one
+that was made; of several that explain as much, the simplest. Mistakes that cannot be distinguished from it are named
+with it: if the platform never turns, another tool point is equivalent to another frame.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Mask
 
-_EXPLAINS = 0.25  # of what did not fit is left, at most
-_HALF = 0.5  # likewise, if that is no more than what needs no mistake
-_AS_WELL = 4.0  # times what the best explanation leaves: one of a simpler kind is taken
-_EQUAL = 1.001  # times: the same in other words
-_ALIKE = 1.5  # times what another leaves: not to be told from it
-_OTHERS = 2  # named beside the first
-_MUCH = 4.0  # times better a single column has to explain it than what concerns all, and worse it has to be
-_FEWEST = 4  # poses: with fewer nearly any mistake explains all
+_EXPLAINS = 0.25  # greatest remaining fraction of the misfit
+_HALF = 0.5  # likewise, if the rest needs no mistake to explain it
+_AS_WELL = 4.0  # times the rest of the best explanation: up to here a simpler kind is preferred
+_EQUAL = 1.001  # times: the same mistake in other words
+_ALIKE = 1.5  # times the rest of another: not distinguishable from it
+_OTHERS = 2  # named after the first
+_MUCH = 4.0  # factor by which a single column must explain it better than all together, and be worse itself
+_FEWEST = 4  # poses: with fewer, nearly any mistake explains everything
 _MOST = 300  # rows examined
 _MOST_ROWS = 0.75
-_CAN_BE_TAKEN = 0.9  # of the commands, at least
+_CAN_BE_TAKEN = 0.9  # least fraction of the commands that can be reached
 
 
 @dataclass(frozen=True)
 class _Cause:
     """A mistake that explains why measurements do not fit."""
 
-    text: str  #: the mistake, and what to do about it, or several that cannot be told apart
-    before: float  #: tip error of the machine as described, which three in four rows keep to [m]
+    text: str  #: the mistake and its remedy, or several that cannot be distinguished
+    before: float  #: tip error of the machine as described, 75th percentile over the rows [m]
     after: float  #: the same without the mistake [m]
 
     def __str__(self) -> str:
@@ -60,13 +60,13 @@ class _Cause:
 def likely_cause(
     measurements: Measurements, robot: Robot, eta: float = TIP_LENGTH, *, least: float = 0.0, alike: float = 0.0
 ) -> _Cause | None:
-    """Find the mistake that explains best why measurements do not fit a robot; None if none of the usual ones does.
+    """Find the mistake that best explains why measurements do not fit a robot; None if no usual one does.
 
-    A tip error of `least` [m] needs no mistake to explain it, and mistakes that leave less than `alike` [m] explain as
-    much as each other. eta weighs the orientation [m/rad].
+    A tip error of `least` [m] needs no mistake to explain it; mistakes that leave less than `alike` [m] explain equally
+    well. eta weighs the orientation [m/rad].
 
     Raises:
-        PM3DofError: the commands cannot be taken, or no base can be found.
+        PM3DofError: the commands are out of reach, or no base can be found.
     """
     measurements = measurements[:_MOST]
     own_frame = measurements.registration is not None
@@ -74,7 +74,7 @@ def likely_cause(
     before = _misfit(measurements, nominal, eta, own_frame)
     if before <= least or len(measurements.visits) < _FEWEST:
         return None
-    # one scale more and a free frame explain anything that is nowhere by a point in the middle of the machine's poses
+    # a scale and a free frame can explain anything by one point in the middle of the machine's poses
     middle = nominal[np.full(len(nominal), len(nominal) // 2)]
     most = min(
         before, float(np.median(tip_error(pose_difference(middle.transforms, nominal.transforms), eta))) or before
@@ -110,16 +110,16 @@ def likely_cause(
     whole = simplest(usual_mistakes(measurements, nominal, eta), alike)
     if whole is not None and whole.after <= least:
         return whole
-    # all positions, or all orientations, say little where the machine itself could be as far off
+    # positions or orientations as a whole say little if the machine itself could be as far off
     kinds = itertools.islice(wrong_columns(measurements, nominal, eta), None if before > _MUCH * least else 1)
     column = simplest(kinds, least)
     return column if whole is None or (column is not None and column.after < whole.after / _MUCH) else whole
 
 
 def change_in_the_middle(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> str:
-    """Say from where on measurements are those of another set-up, by a machine's poses; "" if nothing tells so.
+    """Say from which line on the measurements are of another set-up, given a machine's poses; "" if none.
 
-    A machine that was identified from all of them stands between the two.
+    A machine identified from all of them lies between the two set-ups.
     """
     datum = datum_motions(poses)
 
@@ -139,10 +139,10 @@ def change_in_the_middle(measurements: Measurements, poses: Poses, eta: float = 
 
 
 def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements, Poses]:
-    """Return the rows whose commands the robot as described can take, and its poses there.
+    """Return the rows whose commands the robot as described can reach, and its poses there.
 
     Raises:
-        InvalidValueError: these are too few.
+        InvalidValueError: too few such rows.
     """
     nominal = robot.forward(measurements.commands, on_failure="nan")
     _require_most(nominal.solved)
@@ -151,13 +151,13 @@ def _at_nominal(measurements: Measurements, robot: Robot) -> tuple[Measurements,
 
 def _require_most(taken: Mask) -> None:
     if np.mean(taken) < _CAN_BE_TAKEN:
-        raise InvalidValueError("commands", "out of reach", "commands that the machine can take")
+        raise InvalidValueError("commands", "out of reach", "commands that the machine can reach")
 
 
 def _misfit(measurements: Measurements, nominal: Poses, eta: float, own_frame: bool) -> float:
-    """Return the tip error of the machine as described against the measurements: what three in four rows keep to [m].
+    """Return the tip error of the machine as described against the measurements, 75th percentile over the rows [m].
 
-    Not the median, as a mistake may be in less than half of the rows.
+    Not the median: a mistake may affect less than half of the rows.
     """
     if own_frame:
         measurements = measurements.in_axes(measurements.registered_at(nominal, eta))

@@ -1,17 +1,17 @@
-"""How much of a correction is sure enough to be made: commands that a machine is not to be made worse by.
+"""Correct only by what is certain enough: a machine's commands must not be made worse.
 
-Identified parameters x are wrong by a d of covariance S, and they move the tool by E x. Commands that take the
-parameters to be y correct T y, with T = C C^+ E what of it the drives undo. Over the poses that were measured it gains
+The identified parameters x are wrong by a d of covariance S, and they move the tool by E x. Commands corrected for the
+parameters y correct T y, where T = C C^+ E is the part of E that the drives undo. Over the measured poses the gain is
 
     g = sum |E (x + d)|^2 - |E (x + d) - T y|^2,
 
-which is normal. y = x is best on average, but where little was seen the spread of g may be as large as its mean: what
-is put right in directions that were not shown is a gamble. Of all corrections with the same chance that g < 0 the one
-that gains most is
+which is normal. y = x is best on average, but where little was seen the spread of g may be as large as its mean:
+correcting directions that were not seen is a gamble. Of all corrections with the same chance that g < 0, the one that
+gains most is
 
     y = (1 + m S M)^-1 x,    M = sum T^T T,
 
-with a multiplier m >= 0: each direction of the correction by as much less as it is uncertain.
+with a multiplier m >= 0: the more uncertain a direction is, the less it is corrected.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from pm3dof_pin.errors.command_correction import weighted_control
 from pm3dof_pin.typing import Array
 
 HARM = 0.01
-"""Probability, by what the parameters tell, that corrected commands are worse than none."""
+"""Admissible probability, given the parameters, that corrected commands are worse than uncorrected ones."""
 
-_POSES = 200  # that it is judged at
+_POSES = 200  # at which it is evaluated
 _MULTIPLIERS = np.logspace(-4.0, 6.0, 81)  # in units of the trace of S M
 
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """What commands corrected for some parameters gain, given what was identified."""
+    """Gain of commands corrected for some parameters, given what was identified."""
 
     identified: Array  #: x, shape=(parameters,) [m, rad]
-    covariance: Array  #: S, with rows of base and tool or without, shape=(p or p + 12, same)
+    covariance: Array  #: S, with or without rows of base and tool, shape=(p or p + 12, same)
     effects: Array  #: E, tip-weighted, shape=(n, 6, p or p + 12)
     corrected: Array  #: T, shape=(n, 6, parameters)
 
     @classmethod
     def of(cls, compensation: Compensation, commands: Array) -> Gain | None:
-        """Return that of identified parameters at commands, shape=(n, commands); None for a method without them."""
+        """Return the gain of identified parameters at commands, shape=(n, commands); None for a method without them."""
         values, covariance = compensation.values, compensation.known_covariance
         if values is None or covariance is None:
             return None
@@ -54,7 +54,7 @@ class Gain:
         return cls(values, covariance, effects, corrected)
 
     def chance_of_harm(self, values: Array) -> float:
-        """Return the probability that commands corrected for these values are worse than none."""
+        """Return the probability that commands corrected for these values are worse than uncorrected ones."""
         before = self.effects[:, :, : len(values)] @ self.identified
         correction = self.corrected @ values
         along = np.einsum("nij,ni->j", self.effects, correction)
@@ -63,11 +63,11 @@ class Gain:
         return float(scipy.special.ndtr(-mean / max(spread, np.finfo(float).tiny)))
 
     def part(self, values: Array) -> float:
-        """Return how much of the correction that all parameters would be is made for these, root mean squares."""
+        """Return the size of the correction for these values relative to that for x, root mean squares."""
         return float(np.linalg.norm(self.corrected @ values) / np.linalg.norm(self.corrected @ self.identified))
 
     def sure_values(self) -> Array:
-        """Return y, with the least m at which the chance of harm is :data:`HARM`, or the least chance if none is."""
+        """Return y with the least m at which the chance of harm is :data:`HARM`, or the least chance if none is."""
         if self.chance_of_harm(self.identified) <= HARM:
             return self.identified
         count = len(self.identified)
@@ -82,9 +82,9 @@ class Gain:
 
 
 def cautious(compensation: Compensation, commands: Array) -> Compensation:
-    """Return a compensation that corrects by what is sure enough over measured commands, shape=(n, commands).
+    """Return a compensation reduced to what is certain enough over measured commands, shape=(n, commands).
 
-    What it leaves out stays uncertain: it is added to the covariance.
+    The rest stays uncertain: it is added to the covariance.
     """
     gain = Gain.of(compensation, commands)
     if gain is None or compensation.covariance is None:

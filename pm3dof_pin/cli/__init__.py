@@ -1,1 +1,1 @@
-"""The command `pm3dof`. Modules here import nothing heavy at the top: `pm3dof --help` has to be instant."""
+"""The command `pm3dof`. Modules here import nothing heavy at the top, so that `pm3dof --help` is instant."""

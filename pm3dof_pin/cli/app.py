@@ -18,41 +18,41 @@ from pm3dof_pin.exceptions import PM3DofError
 
 _WORK_FAILED = 1
 NEGATIVE_NUMBERS = {"ignore_unknown_options": True}
-"""Settings of commands with a pose: -15 is a number; a misspelt option is then an argument that is not a number."""
+"""Settings of commands that take a pose: -15 is a number, and a misspelt option is an argument that is not a number."""
 
 COMMANDS = {
-    "info": ("info", "What a robot is and what is missing, in numbers"),
-    "ik": ("kinematics", "Commands of the drives for a pose"),
-    "fk": ("kinematics", "Pose for commands of the drives"),
+    "info": ("info", "Summary of a robot and of what its description lacks"),
+    "ik": ("kinematics", "Drive commands for a pose"),
+    "fk": ("kinematics", "Pose for drive commands"),
     "stiffness": ("stiffness", "Stiffness of the tool at a pose"),
-    "statics": ("statics", "Forces of the drives that hold the weight and a load"),
+    "statics": ("statics", "Drive forces that hold the weight and a load"),
     "modes": ("modes", "Natural frequencies and mode shapes at a pose"),
-    "stiffness-map": ("stiffness_map", "Maps of the stiffness: data, spreadsheet, pictures"),
+    "stiffness-map": ("stiffness_map", "Stiffness maps: data, spreadsheet, pictures"),
     "table-8-3": ("table", "Table 8.3 of the chapter, published and computed"),
-    "workspace": ("workspace", "What can be reached under all limits, and what ends it"),
-    "atlas": ("atlas", "Any quantities over the whole workspace"),
-    "evaluate": ("evaluate", "Mean, spread, extremes of the stiffness; weakest parts"),
-    "error-parameters": ("error_parameters", "Which geometric errors a robot has"),
-    "error-map": ("error_map", "What errors of the parts do to the tool"),
+    "workspace": ("workspace", "Reachable workspace, and the limits that bound it"),
+    "atlas": ("atlas", "Maps of any quantity over the workspace"),
+    "evaluate": ("evaluate", "Stiffness statistics over the workspace; weakest parts"),
+    "error-parameters": ("error_parameters", "Geometric error parameters of a robot"),
+    "error-map": ("error_map", "Tool errors caused by errors of the parts"),
     "calibration-plan": ("calibration_plan", "Poses to measure for a calibration"),
     "measure": ("measure", "Simulated measurements of a machine with errors"),
-    "calibrate": ("calibrate", "From measurements to a calibrated machine"),
-    "compensate": ("compensate", "Commands that bring a calibrated machine to a pose"),
+    "calibrate": ("calibrate", "Calibrate a machine from measurements"),
+    "compensate": ("compensate", "Commands that take a calibrated machine to a pose"),
     "export": ("export", "Files for MuJoCo, Drake, SDFormat, ROS and others"),
-    "view": ("view", "The robot in a browser: drag it, see what it does"),
+    "view": ("view", "The robot in a browser: move it, watch its stiffness"),
 }
-"""Module of pm3dof_pin.cli that each command is in, a function named after it, and what the list of commands says."""
+"""For each command: its module in pm3dof_pin.cli (the function has the command's name) and its line in the list."""
 
 _OF_MAPS = {"stiffness-map", "workspace", "atlas", "evaluate", "error-map"}
 _WITH_POSE = {"ik", "fk", "stiffness", "statics", "modes", "compensate", "view"}
 
 
 def _make_app(commands: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with some of its subcommands; the modules of the others are not imported."""
+    """Return the command with the given subcommands, importing only their modules."""
     app = typer.Typer(
         name="pm3dof",
         help="Kinematics, stiffness and calibration of closed-chain robots. Angles in DEGREES, lengths in metres.",
-        epilog="Exit status: 0 done, 1 the work failed or a joint limit is broken, 2 wrong usage.",
+        epilog="Exit status: 0 done, 1 failure or broken joint limit, 2 wrong usage.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
@@ -75,7 +75,7 @@ def _map_command() -> type[TyperCommand]:
 
 
 def __getattr__(name: str) -> Any:
-    """Make the whole command, `app`, when it is asked for."""
+    """Build the whole command, `app`, on first access."""
     if name != "app":
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return _make_app()
@@ -93,7 +93,7 @@ def _options(
     ] = False,
     trust_xacro: Annotated[
         bool,
-        typer.Option("--trust-xacro", help="Let xacro files run with all rights; by default they may do little."),
+        typer.Option("--trust-xacro", help="Run xacro files without the sandbox."),
     ] = False,
 ) -> None:
     if trust_xacro:
@@ -105,11 +105,11 @@ def _options(
 def main() -> None:
     """Run the command; errors become one line on standard error and exit status 1.
 
-    Those of the package, and what the machine it runs on refuses: memory, and a full disk behind standard output.
+    This covers errors of the package, running out of memory, and operating system errors such as a full disk.
     """
-    # the matrices here are small: threads inside BLAS only contend with each other
+    # the matrices are small: BLAS threads would only contend with each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports which fonts it looks for
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it logs its font search
     command = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
     try:
         _make_app([command] if command in COMMANDS else COMMANDS)(prog_name="pm3dof")

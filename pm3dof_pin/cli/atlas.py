@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 _LEAST_POINTS = 2
-_POSES = 10_000  # of an atlas over all coordinates, about
+_POSES = 10_000  # approximate size of an atlas over all coordinates
 _TILTS = ("theta_x", "theta_y", "z_e")
 _DEFAULT_POINTS = (91, 91, 61)
 _DEFAULT_TILT = 45.0
@@ -38,32 +38,30 @@ _DEFAULT_QUANTITIES = ("felt_stiffness", "condition_number", "chapter_global")
 def atlas(
     which: MachineOptions,
     quantity: Quantities = None,
-    out: Annotated[Path, typer.Option(help="Result: NetCDF (.nc) or Zarr (.zarr).")] = Path("results/atlas.nc"),
+    out: Annotated[Path, typer.Option(help="Output: NetCDF (.nc) or Zarr (.zarr).")] = Path("results/atlas.nc"),
     ranges: Ranges = None,
     values: Values = None,
     counts: Annotated[
         str | None,
-        typer.Option(metavar="N,N,..", help="Numbers of values over the ranges of all coordinates, or one for all."),
+        typer.Option(metavar="N,N,..", help="Number of values for each coordinate, or one number for all."),
     ] = None,
     points: Annotated[
         tuple[int, int, int] | None,
-        typer.Option(metavar="NX NY NZ", help="Numbers of values of theta_x, theta_y and z_e (91 91 61)."),
+        typer.Option(metavar="NX NY NZ", help="Number of values of theta_x, theta_y and z_e (91 91 61)."),
     ] = None,
     tilt: Annotated[
         float | None,
-        typer.Option(
-            parser=tilt_angle, help="--range of theta_x and theta_y, from minus to plus this angle [deg] (45)."
-        ),
+        typer.Option(parser=tilt_angle, help="Range of theta_x and theta_y, plus or minus [deg] (45)."),
     ] = None,
     heights: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="FIRST LAST", help="--range of z_e [m]; heights of the level platform by default."),
+        typer.Option(metavar="FIRST LAST", help="Range of z_e [m]; by default the heights of the level platform."),
     ] = None,
     keep_beyond_limits: Annotated[
-        bool, typer.Option("--keep-beyond-limits", help="Keep values of poses that break a joint limit.")
+        bool, typer.Option("--keep-beyond-limits", help="Keep values at poses that break a joint limit.")
     ] = False,
-    precision: Annotated[Literal["single", "double"], typer.Option(help="Of the numbers on disk.")] = "single",
-    pictures: Annotated[bool, typer.Option(help="Draw slices through every quantity but matrices.")] = True,
+    precision: Annotated[Literal["single", "double"], typer.Option(help="Precision of numbers on disk.")] = "single",
+    pictures: Annotated[bool, typer.Option(help="Draw slices of every quantity that is not a matrix.")] = True,
     formats: Formats = None,
     threads: Threads = None,
     scheduler: Annotated[
@@ -73,11 +71,10 @@ def atlas(
     list_quantities: Annotated[bool, typer.Option("--list", help="List the quantities and exit.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Quantities over the workspace of a robot as labelled arrays: angles in degrees, lengths in metres.
+    """Map quantities over a robot's workspace as labelled arrays: angles in degrees, lengths in metres.
 
-    The axes are the coordinates named with --range, in this order; without any, all coordinates over their ranges, and
-    for pm3dof z_e, theta_x, theta_y. A job that was interrupted goes on where it stopped when the same command is given
-    again.
+    The axes are the coordinates named with --range, in that order. Without --range they are all coordinates over their
+    ranges; for pm3dof, z_e, theta_x, theta_y. An interrupted job resumes when the same command is run again.
     """
     from pm3dof_pin.maps.atlas import Atlas, compute_atlas
     from pm3dof_pin.maps.quantities import MappedRobot
@@ -88,7 +85,7 @@ def atlas(
     if points and min(points) < _LEAST_POINTS:
         raise typer.BadParameter(f"--points {' '.join(map(str, points))}: expected at least {_LEAST_POINTS} each")
     if heights and not (all(map(math.isfinite, heights)) and heights[0] < heights[1]):
-        raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two growing finite heights")
+        raise typer.BadParameter(f"--heights {heights[0]:g} {heights[1]:g}: expected two finite, increasing heights")
     loaded = which.load()
     existing = {name: entry for name, entry in known.items() if entry.exists(MappedRobot(loaded))}
     if list_quantities:
@@ -100,14 +97,14 @@ def atlas(
     names = tuple(quantity or (name for name in _DEFAULT_QUANTITIES if name in existing))
     if ranges or counts:
         if points or tilt is not None or heights:
-            raise typer.BadParameter("--points, --tilt and --heights do not go with --range and --counts")
+            raise typer.BadParameter("--points, --tilt and --heights cannot be combined with --range or --counts")
         grid = robot_grid(loaded, ranges or _all_ranges(loaded, counts), values or ())
     elif tuple(coordinate.name for coordinate in loaded.coordinates) == _TILTS:
         grid = robot_grid(
             loaded, _tilt_ranges(loaded, points or _DEFAULT_POINTS, _DEFAULT_TILT if tilt is None else tilt, heights)
         )
     elif points or tilt is not None or heights:
-        raise typer.BadParameter(f"--points, --tilt and --heights are for {', '.join(_TILTS)}: use --range")
+        raise typer.BadParameter(f"--points, --tilt and --heights are for robots with {', '.join(_TILTS)}: use --range")
     else:
         grid = robot_grid(loaded, _all_ranges(loaded, None))
     job = Atlas(loaded, grid, names, out, keep_beyond_limits, precision, engine)
@@ -117,14 +114,14 @@ def atlas(
 
             def show(done: int, total: int) -> None:
                 nonlocal resumed
-                if resumed:  # only now is it known that it can be gone on with
-                    message(f"going on with {job.parts}")
+                if resumed:  # only now is it known that the job can resume
+                    message(f"resuming from {job.parts}")
                 resumed = False
                 progress(done, total)
 
             path = compute_atlas(job, threads=threads, scheduler=scheduler, progress=show)
     except KeyboardInterrupt:
-        message(f"interrupted: finished blocks are kept in {job.parts}, and the same command goes on there")
+        message(f"interrupted: finished blocks are kept in {job.parts}; run the same command again to resume")
         raise
     files = [path, *_draw(path, loaded, formats)] if pictures else [path]
     remove_former(path.parent, rf"{re.escape(path.stem)}_(?:{'|'.join(known)})(?:_.+)?", files)
@@ -140,7 +137,7 @@ def atlas(
 def _tilt_ranges(
     robot: Robot, points: tuple[int, int, int], tilt: float, heights: tuple[float, float] | None
 ) -> list[CoordinateRange]:
-    """Return what --points, --tilt and --heights stand for as values of --range: z_e, theta_x, theta_y."""
+    """Return --points, --tilt and --heights as values of --range: z_e, theta_x, theta_y."""
     nx, ny, nz = points
     low, high = heights or robot.range_of(robot.coordinate("z_e"))
     tilts = [CoordinateRange(name, -tilt, tilt, count) for name, count in (("theta_x", nx), ("theta_y", ny))]
@@ -148,7 +145,7 @@ def _tilt_ranges(
 
 
 def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
-    """Return the ranges of all coordinates, with the numbers of --counts."""
+    """Return the ranges of all coordinates, with the counts of --counts."""
     dimensions = len(robot.coordinates)
     try:
         numbers = [int(word) for word in counts.replace(",", " ").split()] if counts else []
@@ -164,7 +161,7 @@ def _all_ranges(robot: Robot, counts: str | None) -> list[CoordinateRange]:
 
 
 def _draw(path: Path, robot: Robot, formats: list[PictureFormat] | None) -> list[Path]:
-    """Draw the pictures of a finished atlas beside it."""
+    """Draw the pictures of a finished atlas next to it."""
     from pm3dof_pin.figures.atlas import atlas_pictures
     from pm3dof_pin.maps.atlas import open_atlas
 

@@ -21,63 +21,63 @@ if TYPE_CHECKING:
 
 
 _ROOMS = ("pm3dof_pin.measuring", "pm3dof_pin.calibration")
-_FEW = 0.5  # of the poses of a validation within their bounds
+_FEW = 0.5  # fraction of the validation poses within their bounds
 
 
 MethodName: TypeAlias = Literal["lm", "nn", "gp", "lm+nn", "lm+gp"]
-"""How a machine is calibrated."""
+"""Calibration methods."""
 
 TargetOffsets: TypeAlias = Literal["fixed", "estimate"]
-"""Whether targets are where the file has them."""
+"""Whether target positions are estimated or taken from the file."""
 
 
 def calibrate(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Measurements (CSV).")],
-    out: Annotated[Path, typer.Option(help="Folder to write; an older calibration there is replaced.")],
+    out: Annotated[Path, typer.Option(help="Output folder; an earlier calibration in it is replaced.")],
     which: RobotErrorsOptions,
     method: Annotated[
         MethodName,
         typer.Option(help="lm: geometric parameters; nn, gp: a learned correction; lm+nn, lm+gp: both."),
     ] = "lm+gp",
     own_frame: Annotated[
-        bool, typer.Option("--own-frame", help="The instrument has a frame of its own: find the base in it first.")
+        bool, typer.Option("--own-frame", help="Positions are in the instrument's own frame; locate the base first.")
     ] = False,
     target_offsets: Annotated[
         TargetOffsets,
-        typer.Option(help="Points off the tool point: estimate where they sit, or fixed, where the file has them."),
+        typer.Option(help="Positions of targets away from the tool point: estimated, or fixed as in the file."),
     ] = "estimate",
     target_sigma: Annotated[
-        float, typer.Option(min=1e-9, help="How well the file knows where targets sit, each coordinate [m].")
+        float, typer.Option(min=1e-9, help="Standard deviation of the file's target positions, per coordinate [m].")
     ] = 1e-3,
     tool_point_sigma: Annotated[
-        float, typer.Option(min=0.0, help="Estimate where the tool point itself sits; known to so much [m].")
+        float, typer.Option(min=0.0, help="Also estimate the tool point, with this prior standard deviation [m].")
     ] = 0.0,
     validation: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Other measurements, which nothing is fitted to: how good it is on them."),
+        typer.Option(metavar="FILE", help="Separate measurements, not fitted, to validate the calibration on."),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Write the result even if something speaks against it, marked as such.")
+        bool, typer.Option("--force", help="Write a result that would be refused, marked as forced.")
     ] = False,
     eta: Annotated[float, typer.Option(help="Weight of the orientation in the tip error [m/rad].")] = 0.1,
     prior: Annotated[
         float | None,
         typer.Option(
-            help="Sigma of the parameters before any measurement, in units of their tolerances; by default what makes "
-            "the measurements most likely, from 1 to 3."
+            help="Prior standard deviation of the parameters, in units of their tolerances; by default the most likely "
+            "value from 1 to 3, given the measurements."
         ),
     ] = None,
     loss: Annotated[
-        Literal["squares", "huber", "tukey"], typer.Option(help="Robustness of the identification.")
+        Literal["squares", "huber", "tukey"], typer.Option(help="Loss function of the identification.")
     ] = "tukey",
-    seed: Annotated[int, typer.Option(min=0, help="Seed: the same seed, the same files.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives the same files.")] = 0,
     formats: Annotated[
         list[PictureFormat] | None,
-        typer.Option("--format", help="Write the report's pictures as files too, in this format; may be repeated."),
+        typer.Option("--format", help="Also write the report's pictures as files in this format; may be repeated."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Calibrate a machine from a file of measurements: parameters, corrections, a calibrated URDF and a report."""
+    """Calibrate a machine from measurements: parameters, corrections, a calibrated URDF and a report."""
     from pm3dof_pin.calibration.calibrate import Options
     from pm3dof_pin.calibration.judging import validated_errors
     from pm3dof_pin.calibration.objections import calibrate_and_object
@@ -111,7 +111,7 @@ def calibrate(
             if on_others is not None and on_others.within < _FEW:
                 message(
                     f"pm3dof: warning: {100.0 * on_others.within:.0f} % of the poses of {validation} are within their "
-                    "95 % bounds: of another machine, or another state of it?"
+                    "95 % bounds: they may be from another machine or another state of it"
                 )
             maps = workspace_errors(calibration)
             progress(3, 4)
@@ -129,14 +129,14 @@ def calibrate(
             progress(4, 4)
     summary = summary_of(calibration, name, held_out, **more)
     for reason in reasons:
-        message(f"pm3dof: forced, although {reason}")
+        message(f"pm3dof: forced despite: {reason}")
     print_result({"directory": str(folder)} | summary, _lines(summary, calibration), as_json=as_json)
     message(f"wrote {folder}, report in {folder / REPORT}")
 
 
 @contextmanager
 def _warnings_as_messages() -> Iterator[None]:
-    """Make lines on standard error of the warnings of the calibration."""
+    """Print the calibration's warnings on standard error."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("pm3dof: warning: %(message)s"))
     for room in _ROOMS:
@@ -152,7 +152,7 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
     found = calibration.identification
     known, named = found.identifiability, []
     if len(found.nuisances):
-        named = [f"beside them {', '.join(dict.fromkeys(part.kind for part in found.nuisances.parts))}"]
+        named = [f"also estimated: {', '.join(dict.fromkeys(part.kind for part in found.nuisances.parts))}"]
     measured = summary["measurements"]
     poses = "" if measured["count"] == measured["poses"] else f" of {measured['poses']} poses"
     lines = [

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SEEDS = range(10)
 COUNTS = (3, 6, 9, 12, 20, 40, 60)
-_TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses until an accuracy is reached
+_TRIED = (6, 9, 12, 16, 20, 25, 30, 40, 50, 60, 80, 100)  # numbers of poses tried until an accuracy is reached
 _DEFAULT_POSES = 9
 
 
@@ -33,51 +33,51 @@ _Strategy: TypeAlias = Literal[
 def calibration_plan(
     which: RobotErrorsOptions,
     poses: Annotated[int | None, typer.Option(min=1, help="Number of poses to measure (9).")] = None,
-    out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/plan.csv"),
+    out: Annotated[Path, typer.Option(help="Output file (CSV).")] = Path("results/plan.csv"),
     strategy: Annotated[
         _Strategy | None,
         typer.Option(
-            help="How poses are chosen; that of --method by default. least-sensitive is the chapter's rule; d-optimal "
-            "and tip-optimal are for parameters, space-filling and process-variance for what is learned."
+            help="Strategy for choosing poses; by default that of --method. least-sensitive is the chapter's rule; "
+            "d-optimal and tip-optimal suit parameters, space-filling and process-variance suit learned corrections."
         ),
     ] = None,
     method: Annotated[
         MethodName,
-        typer.Option(help="The calibration that is planned: lm parameters, nn and gp learned, or both."),
+        typer.Option(help="Calibration method to plan for: lm (parameters), nn or gp (learned), or both."),
     ] = "lm",
     accuracy: Annotated[
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Take as many poses as bring the tip error, beyond that of the best commands, under this [m, rms].",
+            help="Choose enough poses to bring the excess tip error over the best commands below this [m, rms].",
         ),
     ] = None,
     positions: Annotated[
-        bool, typer.Option("--positions", help="The instrument sees positions only, not whole poses.")
+        bool, typer.Option("--positions", help="The instrument measures positions only, not full poses.")
     ] = False,
     own_frame: Annotated[
-        bool, typer.Option("--own-frame", help="The instrument has a frame of its own, found from the measurements.")
+        bool, typer.Option("--own-frame", help="The instrument's frame is its own, located from the measurements.")
     ] = False,
     targets: Annotated[
         int | None,
-        typer.Option(min=1, help="See so many targets one by one, on a circle of 0.15 m about the tool point."),
+        typer.Option(min=1, help="Number of targets, measured one by one, 0.15 m around the tool point."),
     ] = None,
     target_offsets: Annotated[
-        TargetOffsets, typer.Option(help="Where targets sit is estimated, or known and fixed.")
+        TargetOffsets, typer.Option(help="Target positions are estimated, or known and fixed.")
     ] = "estimate",
     target_sigma: Annotated[
-        float, typer.Option(min=1e-9, help="How well it is known where targets sit, each coordinate [m].")
+        float, typer.Option(min=1e-9, help="Standard deviation of the target positions, per coordinate [m].")
     ] = 1e-3,
     encoder: Annotated[
         list[str] | None,
-        typer.Option(metavar="JOINT", help="A passive joint whose encoder is read too; may be given several times."),
+        typer.Option(metavar="JOINT", help="A passive joint with an encoder that is also read; may be repeated."),
     ] = None,
     wrench: KnownWrenches = None,
     among: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Choose among the commands of a file (CSV), such as the least_sensitive.csv of error-map --budget.",
+            help="Choose among the commands in a CSV file, such as the least_sensitive.csv of error-map --budget.",
         ),
     ] = None,
     references: Annotated[
@@ -85,30 +85,30 @@ def calibration_plan(
         typer.Option(
             min=1,
             metavar="N",
-            help="In an order that shows drift: at random, one pose first, again after every N others, and last.",
+            help="Order the poses at random and repeat one pose first, after every N others, and last, to show drift.",
         ),
     ] = None,
     candidates: Annotated[int, typer.Option(min=2, help="Number of random poses to choose from.")] = 2000,
     margin: Annotated[
-        float, typer.Option(min=0.0, max=0.4, help="Part of every coordinate's range kept free at either end.")
+        float, typer.Option(min=0.0, max=0.4, help="Fraction of each coordinate's range left out at either end.")
     ] = 0.0,
     distance: Annotated[
         float,
-        typer.Option(min=0.0, help="Least distance of two poses: rms of their commands' differences over the ranges."),
+        typer.Option(min=0.0, help="Least distance between poses: rms of command differences divided by their ranges."),
     ] = 0.05,
     prior: Annotated[
-        float, typer.Option(help="Sigma of the parameters before any measurement, in units of their tolerances.")
+        float, typer.Option(help="Prior standard deviation of the parameters, in units of their tolerances.")
     ] = 3.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers: the same seed, the same plan.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives the same plan.")] = 0,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the predicted accuracy against the number of poses (.png, .pdf, .svg).")
     ] = None,
     formats: Formats = None,
     as_json: Json = False,
 ) -> None:
-    """Poses to measure for a calibration, within all joint limits, and how accurate it will be. Lengths in metres.
+    """Choose poses to measure for a calibration, within all joint limits, and predict its accuracy.
 
-    Known wrenches identify the stiffness of the springs too.
+    Lengths in metres. With known wrenches, the spring stiffnesses are identified too.
     """
     from dataclasses import replace
 
@@ -192,7 +192,7 @@ def calibration_plan(
 def _rehearsed(
     problem: PlanningProblem, strategy: Strategy, method: Method, poses: int | None, accuracy: float | None, seed: int
 ) -> dict[int, float]:
-    """Return the tip error beyond that of the best commands, by number of poses [m]: until one is accurate enough."""
+    """Return the excess tip error over the best commands, by number of poses [m], until one is accurate enough."""
     import numpy as np
 
     from pm3dof_pin.calibration.calibrate import LEAST_POSES
@@ -217,7 +217,7 @@ def _rehearsed(
 
 
 def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, seed: int) -> float:
-    """Return the tip error that is left with a strategy [m]; NaN where it has not so many poses to choose from."""
+    """Return the remaining tip error of a strategy [m]; NaN if it has fewer poses to choose from."""
     from pm3dof_pin.exceptions import InvalidValueError
 
     if strategy == plan.strategy:
@@ -229,7 +229,7 @@ def _predicted(problem: PlanningProblem, plan: Plan, poses: int, strategy: Any, 
 
 
 def _seeds(strategy: Strategy, seed: int = 0) -> Sequence[int]:
-    """Return one seed for strategies that hardly depend on it, or some to take the mean over."""
+    """Return one seed for strategies that hardly depend on it, several to average over for the others."""
     return SEEDS if strategy in ("space-filling", "least-sensitive", "random") else [seed]
 
 
@@ -279,18 +279,18 @@ def _lines(result: dict[str, Any]) -> list[str]:
     rehearsed = []
     if excess:
         reached = ", ".join(f"{count}: {1e6 * value:.1f}" for count, value in excess.items())
-        words = "tip error beyond that of the best commands, rms [µm], rehearsed on machines within the tolerances"
-        rehearsed = ["", f"{words}, by {result['method']} after so many poses", f"  {reached}"]
+        words = "excess tip error over the best commands, rms [µm], simulated on machines within the tolerances"
+        rehearsed = ["", f"{words}, method {result['method']}, by number of poses", f"  {reached}"]
         if result["accuracy_reached"] is False:
             rehearsed.append(f"  {1e6 * result['accuracy_m']:.1f} is not reached: try another --method")
     rows = [[name, "too few poses" if math.isnan(value) else f"{1e6 * value:.1f}"] for name, value in predicted]
     beside = result["estimated_beside_them"]
     return [
         f"{result['robot']}: {result['poses']} poses, {result['strategy']}, for method {result['method']}"
-        + (f"; estimated beside the machine: {', '.join(beside)}" if beside else ""),
+        + (f"; also estimated: {', '.join(beside)}" if beside else ""),
         f"{result['identifiable']} of {result['parameters']} parameters identified, "
-        f"{result['better_known_than_tolerances']} combinations better than their tolerances; "
-        f"at least {result['least_number_of_poses']} poses identify all that can be",
+        f"{result['better_known_than_tolerances']} combinations better known than their tolerances; "
+        f"all that can be identified needs at least {result['least_number_of_poses']} poses",
         f"not identified: {'; '.join(hidden[:3]) or 'nothing'}{f'; {len(hidden) - 3} more' if len(hidden) > 3 else ''}",
         *_stiffness_lines(result["predicted_stiffness_sigma_of_logarithm"]),
         f"observability {observability}",

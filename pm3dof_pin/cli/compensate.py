@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.calibration.compensation import Compensated, Compensation, Conditions
     from pm3dof_pin.kinematics.robot import Robot
 
-_SAME = 1e-9  # what places of tools may differ by [m]
+_SAME = 1e-9  # greatest difference between tool positions [m]
 _TRIED = 0.01  # motion of a drive [characteristic lengths, rad]
 
 
@@ -33,7 +33,7 @@ def compensate(
     at: PlaceOptions,
     robot: Annotated[
         str | None,
-        typer.Option("--robot", metavar="NAME|PATH", help="The robot, to be sure that the folder is one of it."),
+        typer.Option("--robot", metavar="NAME|PATH", help="The robot, to check that the calibration belongs to it."),
     ] = None,
     poses: Annotated[
         Path | None,
@@ -41,20 +41,20 @@ def compensate(
             "--poses",
             metavar="FILE",
             help="Many poses: CSV with a column NAME_deg, NAME_rad or NAME_m for each coordinate, or with x_m, y_m, "
-            "z_m, qw, qx, qy, qz; temperatures and loads may stand beside them.",
+            "z_m, qw, qx, qy, qz; columns of temperatures and loads may follow.",
         ),
     ] = None,
     out: OutFile = None,
     condition: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="A temperature or load, by the name of its column; may be repeated."),
+        typer.Option(metavar="NAME=VALUE", help="A temperature or load, named as its column; may be repeated."),
     ] = None,
     wrench: Wrench = None,
     as_json: Json = False,
 ) -> None:
-    """Commands that bring the calibrated machine to a pose, or to many: angles in degrees, lengths in metres.
+    """Commands that take the calibrated machine to one pose or many: angles in degrees, lengths in metres.
 
-    Differences are motions of the drives. A pose that breaks a joint limit is still answered, with a message and exit
+    Differences are motions of the drives. A pose that breaks a joint limit is still computed, with a message and exit
     status 1.
     """
     from pm3dof_pin.calibration.results import read_compensation
@@ -67,7 +67,7 @@ def compensate(
     machine = known.errors.robot
     if robot is not None and not _moves_alike(asked := _loaded(robot, machine), machine):
         found = machine.name if asked.name != machine.name else f"another {machine.name}"
-        raise InvalidValueError("--calibration", calibration, f"one of {asked.name}, it is of {found}")
+        raise InvalidValueError("--calibration", calibration, f"a calibration of {asked.name}, not of {found}")
     if chosen.is_empty:
         raise typer.BadParameter(f"expected a pose: {expected_numbers(machine, machine.coordinates)}")
     if chosen.poses is not None:
@@ -102,14 +102,14 @@ def compensate(
 
 
 def _loaded(robot: str, machine: Robot) -> Robot:
-    """Load the robot of `--robot`, with the tool that was calibrated."""
+    """Load the robot of `--robot`, with the calibrated tool."""
     from pm3dof_pin.kinematics.robot import Robot
 
     return Robot.load(robot, tool_frame=machine.tool_frame)
 
 
 def _moves_alike(one: Robot, other: Robot) -> bool:
-    """Tell whether two robots have the same drives, and their tools are at the same places at commands around home."""
+    """Tell whether two robots have the same drives, and the same tool positions at commands around home."""
     import numpy as np
 
     from pm3dof_pin.kinematics.coordinate_units import units_of
@@ -124,17 +124,15 @@ def _moves_alike(one: Robot, other: Robot) -> bool:
 
 
 def _completed(compensation: Compensation, given: Conditions) -> Conditions:
-    """Complete conditions by the middle of those measured, and say which are not given or beyond these."""
+    """Fill in missing conditions with the middle of the measured range; report these and any outside it."""
     complete = compensation.with_usual_conditions(given)
     for name in sorted(set(complete) - set(given)):
-        message(f"pm3dof: {name} is not given: {complete[name]:.4g}, the middle of those measured, is taken")
+        message(f"pm3dof: {name} is not given: using {complete[name]:.4g}, the middle of the measured range")
     if compensation.learned is not None:
         for name, (least, most) in compensation.learned.inputs.beyond(given).items():
             value = given[name]
             words = f"{name} = {value:.4g} is" if isinstance(value, float) else f"some {name} are"
-            message(
-                f"pm3dof: {words} outside what was measured, {least:.4g} .. {most:.4g}: the correction is a guess there"
-            )
+            message(f"pm3dof: {words} outside the measured range {least:.4g} .. {most:.4g}: it is extrapolated")
     return complete
 
 
@@ -157,7 +155,7 @@ def _lines(robot: Robot, answer: Compensated) -> list[str]:
     ]
     lines = table_lines(["drive", f"command [{unit}]", f"nominal [{unit}]", f"difference [{small}]"], rows)
     expected, bound = 1e6 * answer.predicted_error[0], 1e6 * answer.error_bound[0]
-    return [*lines, f"tip error to be expected: {expected:.1f} µm; with a probability of 95 % below {bound:.1f} µm"]
+    return [*lines, f"expected tip error: {expected:.1f} µm; below {bound:.1f} µm with 95 % probability"]
 
 
 def _conditions(words: list[str]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Values that the shell completes, read from the description files without loading a robot."""
+"""Shell completion of values, read from the description files without loading a robot."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def robots(incomplete: str) -> list[str]:
 
 def quantities(incomplete: str) -> list[str]:
     """Complete the name of a quantity that can be mapped."""
-    import pm3dof_pin.chapter.quantities  # noqa: F401  what the chapter adds to them
+    import pm3dof_pin.chapter.quantities  # noqa: F401  registers the chapter's quantities
     from pm3dof_pin.maps.quantities import QUANTITIES
 
     return [name for name in QUANTITIES if name.startswith(incomplete)]
 
 
 def configurations(context: typer.Context, incomplete: str) -> list[str]:
-    """Complete the name of a configuration in the SRDF of the robot of `--robot`."""
+    """Complete the name of a configuration in the SRDF of `--robot`."""
     from pm3dof_pin.description.robots import find_robot
 
     try:
@@ -38,7 +38,7 @@ def configurations(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def coordinates(context: typer.Context, incomplete: str) -> list[str]:
-    """Complete the name of a coordinate that the robot of `--robot` declares."""
+    """Complete the name of a coordinate that `--robot` declares."""
     from pm3dof_pin.description.closures import read_closures
     from pm3dof_pin.description.robots import find_robot
 

@@ -1,4 +1,4 @@
-"""The error budget of `pm3dof error-map --budget`: all sources of error, apart and together."""
+"""The error budget of `pm3dof error-map --budget`: all sources of error, separately and combined."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def map_budget(
     out: Path,
     formats: list[PictureFormat] | None,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Compute the budget on a grid or at poses, of all sources or those named; write its maps, and draw them.
+    """Compute the error budget on a grid or at poses, of all or the named sources; write its maps and draw them.
 
-    Returns what goes into the result of the command, and the files written. Of no formats, nothing is drawn.
+    Returns the entries for the command's result, and the files written. With no formats, nothing is drawn.
     """
     import numpy as np
 
@@ -75,7 +75,7 @@ def map_budget(
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
-    """Return what :func:`map_budget` returned as a table, in the words of Table 8.4."""
+    """Return the result of :func:`map_budget` as a table, in the words of Table 8.4."""
     columns = ("tip_rms_m", "greatest_tip_rms_m", "worst_tip_m", "left_m", "energy_m")
     rows, last = [], ""
     for line in result["budget"]:

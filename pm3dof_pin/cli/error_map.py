@@ -34,7 +34,7 @@ def _coverage(text: str) -> str:
     except ValueError:
         good = False
     if not good:
-        raise typer.BadParameter(f"{text} is neither rms nor a part between 0 and 1, such as 0.95")
+        raise typer.BadParameter(f"{text} is neither rms nor a fraction between 0 and 1, such as 0.95")
     return text
 
 
@@ -45,61 +45,59 @@ def error_map(
     at: Values = None,
     whole: Annotated[
         bool,
-        typer.Option("--whole", help="Over all coordinates that have ranges; --points values of each, 13 by default."),
+        typer.Option("--whole", help="Map over all coordinates that have ranges, --points values each (13)."),
     ] = False,
     points: Annotated[
-        int | None, typer.Option(min=2, help="Number of values of each coordinate without --over. [default: 41]")
+        int | None, typer.Option(min=2, help="Number of values of each coordinate not given by --over. [default: 41]")
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(min=1, help="Instead of a section: so many random poses of the whole workspace.")
+        int | None, typer.Option(min=1, help="Number of random poses of the whole workspace, instead of a section.")
     ] = None,
     eta: Annotated[
-        float, typer.Option(min=0.0, help="Weight of the orientation in the tip error [m/rad]: the length of the tool.")
+        float, typer.Option(min=0.0, help="Weight of orientation in the tip error [m/rad]: the tool's length.")
     ] = 0.1,
     uniform: Annotated[
-        bool, typer.Option("--uniform", help="Tolerances are half widths of uniform distributions, not sigmas.")
+        bool, typer.Option("--uniform", help="Tolerances are half widths of uniform distributions.")
     ] = False,
     target: Annotated[
-        float | None, typer.Option(help="Allocate tolerances so that the tip error stays within this [m] everywhere.")
+        float | None, typer.Option(help="Allocate tolerances that keep the tip error within this [m] everywhere.")
     ] = None,
     coverage: Annotated[
         str,
         typer.Option(
             metavar="PART|rms",
-            help="Part of the machines that --target is met by at every pose, or rms: by their root mean square.",
+            help="Fraction of machines that must meet --target at every pose; rms applies it to their rms error.",
             callback=_coverage,
         ),
     ] = "0.95",
     budget: Annotated[
         bool,
-        typer.Option(
-            "--budget", help="All sources of error, not geometry alone, apart and together; so do the next four."
-        ),
+        typer.Option("--budget", help="All sources of error, not only geometry; implied by the next four options."),
     ] = False,
     source: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="A source or class of sources to leave in the budget; may be repeated."),
+        typer.Option(metavar="NAME", help="Restrict the budget to this source or class of sources; may be repeated."),
     ] = None,
     wrench: Wrench = None,
     rise: Annotated[
-        float | None, typer.Option(min=0.0, metavar="K", help="The machine may be so much colder or warmer [K].")
+        float | None, typer.Option(min=0.0, metavar="K", help="Temperature range of the machine, plus or minus [K].")
     ] = None,
     large: Annotated[
-        bool, typer.Option("--large", help="Large deflections: the equilibrium under the wrench, pose by pose.")
+        bool, typer.Option("--large", help="Large deflections: solve the equilibrium under the wrench at each pose.")
     ] = False,
     pictures: Annotated[bool, typer.Option(help="Draw the pictures.")] = True,
     formats: Formats = None,
     engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
-    """Errors of the tool that errors of the parts lead to, over a section of the workspace, and the critical parts.
+    """Tool errors caused by errors of the parts, over a section of the workspace, and the critical parameters.
 
-    With --budget, or an option of it, errors are listed by their source: parts, temperature, loads, drives, vibration.
-    Their numbers stand in the same file; what it leaves out has a documented default.
+    With --budget, or an option that implies it, errors are also listed by source: parts, temperature, loads, drives,
+    vibration. Their magnitudes are in the error file too; those it omits have documented defaults.
 
-    Parts and their tolerances stand in the robot's error file, `<robot>.errors.yaml` beside its description; a robot
-    without one has 0.1 mm and 0.5 mrad at every joint. Robots whose coordinates have no ranges are judged at random
-    poses. Coordinates that are neither named nor mapped over stay in the middle of their ranges.
+    Error parameters and tolerances come from the robot's error file, `<robot>.errors.yaml` next to its description;
+    without one, every joint has 0.1 mm and 0.5 mrad. Robots whose coordinates have no ranges are evaluated at random
+    poses. Coordinates that are neither mapped nor fixed stay in the middle of their ranges.
     """
     import numpy as np
 
@@ -112,7 +110,7 @@ def error_map(
     from pm3dof_pin.maps.storage import write_map
 
     if sum([samples is not None, bool(over or at), whole]) > 1:
-        raise typer.BadParameter("expected --samples, --whole, or --over and --at, not several of them")
+        raise typer.BadParameter("expected only one of --samples, --whole, or --over with --at")
     errors = which.load_errors()
     named = robot_grid(errors.robot, over or [], at or [])
     ranges = {name: (float(values[0]), float(values[-1]), len(values)) for name, values in named.axes.items()}

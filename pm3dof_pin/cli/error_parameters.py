@@ -1,4 +1,4 @@
-"""`pm3dof error-parameters`, and the error parameters that other commands work with."""
+"""`pm3dof error-parameters`, and the error parameters that other commands use."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def error_parameters(
     which: RobotOptions,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the minimal and complete parameters, an error file to be edited."),
+        typer.Option(metavar="FILE", help="Write the minimal complete set to an error file, for editing."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say which geometric errors a robot has, and find a minimal and complete set of them.
+    """List a robot's geometric errors and find a minimal complete set of error parameters.
 
-    Of all errors of joints, closures and the tool, as few as do everything to the tool that all of them do. Those that
-    the robot's error file declares come first.
+    The set is the smallest with the same effect on the tool as all errors of joints, closures and the tool. Parameters
+    that the robot's error file declares come first.
     """
     import numpy as np
 
@@ -72,11 +72,11 @@ def error_parameters(
         "errors_file": str(file) if declared is not None else None,
     }
     if out is not None:
-        title = f"What may sit wrong in {loaded.robot.name}, for error maps and calibration: {len(found)} parameters"
+        title = f"Geometric errors of {loaded.robot.name}, for error maps and calibration: {len(found)} parameters"
         comment = (
             f"{title}, minimal and complete.\n"
-            "Directions are those of each joint's or frame's own axes: x, y, z, along the joint's, across it.\n"
-            "Tolerances are standard deviations: set them to your machine's."
+            "Directions are in each joint's or frame's own axes: x, y, z; along the joint axis, across it.\n"
+            "Tolerances are standard deviations: set them for your machine."
         )
         zeros = read_error_file(file).command_zeros if declared is not None else {}
         write_text_atomically(out, error_file_text(entries, comment=comment, command_zeros=zeros))
@@ -87,14 +87,14 @@ def error_parameters(
 def _described(result: dict[str, Any], entries: Sequence[ErrorEntry]) -> list[str]:
     count = len(result["parameters"])
     lines = [
-        f"{result['robot']}: {count} error parameters do what all {result['candidates']} errors of joints, closures "
-        f"and tool do to the tool at {result['poses']} poses"
+        f"{result['robot']}: {count} error parameters have the same effect on the tool as all {result['candidates']} "
+        f"errors of joints, closures and tool, at {result['poses']} poses"
     ]
     if result["declared"] is None:
-        lines.append("no error file: error maps and calibration take all of them")
+        lines.append("no error file: error maps and calibration use all of them")
     else:
         lines.append(f"{result['errors_file']} declares {result['declared']}")
-        for key, text in (("missing", "missing there"), ("redundant", "of no effect beyond the others")):
+        for key, text in (("missing", "missing there"), ("redundant", "redundant")):
             if result[key]:
                 lines.append(f"{text}: {', '.join(result[key])}")
     rows = [
@@ -113,12 +113,12 @@ def _places(names: Sequence[str]) -> str:
 
 
 def closing_errors(errors: GeometricErrors, poses: Poses | None = None, *, quiet: bool = False) -> GeometricErrors:
-    """Return the errors with which the loops close at poses, by default random ones, and say how many are left out."""
+    """Return the errors that let the loops close at the poses (random by default), and report how many are dropped."""
     from pm3dof_pin.errors.sensitivity import closable
 
     fitting = closable(errors, poses)
     if len(fitting) < len(errors) and not quiet:
         dropped = [name for name in errors.names if name not in fitting.names]
         some = ", ".join(dropped[:_SHOWN]) + (" ..." if len(dropped) > _SHOWN else "")
-        message(f"pm3dof: {len(dropped)} parameters are left out, as the loops cannot close with them: {some}")
+        message(f"pm3dof: {len(dropped)} parameters are left out because the loops cannot close with them: {some}")
     return fitting

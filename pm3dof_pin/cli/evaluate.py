@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from pm3dof_pin.maps.quantities import MappedRobot
     from pm3dof_pin.maps.workspace_evaluation import Distribution, WorkspaceEvaluation
 
-_POSES = 100_000  # over all coordinates, about
+_POSES = 100_000  # approximate number over all coordinates
 _MOST_POINTS = 201  # of one coordinate
 _PICTURE_POINTS = 81
 _OF_CHAPTER = ("chapter_diagonal", "chapter_global")
-_LEAST_SHARE = 0.05  # of a spring that is printed
+_LEAST_SHARE = 0.05  # least share of a spring to be printed
 
 
 def evaluate(
@@ -56,11 +56,11 @@ def evaluate(
     engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
-    """The stiffness over the whole workspace: mean, spread, extremes and where, global indices, critical springs.
+    """Evaluate the stiffness over the workspace: mean, spread, extremes, global indices, critical springs.
 
-    Angles in degrees, lengths in metres. The workspace is what the limits admit of the ranges of all coordinates, or of
-    those of --range; averages are over its volume. For each axis: which spring gives most, in which part of the
-    workspace, and what stiffening it by 10 % brings at least.
+    Angles in degrees, lengths in metres. The workspace is the part of the coordinate ranges, or of --range, within all
+    limits; averages are over its volume. For each axis, the critical springs are listed: which contributes most, over
+    what part of the workspace, and the least gain from making it 10 % stiffer.
     """
     from pm3dof_pin.files import write_text_atomically
     from pm3dof_pin.maps.quantities import MappedRobot
@@ -72,7 +72,7 @@ def evaluate(
     mapped = MappedRobot(loaded)
     if model == "chapter":
         if quantity:
-            raise typer.BadParameter("--model chapter does not go with --quantity")
+            raise typer.BadParameter("--model chapter cannot be combined with --quantity")
         if not known[_OF_CHAPTER[0]].exists(mapped):
             raise typer.BadParameter(f"--model chapter is for tripods of the chapter's family, not {loaded.name}")
     quantities = _OF_CHAPTER if model == "chapter" else tuple(quantity) if quantity else None
@@ -101,7 +101,7 @@ def _grid(robot: Robot, ranges: Any, values: Any, points: int | None) -> Grid:
         robot, [*(ranges or ()), *declared_ranges(robot, free, [max(count, 3)] * len(free))], values or ()
     )
     if not grid.axes:
-        raise typer.BadParameter(f"{robot.name}: every coordinate stands still, nothing to evaluate over")
+        raise typer.BadParameter(f"{robot.name}: every coordinate is fixed; there is nothing to evaluate over")
     return grid
 
 
@@ -203,7 +203,7 @@ def _table(found: WorkspaceEvaluation) -> str:
 
 
 def _draw(mapped: MappedRobot, grid: Grid, out: Path, formats: list[PictureFormat] | None) -> list[Path]:
-    """Draw which spring governs over the first two coordinates, the others in the middle of their ranges."""
+    """Draw which spring governs over the first two coordinates, with the others in the middle of their ranges."""
     from pm3dof_pin.figures.critical_springs import critical_springs
     from pm3dof_pin.maps.limit_space import limits_over
     from pm3dof_pin.maps.workspace_evaluation import evaluate_workspace

@@ -10,7 +10,7 @@ import typer
 from pm3dof_pin.cli.options import MachineOptions
 from pm3dof_pin.cli.output import message
 
-# those of pm3dof_pin.export.formats, which is not imported for the help
+# as in pm3dof_pin.export.formats, which is not imported just for the help
 _Format: TypeAlias = Literal["drake", "gepetto", "mjcf", "ros", "sdf", "urdf"]
 
 
@@ -18,19 +18,19 @@ def export(
     which: MachineOptions,
     format_name: Annotated[
         _Format,
-        typer.Argument(metavar="FORMAT", help="What to write."),
+        typer.Argument(metavar="FORMAT", help="Output format."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder to write to; made if it is not there. By default results/FORMAT."),
+        typer.Option("--out", help="Output folder, created if missing; by default results/FORMAT."),
     ] = None,
-    meshes: Annotated[bool, typer.Option(help="Shapes that are meshes, and their files.")] = True,
+    meshes: Annotated[bool, typer.Option(help="Include meshes and their files.")] = True,
 ) -> None:
-    """A robot's description for another tool, its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
+    """Export a robot for another tool, with its loops closed: mjcf, sdf, drake, gepetto, ros, urdf.
 
-    mjcf for MuJoCo, sdf for SDFormat, drake a URDF for Drake, gepetto the layout of example-parallel-robots, ros a ROS
-    2 package, urdf the URDF with its closures file, error file and SRDF. Meshes are put beside it, or left out with
-    --no-meshes.
+    mjcf is for MuJoCo; sdf is SDFormat; drake is a URDF for Drake; gepetto is the layout of example-parallel-robots;
+    ros is a ROS 2 package; urdf is the URDF with its closures file, error file and SRDF. Mesh files are copied next to
+    it; --no-meshes omits them.
     """
     from pm3dof_pin.exceptions import DescriptionError
     from pm3dof_pin.export.formats import export_robot

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pm3dof_pin.description.robots import RobotFiles
     from pm3dof_pin.kinematics.robot import Robot
 
-_CLOSED = 1e-6  # residual up to which a closure is called closed [m or rad]
+_CLOSED = 1e-6  # greatest residual of a closed loop [m or rad]
 
 _FileKind: TypeAlias = Literal["closures", "errors", "parameters"]
 """The YAML files of a robot."""
@@ -30,17 +30,17 @@ _KINDS = (("Free", "free"), ("Spherical", "spherical"), ("Composite", "composite
 def info(
     which: RobotOptions,
     path: Annotated[
-        str | None, typer.Argument(metavar="ROBOT", help="As --robot.", autocompletion=completion.robots)
+        str | None, typer.Argument(metavar="ROBOT", help="Same as --robot.", autocompletion=completion.robots)
     ] = None,
     schema: Annotated[
         _FileKind | None,
-        typer.Option("--schema", help="Print the JSON Schema of a YAML file instead, for editors."),
+        typer.Option("--schema", help="Print the JSON Schema of a YAML file, for editors, and exit."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """What a robot is: files, joints, commands, coordinates, loop closures, degrees of freedom, home.
+    """Summarize a robot: files, joints, commands, coordinates, loop closures, degrees of freedom, home.
 
-    Works on anything that can be read, and says what is missing and what to try.
+    Works on any file that can be read, and says what is missing and what to try.
     """
     from pm3dof_pin.description.robots import find_robot, robot_names
 
@@ -69,7 +69,7 @@ def info(
 
 
 def _file_schema(kind: _FileKind) -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of a kind of file, for editors: made from what checks it when it is read."""
+    """Return the JSON Schema (2020-12) of a kind of file, generated from the types that check it on reading."""
     import msgspec
 
     from pm3dof_pin.description.closures import ClosuresSchema
@@ -80,7 +80,7 @@ def _file_schema(kind: _FileKind) -> dict[str, Any]:
     schema: type | None = {"closures": ClosuresSchema, "errors": ErrorFileSchema}.get(kind)
     schemas = [schema or Parameter, *(SPRING_SCHEMAS.values() if kind == "closures" else ())]
     (root, *springs), parts = msgspec.json.schema_components(schemas, ref_template="#/$defs/{name}")
-    if kind == "parameters":  # a file of the tripod: a name and other texts, and sections of parameters
+    if kind == "parameters":  # the tripod's file: a name and other texts, and sections of parameters
         section = {"if": {"type": "object"}, "then": {"additionalProperties": root}}
         root = {"type": "object", "properties": {"name": {"type": "string"}}, "additionalProperties": section}
     if springs:
@@ -158,7 +158,7 @@ def _closures(robot: Robot) -> dict[str, Any]:
 
 
 def _mobility(robot: Robot) -> dict[str, Any]:
-    """Count degrees of freedom at home; nothing of it is known where the loops are open."""
+    """Count degrees of freedom at home; all None if the loops are open."""
     from pm3dof_pin.exceptions import InvalidValueError
     from pm3dof_pin.kinematics.degrees_of_freedom import DegreesOfFreedom
 
@@ -179,7 +179,7 @@ def _mobility(robot: Robot) -> dict[str, Any]:
 
 
 def _readings(robot: Robot) -> dict[str, Any]:
-    """What drives and people read: commands and coordinates, with their ranges and their values at home."""
+    """Return commands and coordinates with their ranges and home values."""
     poses = robot.at([robot.home.q])
     entries = {
         "commands": (robot.command_coordinates, poses.commands[0]),
@@ -198,39 +198,39 @@ def _readings(robot: Robot) -> dict[str, Any]:
 
 
 def _missing(result: dict[str, Any], robot: Robot) -> list[str]:
-    """Say what the description lacks, and what to do about it."""
+    """List what the description lacks and what to do about it."""
     remarks = []
     gaps = {f"{c['frame_a']}-{c['frame_b']}": c["residual"] for c in result["closures"]}
     if still_open := {name: gap for name, gap in gaps.items() if not gap <= _CLOSED}:
         listed = ", ".join(f"{name} by {gap:.3g} m or rad" for name, gap in still_open.items())
         remarks.append(
-            f"loops are open at home: {listed}. No way was found to close them from there: try a configuration 'home' "
-            "near an assembled one (an SRDF, a keyframe), or check these frames and the joints between them"
+            f"loops are open at home: {listed}. They could not be closed from there: define a configuration 'home' "
+            "near an assembled one (SRDF or keyframe), or check these frames and the joints between them"
         )
     if robot.tool_frame is None:
-        remarks.append("no tool frame: what needs a tool takes --tool-frame NAME, or tool_frame in a closures file")
+        remarks.append("no tool frame: name it with --tool-frame NAME, or as tool_frame in a closures file")
     if not robot.actuated_joints:
-        remarks.append("no actuated joints: name them in a closures file (name_mot), or as actuators of the MJCF")
+        remarks.append("no actuated joints: name them in a closures file (name_mot), or as actuators in the MJCF")
     elif not result["limits_given"]:
-        remarks.append("no limits of the actuated joints are given: they count as unlimited")
+        remarks.append("no limits are given for the actuated joints: they are treated as unlimited")
     if free := result["free_degrees_of_freedom"]:
         idle = result["idle_degrees_of_freedom"]
-        of_these = f"; {idle} of these leave the tool at rest, as the spin of a rod does" if idle else ""
+        of_these = f"; {idle} of these do not move the tool (such as a rod spinning about its own axis)" if idle else ""
         remarks.append(f"mobility with the drives locked: {free}{of_these}")
     if not robot.springs:
-        remarks.append("no springs: stiffness needs some, in a closures file (springs)")
+        remarks.append("no springs: for stiffness, define them in a closures file (springs)")
     if result["errors_file"] is None:
         remarks.append(
-            "no error file: error maps and calibration take every geometric error of every joint; "
-            "pm3dof error-parameters makes one"
+            "no error file: error maps and calibration use every geometric error of every joint; "
+            "pm3dof error-parameters writes one"
         )
     if result["links_without_mass"]:
         remarks.append(
-            f"links without mass: {', '.join(result['links_without_mass'])}: kinematics do not need any; "
-            "simulators refuse such links if they move"
+            f"links without mass: {', '.join(result['links_without_mass'])}: kinematics works, but "
+            "simulators reject such links if they move"
         )
     remarks += [
-        f"link {name}, with what is fixed to it: {problem}: modes and inverse dynamics are refused"
+        f"link {name}, with everything fixed to it: {problem}: modes and inverse dynamics are unavailable"
         for name, problem in result["impossible_inertias"].items()
     ]
     return remarks
@@ -246,22 +246,22 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
         f"{len(result['closures'])} loop closures"
     ]
     if result["mobility"] is None:
-        lines.append("mobility unknown, as loops are open at home")
+        lines.append("mobility unknown: the loops are open at home")
     else:
         of_tool = f" ({result['tool_mobility']} of the tool)" if result["tool_mobility"] is not None else ""
         lines.append(f"mobility {result['mobility']}{of_tool}, {result['redundant_constraints']} redundant constraints")
     lines += singularity_line(result["singularity_distances"])
     if result["tool_frame"] is not None:
-        x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus before zero
+        x, y, z = (round(value, 6) + 0.0 for value in result["home_tool_position_m"])  # no minus sign on zero
         lines.append(f"tool {result['tool_frame']}, at home x = {x:.6f}, y = {y:.6f}, z = {z:.6f} m")
     closures = ", ".join(f"{c['frame_a']}-{c['frame_b']} ({c['type']})" for c in result["closures"])
     counted = ", ".join(f"{count} {group}" for group, count in (result["error_parameters"] or {}).items())
     lines += [
         f"closures: {closures or 'none'}, residual at home {result['closure_residual']:.1e}",
         f"moving mass {result['moving_mass_kg']:.4f} kg, {result['springs']} springs",
-        "many poses: by compiled programs"
+        "many poses: compiled programs"
         if result["engine_reason"] is None
-        else f"many poses: by Pinocchio, one by one, as there is no program: {result['engine_reason']}",
+        else f"many poses: Pinocchio, one by one; there is no compiled program: {result['engine_reason']}",
         f"description {result['description']}",
         *(
             f"{key.replace('_', ' ').replace('srdf', 'SRDF')} {result[key]}"
@@ -295,6 +295,6 @@ def _lines(result: dict[str, Any], robot: Robot) -> list[str]:
 
 
 def _in_degrees(unit: str, *values: float) -> list[str]:
-    """Write values for a person: angles in degrees, nothing where there is no value."""
+    """Format values for display: angles in degrees, "-" where there is no value."""
     factor, shown = shown_in(unit)
     return [*(f"{round(factor * value, 9) + 0.0:.6g}" if math.isfinite(value) else "-" for value in values), shown]

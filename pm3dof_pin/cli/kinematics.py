@@ -48,10 +48,10 @@ def ik(
     which: MachineOptions,
     as_json: Json = False,
 ) -> None:
-    """Commands of the drives for a pose (inverse kinematics): angles in degrees, lengths in metres.
+    """Compute the drive commands for a pose (inverse kinematics): angles in degrees, lengths in metres.
 
-    The commands are what the counters of the drives show; beside them stand the angles of the passive joints. A pose
-    that breaks a joint limit is still answered, with a message and exit status 1.
+    Commands are the readings of the drives' counters; passive joint positions are listed too. A pose that breaks a
+    joint limit is still computed, with a message and exit status 1.
     """
     machine = which.load()
     if chosen.is_empty:
@@ -70,22 +70,20 @@ def fk(
     configuration: NamedConfiguration = None,
     poses: Annotated[
         Path | None,
-        typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg a command."),
+        typer.Option("--poses", metavar="FILE", help="Many poses: CSV with a column NAME_m or NAME_deg per command."),
     ] = None,
     out: OutFile = None,
-    all_modes: Annotated[
-        bool, typer.Option("--all", help="Every assembly mode of chapter 8's machine, not only its own.")
-    ] = False,
+    all_modes: Annotated[bool, typer.Option("--all", help="List every assembly mode of chapter 8's machine.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Pose for commands of the drives (forward kinematics): lengths in metres, angles in degrees.
+    """Compute the pose for drive commands (forward kinematics): lengths in metres, angles in degrees.
 
-    Without --all, the pose that is reached from home. A pose that breaks a joint limit is still answered, with a
-    message and exit status 1; so are other assembly modes with --all, where none is reached from home.
+    Without --all, this is the pose reached from home. A pose that breaks a joint limit is still computed, with a
+    message and exit status 1. So are the other assembly modes under --all if none can be reached from home.
     """
     chosen = PoseOptions(pose=u, configuration=configuration, poses=poses, out=out)
     if all_modes and (not which.is_the_tripod or poses is not None):
-        raise typer.BadParameter("--all: all assembly modes are known in closed form, for the machine of chapter 8")
+        raise typer.BadParameter("--all is for the machine of chapter 8: its assembly modes have a closed form")
     machine = which.load()
     if chosen.is_empty:
         raise typer.BadParameter(f"expected commands: {expected_numbers(machine, machine.command_coordinates)}")
@@ -121,7 +119,7 @@ def fk(
 
 
 def _result(robot: Robot, poses: Poses) -> tuple[dict[str, Any], list[BrokenLimit]]:
-    """Return everything about one pose, shape=(), and the limits it breaks; null where it was not solved."""
+    """Return the data of one pose, shape=(), and the limits it breaks; values are null where it was not solved."""
     configuration = poses.configuration() if poses.solved else None
     broken = [] if configuration is None else broken_limits(robot, configuration)
     units = {command.unit for command in robot.commands}
@@ -167,7 +165,7 @@ def _ik_lines(robot: Robot, result: dict[str, Any]) -> list[str]:
 
 
 def _reading(value: float, unit: str, digits: int) -> tuple[str, str]:
-    """Return a number in the unit of the command line: angles in degrees, with so many digits; and that unit."""
+    """Return a value formatted in the unit of the command line (angles in degrees), and that unit."""
     factor, shown = shown_in(unit)
     return fixed(factor * value, max(digits, 6) if unit == "m" else digits), shown
 
@@ -180,7 +178,7 @@ def _pose_lines(coordinates: Sequence[Coordinate], poses: Sequence[Vector]) -> l
 
 
 def _all_modes(commands: Vector, tripod: Tripod) -> tuple[list[Vector], list[float]]:
-    """Return every pose that the chapter's machine can have at its commands, with errors of the links' lengths [m]."""
+    """Return every pose of the chapter's machine at the given commands, with the link length errors [m]."""
     from pm3dof_pin.chapter.direct_kinematics import all_assembly_modes, newton
     from pm3dof_pin.exceptions import UnreachablePoseError
 

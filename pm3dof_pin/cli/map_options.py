@@ -1,4 +1,4 @@
-"""Over which coordinates: the options of all commands that map a robot."""
+"""Coordinate ranges and other options shared by all commands that map a robot."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CoordinateRange:
-    """Values of a coordinate that varies, or one that stands still; angles in degrees."""
+    """Values of a coordinate, or one fixed value; angles in degrees."""
 
     name: str
     first: float
@@ -37,7 +37,7 @@ class CoordinateRange:
         """Read NAME FIRST LAST COUNT."""
         words = text.split()
         if len(words) != _VALUES["--range"] or not words[3].isdigit():
-            raise typer.BadParameter(f"'{text}' is not NAME FIRST LAST COUNT")
+            raise typer.BadParameter(f"expected NAME FIRST LAST COUNT, not '{text}'")
         return cls(words[0], finite_number(words[1]), finite_number(words[2]), int(words[3]))
 
     @classmethod
@@ -45,15 +45,15 @@ class CoordinateRange:
         """Read NAME VALUE."""
         words = text.split()
         if len(words) != _VALUES["--at"]:
-            raise typer.BadParameter(f"'{text}' is not NAME VALUE")
+            raise typer.BadParameter(f"expected NAME VALUE, not '{text}'")
         return cls(words[0], finite_number(words[1]), finite_number(words[1]))
 
 
 class MapCommand(TyperCommand):
-    """A command with options of several values that may be repeated, which Typer does not have of itself."""
+    """A command with repeatable options of several values, which Typer does not support."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the values of such an option into one, and go on."""
+        """Join the values of such an option into one, then parse as usual."""
         joined: list[str] = []
         rest = deque(args)
         while rest:
@@ -69,7 +69,7 @@ _VALUES = {"--range": 4, "--over": 4, "--at": 2}
 
 
 def _ranges(name: str, metavar: str, parse: Callable[[str], CoordinateRange], text: str) -> Any:
-    """Return an option that may be repeated, for values of coordinates."""
+    """Return a repeatable option for values of coordinates."""
     return typer.Option(name, metavar=metavar, parser=parse, help=text, autocompletion=completion.coordinates)
 
 
@@ -88,7 +88,7 @@ Over = Annotated[
         "--over",
         "NAME FIRST LAST COUNT",
         CoordinateRange.parse,
-        "Values of a coordinate of the map [deg, m], twice; the first two by default, over their ranges.",
+        "Values of a coordinate to map over [deg, m], given twice; by default the ranges of the first two.",
     ),
 ]
 Values = Annotated[
@@ -97,7 +97,7 @@ Values = Annotated[
         "--at",
         "NAME VALUE",
         CoordinateRange.parse_value,
-        "Value of a coordinate that stands still [deg, m]; may be repeated. Home by default.",
+        "Value of a fixed coordinate [deg, m]; may be repeated. Home by default.",
     ),
 ]
 Quantities = Annotated[
@@ -105,13 +105,13 @@ Quantities = Annotated[
     typer.Option(
         "--quantity",
         "-q",
-        help="What to map, by name; may be repeated. `pm3dof atlas --list` names them all.",
+        help="Name of a quantity to map; may be repeated. `pm3dof atlas --list` lists them.",
         autocompletion=completion.quantities,
     ),
 ]
 EngineOption = Annotated[
     Literal["program", "pinocchio"],
-    typer.Option("--engine", help="program: compiled; pinocchio: Pinocchio pose by pose, slow."),
+    typer.Option("--engine", help="program: compiled; pinocchio: pose by pose with Pinocchio, slow."),
 ]
 Threads = Annotated[
     int | None, typer.Option("--threads", "--workers", min=1, help="Threads; the number of processors by default.")
@@ -119,9 +119,9 @@ Threads = Annotated[
 
 
 def known_quantities(names: Sequence[str] | None) -> Mapping[str, Quantity]:
-    """Return all quantities that can be mapped, having checked those of `--quantity`."""
-    import pm3dof_pin.chapter.quantities  # what the chapter adds to them
-    import pm3dof_pin.maps.error_quantities  # noqa: F401  errors of the tool
+    """Return all quantities that can be mapped, after checking those of `--quantity`."""
+    import pm3dof_pin.chapter.quantities  # registers the chapter's quantities
+    import pm3dof_pin.maps.error_quantities  # noqa: F401  registers tool errors
     from pm3dof_pin.maps.quantities import QUANTITIES
 
     for name in names or ():
@@ -148,7 +148,7 @@ def robot_grid(
     for entry in ranges or ():
         if entry.count < 1 or (entry.first >= entry.last if entry.count > 1 else entry.first != entry.last):
             words = f"{entry.name} {entry.first:g} {entry.last:g} {entry.count}"
-            raise typer.BadParameter(f"{words}: expected growing values")
+            raise typer.BadParameter(f"{words}: expected increasing values")
         first, last = (in_si(known[entry.name].unit, end) for end in (entry.first, entry.last))
         axes[entry.name] = (first, last, entry.count)
     for entry in values or ():
@@ -161,12 +161,12 @@ def robot_grid(
         factor, unit = shown_in(known[entry.name].unit)
         low, high = (factor * end for end in robot.range_of(known[entry.name]))
         if not low <= entry.first <= high:
-            message(f"pm3dof: --at {entry.name} {entry.first:g}: {entry.name} runs {low:.4g} to {high:.4g} {unit}")
+            message(f"pm3dof: --at {entry.name} {entry.first:g} is outside its range, {low:.4g} to {high:.4g} {unit}")
     return robot.grid(**axes)
 
 
 def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Sequence[int]) -> list[CoordinateRange]:
-    """Return the ranges of coordinates as `--range` takes them, with the number of values of each."""
+    """Return the ranges of coordinates as values of `--range`, with the given counts."""
     from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 
     ranges = []
@@ -174,8 +174,8 @@ def declared_ranges(robot: Robot, coordinates: Sequence[Coordinate], counts: Seq
         lower, upper = coordinate_range(robot, coordinate)
         if not math.isfinite(upper - lower):
             raise typer.BadParameter(
-                f"{coordinate.name} of {robot.name}: its description gives no range, and from home limits give none: "
-                f"expected --range or --over {coordinate.name} FIRST LAST COUNT"
+                f"{robot.name} declares no range for {coordinate.name}, and none follows from the limits: "
+                f"give --range or --over {coordinate.name} FIRST LAST COUNT"
             )
         factor = shown_in(coordinate.unit)[0]
         ranges.append(CoordinateRange(coordinate.name, factor * float(lower), factor * float(upper), count))

@@ -20,33 +20,33 @@ _POSES = 60
 
 def measure(
     which: RobotErrorsOptions,
-    out: Annotated[Path, typer.Option(help="File to write (CSV).")] = Path("results/measurements.csv"),
+    out: Annotated[Path, typer.Option(help="Output file (CSV).")] = Path("results/measurements.csv"),
     poses: Annotated[
         int | None, typer.Option(min=1, help="Number of random poses within all joint limits (60).")
     ] = None,
     plan: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Commands to measure at instead, of `calibration-plan`.")
+        Path | None, typer.Option(metavar="FILE", help="Measure at the commands of a `calibration-plan` instead.")
     ] = None,
     world: Annotated[
         Literal["everything", "geometry"],
-        typer.Option(help="geometry: only the parameters of the error file are wrong; everything: much more."),
+        typer.Option(help="geometry: only the error file's parameters are off; everything: all sources of error."),
     ] = "everything",
     only: Annotated[
         Literal["geometric", "waviness", "thermal", "elastic", "vibration"] | None,
-        typer.Option(help="Leave the machine one of its sources of error."),
+        typer.Option(help="Keep only one source of error."),
     ] = None,
-    load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to so much on the tool [N].")] = 0.0,
+    load: Annotated[float, typer.Option(min=0.0, help="Hang known weights of up to this force on the tool [N].")] = 0.0,
     wrench: KnownWrenches = None,
     large: Annotated[
-        bool, typer.Option("--large", help="Large deflections: the equilibrium under the loads, pose by pose.")
+        bool, typer.Option("--large", help="Large deflections: solve the equilibrium under the loads at each pose.")
     ] = False,
-    machine: Annotated[int, typer.Option(min=0, help="Seed of the machine: the same number, the same machine.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of poses, temperatures and noise.")] = 0,
-    noise: Annotated[float, typer.Option(help="Noise of each coordinate of a tracker's target [m].")] = 15e-6,
-    positions: Annotated[bool, typer.Option("--positions", help="See positions only, not whole poses.")] = False,
+    machine: Annotated[int, typer.Option(min=0, help="Seed of the machine; the same seed gives the same machine.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the poses, temperatures and noise.")] = 0,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a tracker target's coordinates [m].")] = 15e-6,
+    positions: Annotated[bool, typer.Option("--positions", help="Measure positions only, not full poses.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate the measurements of a machine with errors, into the file that `calibrate` reads. Lengths in metres."""
+    """Simulate measurements of a machine with errors, as a file for `calibrate`. Lengths in metres."""
     from dataclasses import replace
 
     import numpy as np
@@ -79,7 +79,7 @@ def measure(
         left = int((~taken).sum())
         if not left:
             raise
-        problem = f"{left} of {len(commands)} poses are left out: this machine cannot be assembled there"
+        problem = f"{left} of {len(commands)} poses are left out because this machine cannot be assembled there"
         if left == len(commands):
             raise UnreachablePoseError(problem) from None
         message(f"pm3dof: {problem}")
@@ -92,7 +92,7 @@ def measure(
 
 
 def _taken(truth: World, commands: Array) -> Mask:
-    """Tell which commands a machine can take: next to singular poses not all that the description can, shape=(n,)."""
+    """Tell which commands the machine can reach, shape=(n,): near singular poses, fewer than the nominal one can."""
     import numpy as np
 
     from pm3dof_pin.exceptions import PM3DofError

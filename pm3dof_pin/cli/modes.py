@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 def modes(
     chosen: PoseOptions,
     which: MachineOptions,
-    count: Annotated[int, typer.Option(min=1, help="Number of modes, from the lowest on.")] = 6,
+    count: Annotated[int, typer.Option(min=1, help="Number of modes, lowest first.")] = 6,
     payload: Payload = 0.0,
     as_json: Json = False,
 ) -> None:
-    """Natural frequencies and mode shapes at a pose: angles in degrees, lengths in metres.
+    """Compute natural frequencies and mode shapes at a pose: angles in degrees, lengths in metres.
 
-    A mode's shape is the twist of the tool, and with --json the motion of every joint, at unit modal mass: in m and rad
-    per square root of kg m^2 / kg. Modes with all springs at rest, of frequency zero, are listed apart. A pose that
-    breaks a joint limit is still answered, with a message and exit status 1.
+    A mode shape is the twist of the tool, and with --json the motion of every joint, at unit modal mass: in m and rad
+    per square root of kg m^2 / kg. Modes of frequency zero, which strain no spring, are listed separately. A pose that
+    breaks a joint limit is still computed, with a message and exit status 1.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Arguments and options that several subcommands share, and groups of them that a command takes as one parameter."""
+"""Arguments and options shared by several subcommands, and groups of them that a command takes as one parameter."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ THE_TRIPOD = "pm3dof"
 
 
 def finite_number(text: str) -> float:
-    """Read a number; negative ones come as arguments, and so do misspelt options, which have to be told from them."""
+    """Read a number; negative numbers arrive as arguments, and so do misspelt options, which are reported as such."""
     try:
         number = float(text)
     except ValueError:
@@ -35,10 +35,10 @@ def finite_number(text: str) -> float:
 
 
 def tilt_angle(text: str) -> float:
-    """Read the angle to which tilts run on either side."""
+    """Read the greatest tilt to either side."""
     angle = finite_number(text)
     if not 0.0 < angle <= 180.0:
-        raise typer.BadParameter(f"{text} is not an angle above 0 and up to 180 degrees")
+        raise typer.BadParameter(f"{text} is not an angle above 0 and at most 180 degrees")
     return angle
 
 
@@ -49,39 +49,39 @@ def _finite(number: float | None) -> float | None:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
-Out = Annotated[Path, typer.Option(help="Folder to write to; made if it is not there.")]
-Payload = Annotated[float, typer.Option(min=0.0, metavar="KG", help="A mass at the tool point [kg].", callback=_finite)]
+Out = Annotated[Path, typer.Option(help="Output folder, created if missing.")]
+Payload = Annotated[float, typer.Option(min=0.0, metavar="KG", help="Mass at the tool point [kg].", callback=_finite)]
 Wrench = Annotated[
     tuple[float, float, float, float, float, float] | None,
-    typer.Option(metavar="FX FY FZ MX MY MZ", help="Wrench on the tool, at the tool point, axes of the base [N, N m]."),
+    typer.Option(metavar="FX FY FZ MX MY MZ", help="Wrench on the tool, at the tool point, base axes [N, N m]."),
 ]
 KnownWrenches = Annotated[
     tuple[float, float, float, float, float, float] | None,
     typer.Option(
         "--wrench",
         metavar="FX FY FZ MX MY MZ",
-        help="Load the tool with known wrenches, each component between minus and plus so much [N, N m].",
+        help="Load the tool with known wrenches of up to plus or minus these components [N, N m].",
     ),
 ]
 Config = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="Parameters (YAML) for another machine of the robot's kind."),
+    typer.Option("--config", metavar="FILE", help="Parameters (YAML) of another machine of the same kind."),
 ]
 
 
 def _robot_name(without: str = "") -> Any:
-    """Return the option that names a robot, saying what happens without it."""
-    words = f"A robot, by name or by the path of its description{without}."
+    """Return the option that names a robot; `without` says what happens if it is missing."""
+    words = f"Robot, by name or path of its description{without}."
     return typer.Option(metavar="NAME|PATH", help=words, autocompletion=completion.robots)
 
 
 _RobotName = Annotated[str, _robot_name()]
-_RobotNameOrChapter = Annotated[str | None, _robot_name("; without it, the chapter's picture of its machine")]
+_RobotNameOrChapter = Annotated[str | None, _robot_name("; without it, the chapter's figures are reproduced")]
 _ToolFrame = Annotated[
     str | None, typer.Option(metavar="NAME", help="Frame of the tool; by default the description's.")
 ]
 _PackagePath = Annotated[
-    list[Path] | None, typer.Option(metavar="DIR", help="Folder that ROS packages are in; may be repeated.")
+    list[Path] | None, typer.Option(metavar="DIR", help="Folder with ROS packages; may be repeated.")
 ]
 _ErrorFile = Annotated[
     Path | None,
@@ -89,7 +89,7 @@ _ErrorFile = Annotated[
         metavar="FILE",
         exists=True,
         dir_okay=False,
-        help="What may sit wrong (YAML), in place of the robot's own file; `pm3dof error-parameters` writes one.",
+        help="Error parameters (YAML) to use instead of the robot's own; `pm3dof error-parameters` writes such a file.",
     ),
 ]
 _Pose = Annotated[
@@ -97,14 +97,14 @@ _Pose = Annotated[
     typer.Argument(
         metavar="POSE",
         parser=finite_number,
-        help="The robot's coordinates in their order, angles [deg], lengths [m]; `pm3dof info` names them.",
+        help="The robot's coordinates in order, angles [deg], lengths [m]; `pm3dof info` lists them.",
     ),
 ]
 NamedConfiguration = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="A named configuration of the robot instead of numbers; home by default.",
+        help="Named configuration of the robot, instead of a pose; home by default.",
         autocompletion=completion.configurations,
     ),
 ]
@@ -115,13 +115,13 @@ _PosesFile = Annotated[
     ),
 ]
 OutFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="With --poses: CSV to write; by default to standard output.")
+    Path | None, typer.Option(metavar="FILE", help="With --poses: output CSV; standard output by default.")
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """Which robot, by `--robot`, `--tool-frame` and `--package-path`."""
+    """The robot: `--robot`, `--tool-frame` and `--package-path`."""
 
     robot: _RobotName = THE_TRIPOD
     tool_frame: _ToolFrame = None
@@ -141,17 +141,17 @@ class RobotOptions:
 
     @property
     def path(self) -> str | Path:
-        """What the robot is loaded from."""
+        """Name or path that the robot is loaded from."""
         return self.robot
 
     @property
     def reading(self) -> dict[str, Any]:
-        """How it is read."""
+        """Keyword arguments for reading it."""
         return {"tool_frame": self.tool_frame, "package_paths": self.package_path or ()}
 
     @property
     def is_the_tripod(self) -> bool:
-        """Whether it is the chapter's machine, of which more is known in closed form."""
+        """Whether it is the chapter's machine, which has a closed form."""
         from pm3dof_pin.description.robots import find_robot
 
         return self.robot == THE_TRIPOD or find_robot(self.robot).path.samefile(find_robot(THE_TRIPOD).path)
@@ -159,12 +159,12 @@ class RobotOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotErrorsOptions(RobotOptions):
-    """Which robot, and by `--errors` what may sit wrong in it."""
+    """The robot, and its error file by `--errors`."""
 
     errors: _ErrorFile = None
 
     def load_errors(self) -> GeometricErrors:
-        """Load the robot with the error parameters of the file, or else with its own."""
+        """Load the robot with the error parameters of `--errors`, or its own."""
         if self.errors is None:
             return super().load_errors()
         from pm3dof_pin.errors.error_parameters import GeometricErrors
@@ -174,13 +174,13 @@ class RobotErrorsOptions(RobotOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOptions(RobotOptions):
-    """Which robot, or by `--config` which machine of its kind."""
+    """The robot, or by `--config` another machine of its kind."""
 
     config: Config = None
 
     @property
     def path(self) -> str | Path:
-        """What the robot is loaded from; with `--config` a URDF that is made for this process."""
+        """Name or path that the robot is loaded from; with `--config`, a URDF generated for this process."""
         if self.config is None:
             return self.robot or THE_TRIPOD
         from pm3dof_pin.export.description import temporary_description
@@ -196,21 +196,21 @@ class MachineOptions(RobotOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOrChapterOptions(MachineOptions):
-    """Which robot; without `--robot` the command makes the chapter's picture."""
+    """The robot; without `--robot`, the chapter's figures are reproduced."""
 
     robot: _RobotNameOrChapter = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where the robot stands: at a pose, or in a named configuration; by default at home."""
+    """Where the robot is: at a pose or in a named configuration; home by default."""
 
     pose: _Pose = None
     configuration: NamedConfiguration = None
 
     @property
     def numbers(self) -> list[float]:
-        """The coordinates [deg, m]; none if the pose is given otherwise."""
+        """The coordinates [deg, m]; empty if the pose is given otherwise."""
         return self.pose or []
 
     @property
@@ -219,7 +219,7 @@ class PlaceOptions:
         return not self.pose and self.configuration is None
 
     def __post_init__(self) -> None:
-        """Check arguments and options against each other; wrong usage ends the command with status 2."""
+        """Check that arguments and options are consistent; wrong usage ends the command with status 2."""
         given = {"POSE": self.pose, "--configuration": self.configuration, "--poses": getattr(self, "poses", None)}
         words = [word for word, value in given.items() if value]
         if len(words) > 1:
@@ -228,7 +228,7 @@ class PlaceOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(PlaceOptions):
-    """Where the robot stands: also at many poses of a file."""
+    """Where the robot is: one pose, or many from a file."""
 
     poses: _PosesFile = None
     out: OutFile = None
@@ -239,14 +239,14 @@ class PoseOptions(PlaceOptions):
         return super().is_empty and self.poses is None
 
     def __post_init__(self) -> None:
-        """Check arguments and options against each other; wrong usage ends the command with status 2."""
+        """Check that arguments and options are consistent; wrong usage ends the command with status 2."""
         super().__post_init__()
         if self.out is not None and self.poses is None:
-            raise typer.BadParameter("--out is for the poses of --poses")
+            raise typer.BadParameter("--out requires --poses")
 
 
 def with_groups(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameters of a group's type are replaced by the options of the group."""
+    """Return the command with each option group replaced by the options in it."""
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters: list[inspect.Parameter] = []
@@ -274,5 +274,5 @@ def with_groups(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def payloads_of(robot: Robot, payload: float) -> dict[str, float]:
-    """Return the payload of `--payload` [kg] by the frame that carries it, the tool's."""
+    """Return `--payload` [kg] by the frame that carries it: the tool frame."""
     return {robot.frame_name(): payload} if payload else {}

@@ -1,4 +1,4 @@
-"""What the subcommands print: results to standard output; messages and, on a terminal, progress to standard error."""
+"""Output of the subcommands: results to standard output; messages, and on a terminal progress, to standard error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMIT_BROKEN = 1
 
 
 def print_result(result: Mapping[str, Any], lines: Iterable[str], *, as_json: bool, files: Sequence[Path] = ()) -> None:
-    """Print a result once, as a JSON object or as lines for a person; then name the files that were written."""
+    """Print a result as a JSON object or as text lines, then name the files written."""
     if as_json:
         named = {"files": list(map(str, files))} if files else {}
         typer.echo(json.dumps(_plain({**result, **named}), indent=2, allow_nan=False))
@@ -32,7 +32,7 @@ def message(text: str) -> None:
 
 
 def table_lines(header: Sequence[str], rows: Sequence[Sequence[str]], *, words: int = 1) -> list[str]:
-    """Lay out a table: the first columns, so many of words, to the left, the others to the right."""
+    """Lay out a table: the first `words` columns aligned left, the others right."""
     widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
     return [
         "  ".join(
@@ -44,12 +44,12 @@ def table_lines(header: Sequence[str], rows: Sequence[Sequence[str]], *, words: 
 
 
 def fixed(number: float, digits: int) -> str:
-    """Write a number with so many digits after the point, and no sign on a zero."""
+    """Format a number with this many decimals and no sign on zero."""
     return f"{round(float(number), digits) + 0.0:.{digits}f}"
 
 
 def stop_on_broken_limits(violations: Sequence[object]) -> None:
-    """Name every broken limit on standard error, a line each, and exit with status 1, if there are any."""
+    """Print each broken limit on a line of standard error and exit with status 1, if there are any."""
     for violation in violations:
         message(f"pm3dof: joint limit broken: {violation}")
     if violations:
@@ -58,7 +58,7 @@ def stop_on_broken_limits(violations: Sequence[object]) -> None:
 
 @contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function (done, all) that moves a bar on standard error, if that is a terminal."""
+    """Yield a function (done, total) that advances a bar on standard error if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -72,7 +72,7 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _plain(value: Any) -> Any:
-    """Turn arrays and NumPy numbers into lists and numbers; what is not finite becomes null, as JSON has no NaN."""
+    """Turn arrays and NumPy numbers into lists and numbers; non-finite values become null, as JSON has no NaN."""
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     if hasattr(value, "tolist"):

@@ -1,4 +1,4 @@
-"""In which formats a command draws, and the pictures of its former runs, which must not stay beside new data."""
+"""Picture formats, and removal of an earlier run's pictures, which must not remain next to new data."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PictureFormat = StrEnum("PictureFormat", "png pdf svg")  # dots at 300 dpi, or lines and letters
+PictureFormat = StrEnum("PictureFormat", "png pdf svg")  # pixels at 300 dpi, or vector graphics
 
 
 Formats = Annotated[
     list[PictureFormat] | None,
-    typer.Option("--format", help="Format of the pictures; may be repeated (png)."),
+    typer.Option("--format", help="Picture format; may be repeated (png)."),
 ]
 
 
 def save(figure: Figure, path: Path, formats: Iterable[PictureFormat] | None) -> list[Path]:
-    """Write a picture in the formats of `--format`; the suffix of the path does not matter."""
+    """Write a picture in the formats of `--format`; the suffix of the path is ignored."""
     from pm3dof_pin.figures.style import save_pictures
 
     return save_pictures(figure, path, [entry.value for entry in formats or (PictureFormat.png,)])
 
 
 def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:
-    """Remove pictures of a former run that this one has not written, and say so.
+    """Remove pictures of an earlier run that this one has not written, and report them.
 
-    `names` is a regular expression of all names, without suffix, that the job's pictures may have.
+    `names` is a regular expression matching every name, without suffix, that the job's pictures may have.
     """
     if not folder.is_dir():
         return
@@ -46,4 +46,4 @@ def remove_former(folder: Path, names: str, written: Iterable[Path]) -> None:
     for file in removed:
         file.unlink()
     if removed:
-        message(f"removed from {folder}, of a former run: {', '.join(f.name for f in removed)}")
+        message(f"removed from {folder}, left by an earlier run: {', '.join(f.name for f in removed)}")

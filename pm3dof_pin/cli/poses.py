@@ -1,4 +1,4 @@
-"""Poses as they are given on the command line and in files: solved, their units checked, and written."""
+"""Poses given on the command line or in files: units checked, solved, and written."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from pm3dof_pin.typing import Array, Vector
 
 BROKEN_LIMITS = "broken_limits"
-"""Heading of the column that names the limits a pose breaks."""
+"""Header of the column that names the limits a pose breaks."""
 
-_FAR = 100.0  # sizes of the machine beyond which a length is in another unit
+_FAR = 100.0  # lengths beyond this many machine sizes are taken to be in another unit
 _MOST_DEGREES = 360.0
 _FEW_DEGREES = 0.5
 
 
 def place(robot: Robot, chosen: PlaceOptions) -> Poses:
-    """Find the one pose chosen, shape=(); for those of a file there is :func:`read_poses`.
+    """Solve the chosen pose, shape=(); for a file of poses see :func:`read_poses`.
 
     Raises:
         UnreachablePoseError: the pose is out of reach.
-        PM3DofError: the configuration has no such name, or its loops do not close.
+        PM3DofError: no configuration has this name, or its loops do not close.
     """
     if chosen.numbers:
         return solve_pose(robot, si_values(robot, robot.coordinates, chosen.numbers))
@@ -45,7 +45,7 @@ def place(robot: Robot, chosen: PlaceOptions) -> Poses:
 def solve_chosen(
     robot: Robot, chosen: PoseOptions, columns: Callable[[Poses], Mapping[str, ArrayLike]], as_json: bool
 ) -> Poses | None:
-    """Find the one pose chosen, shape=(); of a file of poses write `columns` beside its own, and return None."""
+    """Solve the chosen pose, shape=(); for a file of poses, write `columns` after its own and return None."""
     if chosen.poses is None:
         return place(robot, chosen)
     file, many = read_poses(robot, chosen.poses)
@@ -54,7 +54,7 @@ def solve_chosen(
 
 
 def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> None:
-    """Print a result about one pose, shape=(), after that pose, and exit with status 1 if it breaks a limit."""
+    """Print one pose, shape=(), and a result about it; exit with status 1 if the pose breaks a limit."""
     robot = pose.robot
     header: dict[str, Any] = {"robot": robot.name}
     if robot.coordinates:
@@ -65,12 +65,12 @@ def print_at_pose(pose: Poses, result: Mapping[str, Any], lines: Sequence[str], 
 
 
 def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
-    """Find the pose at coordinates (or commands) [rad, m], shape=(); UnreachablePoseError where it is out of reach."""
+    """Solve the pose at coordinates (or commands) [rad, m], shape=(); raise UnreachablePoseError if out of reach."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
     given = robot.command_coordinates if forward else robot.coordinates
     try:
-        # a single pose is worth no compiled program, whose imports take longer than it
+        # for one pose, importing the compiler takes longer than solving without it
         solve = robot.forward if forward else robot.solve
         return solve(values, engine="pinocchio")
     except UnreachablePoseError as error:
@@ -83,13 +83,13 @@ def solve_pose(robot: Robot, values: Vector, *, forward: bool = False) -> Poses:
 def read_poses(
     robot: Robot, path: Path, *, forward: bool = False, placements: bool = False, numbers: Sequence[str] = ()
 ) -> tuple[PoseFile, Poses]:
-    """Read a file of poses (`forward`: of commands) and solve them, those out of reach being NaN.
+    """Read a file of poses (`forward`: of commands) and solve them; poses out of reach are NaN.
 
-    It may hold `placements` of the tool, x_m, y_m, z_m, qw, qx, qy, qz, instead of coordinates; further columns of
-    `numbers` are read where they are there.
+    It may hold `placements` of the tool, x_m, y_m, z_m, qw, qx, qy, qz, instead of coordinates; optional columns
+    `numbers` are read if present.
 
     Raises:
-        DescriptionError: the file cannot be read, or a column or entry of it is wrong.
+        DescriptionError: the file cannot be read, or a column or entry is wrong.
     """
     import numpy as np
 
@@ -104,14 +104,14 @@ def read_poses(
     known = [heading for coordinate in others for heading in coordinate.headings]
     file = PoseFile.read(path, given, known=[*known, BROKEN_LIMITS], numbers=numbers)
     if file.unused:
-        message(f"pm3dof: {path}: not used: {', '.join(file.unused)}")
+        message(f"pm3dof: {path}: unused columns: {', '.join(file.unused)}")
     check_units(robot, given, file.values * _factors(given))
     solve = robot.forward if forward else robot.solve
     return file, solve(np.array(file.values), on_failure="nan")
 
 
 def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None, as_json: bool) -> None:
-    """Write columns about many poses with the limits they break, and exit with status 1 if some break one."""
+    """Write columns about many poses and the limits they break; exit with status 1 if any pose breaks one."""
     from pm3dof_pin.files import write_text_atomically
     from pm3dof_pin.kinematics.pose_file import columns_text
 
@@ -125,38 +125,38 @@ def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None
     elif not as_json:
         typer.echo(columns_text(table), nl=False)
     if inside < len(poses):
-        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see {BROKEN_LIMITS}")
+        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see column {BROKEN_LIMITS}")
         raise typer.Exit(LIMIT_BROKEN)
 
 
 def names_and_units(coordinates: Sequence[Coordinate]) -> list[dict[str, str]]:
-    """Return names and units of coordinates for JSON."""
+    """Return the names and units of coordinates for JSON."""
     return [{"name": coordinate.name, "unit": coordinate.unit} for coordinate in coordinates]
 
 
 def with_units(coordinates: Sequence[Coordinate], values: Iterable[float]) -> dict[str, float]:
-    """Return values of coordinates [rad, m] by NAME_UNIT, as in "theta_x_rad"."""
+    """Return values of coordinates [rad, m] by NAME_UNIT, such as "theta_x_rad"."""
     return {f"{c.name}_{c.unit}": float(value) for c, value in zip(coordinates, values, strict=True)}
 
 
 def in_words(name: str, unit: str, value: float, digits: str = ".9g") -> str:
-    """Return a value [rad, m] as in "theta_x = 10 deg", in so many digits."""
+    """Format a value [rad, m] as in "theta_x = 10 deg", with the format `digits`."""
     factor, shown = shown_in(unit)
     return f"{name} = {round(factor * value, 9) + 0.0:{digits}} {shown}"
 
 
 def column_of(name: str, unit: str) -> str:
-    """Return the heading of a column: what it holds, and the unit."""
+    """Return the header of a column: name and unit."""
     return f"{name}_{unit.replace(' ', '_')}"
 
 
 def readings(coordinates: Sequence[Coordinate], values: Array) -> dict[str, Array]:
-    """Return columns of a file, angles in degrees, from values of coordinates, shape=(n, number of coordinates)."""
+    """Return file columns, angles in degrees, of coordinate values, shape=(n, number of coordinates)."""
     return {c.heading: shown_in(c.unit)[0] * column for c, column in zip(coordinates, values.T, strict=True)}
 
 
 def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence[float]) -> Vector:
-    """Return coordinates given in [deg, m] in radians and metres, having checked their number and plausible units."""
+    """Convert coordinates from [deg, m] to [rad, m] after checking their number and that their units are plausible."""
     import numpy as np
 
     if not coordinates:
@@ -168,12 +168,12 @@ def si_values(robot: Robot, coordinates: Sequence[Coordinate], numbers: Sequence
 
 
 def in_si(unit: str, number: float) -> float:
-    """Return a number given in [deg, m] in radians or metres."""
+    """Convert a number from [deg, m] to [rad, m]."""
     return math.radians(number) if unit == "rad" else number
 
 
 def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
-    """Return how a pose of the robot is written: names, units and ranges."""
+    """Describe a pose of the robot: names, units and ranges."""
     words = []
     for coordinate in coordinates:
         factor, unit = shown_in(coordinate.unit)
@@ -184,7 +184,7 @@ def expected_numbers(robot: Robot, coordinates: Sequence[Coordinate]) -> str:
 
 
 def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayLike) -> None:
-    """Refuse numbers, shape=(n, number of coordinates) [deg, m], that are in another unit, and say in which."""
+    """Reject numbers, shape=(n, number of coordinates) [deg, m], that look like another unit, and name that unit."""
     import numpy as np
 
     table = np.asarray(numbers, dtype=float)
@@ -199,13 +199,13 @@ def check_units(robot: Robot, coordinates: Sequence[Coordinate], numbers: ArrayL
                 f"{coordinate.name} = {worst:g} m looks like millimetres: expected metres ({worst / 1000:g})"
             )
         if coordinate.unit == "rad" and abs(worst) > _MOST_DEGREES:
-            raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a turn: expected degrees")
+            raise typer.BadParameter(f"{coordinate.name} = {worst:g} deg is more than a full turn: expected degrees")
         if coordinate.unit == "rad":
             angles.append((coordinate, worst))
     if any(worst for _, worst in angles) and all(abs(worst) < _FEW_DEGREES for _, worst in angles):
         small = ", ".join(f"{c.name} = {worst:g}" for c, worst in angles if worst)
         turned = ", ".join(f"{math.degrees(worst):.6g}" for _, worst in angles if worst)
-        message(f"pm3dof: {small} are taken as degrees; if radians were meant: {turned}")
+        message(f"pm3dof: reading {small} as degrees; if radians were meant: {turned}")
 
 
 def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | Vector) -> str:
@@ -214,18 +214,18 @@ def _pose_in_words(coordinates: Sequence[Coordinate], values: Sequence[float] | 
 
 
 def _ranges_left(robot: Robot, coordinates: Sequence[Coordinate], values: Vector) -> str:
-    """Return the ranges of those coordinates whose values are outside of them: "; u3 runs 0.155 to 0.325 m"."""
+    """Return the ranges of coordinates that are outside them, as in "; u3 ranges from 0.155 to 0.325 m"."""
     words = []
     for coordinate, value in zip(coordinates, values, strict=True):
         low, high = robot.range_of(coordinate)
         factor, unit = shown_in(coordinate.unit)
         if not low <= value <= high:
-            words.append(f"{coordinate.name} runs {factor * low:.4g} to {factor * high:.4g} {unit}")
+            words.append(f"{coordinate.name} ranges from {factor * low:.4g} to {factor * high:.4g} {unit}")
     return f"; {', '.join(words)}" if words else ""
 
 
 def _limit_words(poses: Poses) -> list[str]:
-    """Return the names of the limit groups that each pose breaks, "reach" for one out of reach, in one word each."""
+    """Return one word per pose: the limit groups it breaks, or "reach" if it is out of reach."""
     names = ("reach", *(group.name for group in poses.robot.limit_groups))
     return [
         "+".join(name for bit, name in enumerate(names) if flags & (1 << bit))
@@ -240,7 +240,7 @@ def _named_configuration(robot: Robot, name: str | None) -> Vector:
     if name is None or (name == "home" and "home" not in named):
         return robot.assemble(robot.home).q
     if name not in named:
-        expected = f"one of {', '.join(named)}" if named else "home, as no other has a name"
+        expected = f"one of {', '.join(named)}" if named else "home, the only one there is"
         raise InvalidValueError("--configuration", name, expected)
     return robot.assemble(named[name]).q
 
@@ -252,7 +252,7 @@ def _home_of(robot: Robot, coordinates: Sequence[Coordinate]) -> list[tuple[Coor
 
 
 def _factors(coordinates: Sequence[Coordinate]) -> Any:
-    """Units of the command line in SI units, shape=(number of coordinates,)."""
+    """Return the factors from SI to command-line units, shape=(number of coordinates,)."""
     import numpy as np
 
     return np.array([shown_in(coordinate.unit)[0] for coordinate in coordinates])

@@ -1,4 +1,4 @@
-"""What commands say of how far a configuration is from singular ones."""
+"""Distance of a configuration to singularities, as commands report it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def read_singularity_distances(configuration: Configuration) -> dict[str, Any] | None:
-    """Return measure, tool twist and whether it is singular, by type; None without a tool or anything generic near."""
+    """Return measure, tool twist and whether singular, by type; None without a tool or a generic configuration."""
     from pm3dof_pin.exceptions import PM3DofError
     from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
     from pm3dof_pin.kinematics.singularity import singularities, singularity_distances
@@ -29,7 +29,7 @@ def read_singularity_distances(configuration: Configuration) -> dict[str, Any] |
 
 
 def singularity_line(distances: dict[str, Any] | None) -> list[str]:
-    """Return one line for a person; none where nothing is known."""
+    """Return a text line, or none if nothing is known."""
     if not distances:
         return []
     listed = ", ".join(

@@ -21,11 +21,11 @@ def statics(
     payload: Payload = 0.0,
     as_json: Json = False,
 ) -> None:
-    """Holding forces of the actuators against gravity, at a pose: angles in degrees, lengths in metres.
+    """Compute the actuator forces that hold the robot against gravity at a pose: angles in degrees, lengths in metres.
 
-    Positive as the joints' coordinates. The force in each loop closure is that on its second frame, in the axes of its
-    first one: for the legs of pm3dof, that of a link on the platform, z along the link. A pose that breaks a joint
-    limit is still answered, with a message and exit status 1.
+    Signs follow the joints' coordinates. The force in a loop closure is the one on its second frame, in the axes of its
+    first; for the legs of pm3dof, it is the force of a link on the platform, z along the link. A pose that breaks a
+    joint limit is still computed, with a message and exit status 1.
     """
     from pm3dof_pin.dynamics.statics import holding_forces
 
@@ -81,9 +81,9 @@ def _lines(result: dict[str, Any]) -> list[str]:
     ]
     lines = table_lines(["actuated joint", "holding force", ""], rows)
     if not result["actuator_forces_unique"]:
-        lines.append("more actuators than degrees of freedom: these are the least forces that hold")
+        lines.append("more actuators than degrees of freedom: these holding forces are the least ones")
     if result["unbalanced_idle"]:
-        lines.append("gravity turns links that are free to spin; neither actuators nor tool take part")
+        lines.append("gravity turns links that are free to spin; this affects neither actuators nor tool")
     if result["closures"]:
         lines += ["", *_closure_lines(result)]
     return [*lines, "", f"residual {result['residual_N']:.1e} N"]
@@ -101,5 +101,5 @@ def _closure_lines(result: dict[str, Any]) -> list[str]:
             row += [""] * 3 if moment is None else [fixed(number, 6) for number in moment]
     lines = [line.rstrip() for line in table_lines(header, rows)]
     if not result["closure_forces_unique"]:
-        lines.append("redundant closures: rigid bodies do not tell these forces; the least ones that balance")
+        lines.append("redundant closures: forces of rigid bodies are indeterminate; these are the least that balance")
     return lines

@@ -50,11 +50,10 @@ def stiffness(
     ] = "elastic",
     as_json: Json = False,
 ) -> None:
-    """Stiffness of the tool at a pose: angles in degrees, lengths in metres.
+    """Compute the stiffness of the tool at a pose: angles in degrees, lengths in metres.
 
-    Where the tool is rigid in some direction there is no 6 x 6 stiffness: its compliance is printed, and the stiffness
-    of the motions it is free to make. A pose that breaks a joint limit is still answered, with a message and exit
-    status 1.
+    If the tool is rigid in some direction there is no 6 x 6 stiffness: the compliance is printed, and the stiffness of
+    the tool's free motions. A pose that breaks a joint limit is still computed, with a message and exit status 1.
     """
     from pm3dof_pin.elastic.elastic_model import ElasticModel
     from pm3dof_pin.elastic.report import cartesian_compliance
@@ -62,7 +61,7 @@ def stiffness(
     machine = which.load()
     if model == "chapter":
         if not which.is_the_tripod or not chosen.numbers:
-            raise typer.BadParameter(f"--model chapter is for a pose of the machine of chapter 8, {THE_TRIPOD}")
+            raise typer.BadParameter(f"--model chapter requires a pose of the machine of chapter 8, {THE_TRIPOD}")
         _print_chapter(which.tripod(), si_values(machine, machine.coordinates, chosen.numbers), as_json)
         stop_on_broken_limits(broken_limits(machine, place(machine, chosen).configuration()))
         return
@@ -87,16 +86,16 @@ def stiffness(
 def _free_motions(
     elastic: ElasticModel, tool: CartesianCompliance, configuration: Configuration
 ) -> FreeMotionStiffness | None:
-    """Return the stiffness over the free motions; None, with a message, where there is none either."""
+    """Return the stiffness of the free motions; None, with a message, if it does not exist either."""
     from pm3dof_pin.elastic.directions import direction_names
     from pm3dof_pin.elastic.free_motions import free_motion_stiffness
     from pm3dof_pin.exceptions import SingularConfigurationError
 
-    message(f"pm3dof: the tool is rigid, so there is no 6 x 6 K. Rigid are: {direction_names(tool.rigid_directions)}")
+    message(f"pm3dof: the tool is rigid, so there is no 6 x 6 K. Rigid: {direction_names(tool.rigid_directions)}")
     try:
         return free_motion_stiffness(elastic, configuration)
     except SingularConfigurationError as error:
-        message(f"pm3dof: nor is there one of the free motions: {error}")
+        message(f"pm3dof: nor is there a K of the free motions: {error}")
         return None
 
 
@@ -137,7 +136,7 @@ def _print_chapter(tripod: Tripod, pose: Vector, as_json: bool) -> None:
 
 
 def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dict[str, Any]:
-    """Return what is read from a compliance; an axis that is rigid feels infinitely stiff and has no shares."""
+    """Return the results from a compliance; a rigid axis has infinite felt stiffness and no shares."""
     import numpy as np
 
     from pm3dof_pin.elastic.indices import axis_stiffness
@@ -158,7 +157,7 @@ def _read(compliance: Matrix, names: Sequence[str], contributions: Array) -> dic
 
 
 def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
-    """Return what is read from a stiffness and the compliance that is its inverse."""
+    """Return the results from a stiffness and its inverse, the compliance."""
     import numpy as np
 
     from pm3dof_pin.elastic import indices
@@ -184,7 +183,7 @@ def _read_stiffness(stiffness: Matrix, compliance: Matrix) -> dict[str, Any]:
 
 
 def _elastic_lines(result: dict[str, Any]) -> list[str]:
-    """Return what is read from one stiffness, or from one compliance, as lines for a person."""
+    """Return the results from one stiffness, or one compliance, as text lines."""
     name, units = ("C", "m/N, 1/N, rad/(N m)") if result["K"] is None else ("K", "N/m, N, N m/rad")
     matrix = _rows(TOOL_COMPONENTS, result[name])
     felt = [
@@ -195,7 +194,7 @@ def _elastic_lines(result: dict[str, Any]) -> list[str]:
         f"{name} at the tool, axes of the base, order x, y, z, rx, ry, rz [{units}]",
         *table_lines(["", *TOOL_COMPONENTS], matrix),
         "",
-        "stiffness that a probe feels, 1 / C_jj, and the part of each spring in the deflection",
+        "felt stiffness 1 / C_jj, as a probe measures it, and the share of each spring in the deflection",
         *table_lines(["axis", "felt", "unit", *result["spring_shares"]["x"]], felt),
     ]
     if result["K"] is not None:
@@ -212,7 +211,7 @@ def _free_motion_lines(result: dict[str, Any]) -> list[str]:
 
 
 def _rows(names: Sequence[str], matrix: Sequence[Sequence[float]]) -> list[list[str]]:
-    """Write a symmetric matrix, 0 for what is rounding beside its diagonal."""
+    """Format a symmetric matrix, with 0 for rounding errors relative to its diagonal."""
     size = [math.sqrt(abs(row[k])) for k, row in enumerate(matrix)]
     return [
         [name, *("0" if abs(entry) < 1e-12 * size[i] * size[j] else f"{entry:.4e}" for j, entry in enumerate(row))]

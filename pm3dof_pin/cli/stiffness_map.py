@@ -37,7 +37,7 @@ _DEFAULT_TILT, _DEFAULT_POINTS = 40.0, 81
 _DEFAULT_COUNT = 41
 _STATISTICS = {"least": "minimum", "greatest": "maximum", "mean": "mean"}
 JOB_PICTURES = rf"stiffness_map_.+|{'|'.join(name.removesuffix('.png') for name in PICTURES)}"
-"""Of all pictures that the job may draw."""
+"""Regular expression of all pictures that the job may draw."""
 
 
 def stiffness_map(
@@ -47,11 +47,11 @@ def stiffness_map(
     values: Values = None,
     height: Annotated[
         float | None,
-        typer.Option(parser=finite_number, help="Height z_e of the chapter's section [m]; that of Table 8.3."),
+        typer.Option(parser=finite_number, help="Height z_e of the chapter's section [m] (as in Table 8.3)."),
     ] = None,
     tilt: Annotated[
         float | None,
-        typer.Option(parser=tilt_angle, help="Tilts of the chapter's section go to this angle [deg] (40)."),
+        typer.Option(parser=tilt_angle, help="Greatest tilt of the chapter's section [deg] (40)."),
     ] = None,
     points: Annotated[
         int | None, typer.Option(min=2, help="Number of values of each tilt (81), or of each coordinate (41).")
@@ -61,18 +61,18 @@ def stiffness_map(
     engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
-    """Maps of the stiffness as dataset, spreadsheet and pictures: angles in degrees, lengths in metres.
+    """Map the stiffness to a dataset, a spreadsheet and pictures: angles in degrees, lengths in metres.
 
-    Without --robot those of the chapter (Figs. 8.3, 8.4), and Table 8.3 beside them if it is its section; in closed
-    form, or by --engine pinocchio. With --robot (pm3dof too): felt and principal stiffness, condition number and first
-    natural frequency over two coordinates; where the tool is rigid in some direction, the stiffness of its free
-    motions. Pictures of a former run are replaced.
+    Without --robot, the maps are the chapter's (Figs. 8.3, 8.4), with Table 8.3 if the section is the same; in closed
+    form, or by --engine pinocchio. With --robot (pm3dof too), they show felt and principal stiffness, condition number
+    and first natural frequency over two coordinates; if the tool is rigid in some direction, the stiffness of its free
+    motions. Pictures of an earlier run are replaced.
     """
     if which.robot is None and not over and not values and which.tool_frame is None:
         _map_of_chapter(which, out, height, tilt, points or _DEFAULT_POINTS, pictures, formats, as_json, engine)
         return
     if height is not None or tilt is not None:
-        raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at")
+        raise typer.BadParameter("--height and --tilt are for the chapter's map: use --over and --at instead")
     loaded = which.load()
     from pm3dof_pin.maps.quantities import MappedRobot
 
@@ -118,7 +118,7 @@ def stiffness_map(
 
 
 def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
-    """Return least, greatest and mean finite value of every number of the map."""
+    """Return the least, greatest and mean finite value of every entry of the map."""
     import numpy as np
 
     from pm3dof_pin.maps.labels import unit_of_entry
@@ -138,7 +138,7 @@ def _ranges(dataset: Map) -> dict[str, dict[str, Any]]:
 
 
 def _range_lines(ranges: dict[str, dict[str, Any]]) -> list[str]:
-    """Lay out the numbers of a map."""
+    """Return the ranges of a map as table lines."""
     rows = [
         [name, "" if entry["unit"] == "1" else entry["unit"], *(f"{entry[key]:.4e}" for key in _STATISTICS)]
         for name, entry in ranges.items()
@@ -147,7 +147,7 @@ def _range_lines(ranges: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def _entries(dataset: Map) -> list[tuple[str, str, Any]]:
-    """Return every number of the map: variable, label and its index; of matrices the diagonal."""
+    """Return every entry of the map as variable, label and index; of matrices, the diagonal."""
     entries: list[tuple[str, str, Any]] = []
     for name, variable in dataset.data_vars.items():
         own = variable.dims[2:]
@@ -168,7 +168,7 @@ def _draw(
     formats: list[PictureFormat] | None,
     engine: Engine,
 ) -> list[Path]:
-    """Draw a picture of every number of the map that has finite values."""
+    """Draw a picture of every entry of the map that has finite values."""
     import numpy as np
 
     from pm3dof_pin.figures.section_map import section_map
@@ -255,16 +255,16 @@ def _map_of_chapter(
 
 
 def _require_poses(place: str, inside: int, *, drawn: bool, tripod: Tripod | None = None) -> None:
-    """Refuse a map without anything on it, or with too little for its pictures, before a file is written."""
+    """Reject a map with no poses, or with too few for pictures, before any file is written."""
     from pm3dof_pin.exceptions import UnreachablePoseError
 
     if inside == 0:
         hint = "try other ranges, or --at"
         if tripod is not None:
-            hint = f"--height: the level platform goes from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
+            hint = f"--height: the level platform reaches from {tripod.height_min:.4f} to {tripod.height_max:.4f} m"
         raise UnreachablePoseError(f"no pose of the map {place} is within every joint limit; {hint}")
     if drawn and inside < _LEAST_TO_DRAW:
         raise UnreachablePoseError(
-            f"{inside} of the poses of the map {place} within every joint limit, too few to draw: "
-            "more --points, other ranges, or --no-pictures"
+            f"{inside} poses of the map {place} are within every joint limit, too few to draw: "
+            "try more --points, other ranges, or --no-pictures"
         )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption = "program") -> None:
-    """Table 8.3, published and computed side by side; with --engine pinocchio on Jacobians of the URDF."""
+    """Print Table 8.3, published and computed; with --engine pinocchio, from the URDF's Jacobians."""
     from pm3dof_pin.chapter import table_8_3 as table
 
     which = MachineOptions(config=config)
@@ -24,7 +24,7 @@ def table_8_3(as_json: Json = False, config: Config = None, engine: EngineOption
 
 
 def described(rows: Sequence[TableRow]) -> tuple[dict[str, Any], list[str]]:
-    """Return the rows as plain data for JSON, and as a table for a person, remarks below it."""
+    """Return the rows as data for JSON, and as a text table with remarks below it."""
     keys = ("axis", "statistic", "published", "computed", "relative_difference", "last_digit_difference", "remark")
     data = [{key: getattr(row, key) for key in keys} for row in rows]
     cells = [

@@ -48,61 +48,59 @@ def view(
         typer.Option(help="The other three motions: free or held; by default held for stiffness, free for compliance."),
     ] = None,
     forces: Annotated[
-        bool, typer.Option(help="Arrows for the actuator forces that hold the weight; not along a path.")
+        bool, typer.Option(help="Show the actuator forces that hold the weight as arrows; not along a path.")
     ] = True,
-    frames: Annotated[bool, typer.Option(help="Frames of the tool and the loop closures.")] = False,
+    frames: Annotated[bool, typer.Option(help="Show the frames of the tool and the loop closures.")] = False,
     labels: Annotated[
-        bool, typer.Option("--labels", help="Names of the points; of the chapter's machine its lengths and angles too.")
+        bool, typer.Option("--labels", help="Label the points; for the chapter's machine, also lengths and angles.")
     ] = False,
     shares: Annotated[
         ToolComponent | None,
-        typer.Option(metavar="LOAD", help="Colour the legs by their share in the compliance: x, y, z, rx, ry, rz."),
+        typer.Option(metavar="LOAD", help="Colour the legs by their share of the compliance in x, y, z, rx, ry or rz."),
     ] = None,
     workspace: Annotated[
         str | None,
         typer.Option(
             metavar="QUANTITY",
             autocompletion=completion.quantities,
-            help="Boundary of the workspace in the colours of a quantity, as felt_stiffness:z.",
+            help="Show the workspace boundary, coloured by a quantity such as felt_stiffness:z.",
         ),
     ] = None,
     path: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Play a path: a text file with a POSE in each line."),
+        typer.Option(metavar="FILE", help="Play a path: a text file with one POSE per line."),
     ] = None,
-    duration: Annotated[float, typer.Option(min=0.1, help="Time of the whole path [s].")] = 6.0,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write one page that needs no network, and exit.")
-    ] = None,
+    duration: Annotated[float, typer.Option(min=0.1, help="Duration of the path [s].")] = 6.0,
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a self-contained page and exit.")] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG), and exit; needs Chromium or Chrome.")
+        Path | None, typer.Option(metavar="FILE", help="Write a picture (PNG) and exit; needs Chromium or Chrome.")
     ] = None,
     turntable: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a moving picture (GIF), once around the robot, and exit."),
+        typer.Option(metavar="FILE", help="Write an animation (GIF) once around the robot and exit."),
     ] = None,
     size: Annotated[tuple[int, int], typer.Option(min=64, metavar="W H", help="Size of the picture [pixels].")] = (
         1200,
         900,
     ),
     host: Annotated[
-        str, typer.Option(help="Interface to listen on. Others than this machine's own can be reached by everybody.")
+        str, typer.Option(help="Interface to listen on; any but the loopback interface is open to the network.")
     ] = "127.0.0.1",
     port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port to listen on; the first free one from 7000 by default.")
+        int | None, typer.Option(min=1, max=65535, help="Port to listen on; by default the first free one from 7000.")
     ] = None,
     browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
-    """The robot in a browser, with its stiffness ellipsoids at the tool: angles in degrees, lengths in metres.
+    """Show the robot in a browser, with its stiffness ellipsoids at the tool: angles in degrees, lengths in metres.
 
-    Sliders move it, over its coordinates and over its commands. Serves the page until Ctrl-C, to this machine only. A
-    pose that breaks a joint limit is still shown, with a message (and exit status 1 where a file is written).
+    Sliders move it by its coordinates and by its commands. The page is served until Ctrl-C, to this machine only. A
+    pose that breaks a joint limit is still shown, with a message (and exit status 1 if a file is written).
     """
     from pm3dof_pin.kinematics.broken_limits import broken_limits
     from pm3dof_pin.viewer import Viewer
 
     if path is not None and not chosen.is_empty:
-        raise typer.BadParameter("--path: the file has the poses; expected no POSE or --configuration beside it")
+        raise typer.BadParameter("--path cannot be combined with POSE or --configuration")
     machine = which.load()
     along = None if path is None else _poses_on_path(machine, path, max(2, round(_FRAMES_PER_SECOND * duration) + 1))
     shown = place(machine, chosen).configuration() if along is None else along.configuration(0)
@@ -148,7 +146,7 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
     from pm3dof_pin.viewer.server import is_loopback
 
-    logging.getLogger("pm3dof_pin.viewer.server").setLevel(logging.ERROR)  # its warning is given below
+    logging.getLogger("pm3dof_pin.viewer.server").setLevel(logging.ERROR)  # its warning is repeated below
     for violation in broken:
         message(f"pm3dof: joint limit broken: {violation}")
     stop = threading.Event()
@@ -161,9 +159,9 @@ def _serve(viewer: Viewer, broken: Sequence[str], browser: bool) -> None:
         url = viewer.start()
         message(f"{viewer.mechanism.name} at {url} until Ctrl-C")
         if not is_loopback(viewer.host):
-            message(f"pm3dof: warning: listening on {viewer.host}: everybody who reaches this machine can see the page")
+            message(f"pm3dof: warning: listening on {viewer.host}: anyone who can reach this machine can see the page")
         if browser and not viewer.open():
-            message("no browser could be opened here: open the address yourself")
+            message("no browser could be opened: open the address yourself")
         stop.wait()
     finally:
         for number, handler in previous.items():
@@ -177,7 +175,7 @@ def _elastic_model(machine: Robot) -> ElasticModel | None:
 
     if not machine.springs or machine.tool_frame is None:
         lacks = "tool frame" if machine.springs else "springs"
-        message(f"pm3dof: {machine.name} has no {lacks} in its description: no ellipsoids of stiffness are drawn")
+        message(f"pm3dof: {machine.name} has no {lacks} in its description: stiffness ellipsoids are not drawn")
         return None
     return ElasticModel(machine)
 
@@ -196,18 +194,18 @@ def _draw_ellipsoids(viewer: Viewer, model: ElasticModel | None, of: _Shown, oth
             else:
                 viewer.motion_ellipsoid(_OF_MOTION.get(of, "velocity"), kind=kind)
     except RigidDirectionError:
-        message("pm3dof: the tool is rigid in some direction: ellipsoids of the compliance are drawn")
+        message("pm3dof: the tool is rigid in some direction: drawing compliance ellipsoids instead")
         _draw_ellipsoids(viewer, model, "compliance", None)
     except (SingularConfigurationError, DescriptionError) as error:
         if model is None or of not in _ELASTIC:
-            message(f"pm3dof: no ellipsoids are drawn: {error}")
+            message(f"pm3dof: ellipsoids are not drawn: {error}")
             return
-        message(f"pm3dof: ellipsoids of the velocity are drawn: {error}")
+        message(f"pm3dof: drawing velocity ellipsoids instead: {error}")
         _draw_ellipsoids(viewer, None, "velocity", None)
 
 
 def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | None) -> None:
-    """Colour the legs under a unit load, or have the page ready to do it when asked."""
+    """Colour the legs under a unit load, or prepare the page to do so on request."""
     import numpy as np
 
     from pm3dof_pin.exceptions import PM3DofError
@@ -217,7 +215,7 @@ def _colour_legs(viewer: Viewer, model: ElasticModel, shares: ToolComponent | No
         try:
             viewer.colour_legs(model, np.eye(6)[TOOL_COMPONENTS.index(load)], visible=shares is not None)
             return
-        except PM3DofError:  # nothing gives under this load
+        except PM3DofError:  # nothing deflects under this load
             if shares is not None:
                 raise
 
@@ -229,7 +227,7 @@ def _compliance_on_path(model: ElasticModel, poses: Poses) -> list[Matrix] | Non
     try:
         return [cartesian_compliance(model, configuration).compliance for configuration in poses]
     except SingularConfigurationError as error:
-        message(f"pm3dof: no ellipsoids are drawn: {error}")
+        message(f"pm3dof: ellipsoids are not drawn: {error}")
         return None
 
 
@@ -240,7 +238,7 @@ def _draw_forces(viewer: Viewer, configuration: Configuration) -> None:
     try:
         forces = holding_forces(configuration).actuator_forces
     except SingularConfigurationError as error:
-        message(f"pm3dof: no forces are drawn: {error}")
+        message(f"pm3dof: forces are not drawn: {error}")
         return
     if forces.any():
         viewer.actuator_forces(forces, what="Holding forces")
@@ -262,7 +260,7 @@ def _limits_on_path(poses: Poses) -> list[str]:
 
 
 def _poses_on_path(machine: Robot, path: Path, frames: int) -> Poses:
-    """Read the poses of a path and fill in frames between them, equally spaced along its lines."""
+    """Read the poses of a path and interpolate frames between them, equally spaced."""
     import numpy as np
 
     from pm3dof_pin.exceptions import UnreachablePoseError
@@ -305,6 +303,6 @@ def _read_path(machine: Robot, path: Path) -> Matrix:
             raise DescriptionError(path, f"line {number}", "expected finite numbers")
         poses.append(pose)
     if len(poses) < 2:
-        raise DescriptionError(path, "file", f"expected two poses at least, a line each: {units}")
+        raise DescriptionError(path, "file", f"expected at least two poses, one per line: {units}")
     check_units(machine, machine.coordinates, poses)
     return np.array([[in_si(c.unit, n) for c, n in zip(machine.coordinates, pose, strict=True)] for pose in poses])

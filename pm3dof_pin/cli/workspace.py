@@ -34,7 +34,7 @@ def workspace(
         typer.Option(
             "--coordinate",
             metavar="NAME",
-            help="Two coordinates of the sections, and one that stacks them; may be repeated. The first three.",
+            help="Two coordinates of the sections and one to stack them along; by default the first three.",
             autocompletion=completion.coordinates,
         ),
     ] = None,
@@ -43,16 +43,16 @@ def workspace(
         int | None, typer.Option("--heights", "--sections", min=3, help="Number of sections (121; 31 with --robot).")
     ] = None,
     directions: Annotated[
-        int | None, typer.Option(min=8, help="Number of boundary points a section (360; 120 with --robot).")
+        int | None, typer.Option(min=8, help="Boundary points per section (360; 120 with --robot).")
     ] = None,
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     formats: Formats = None,
     engine: EngineOption = "program",
     as_json: Json = False,
 ) -> None:
-    """The reachable set under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
+    """Compute the workspace under all limits: boundary, areas, volume, which limit binds where (Fig. 8.2).
 
-    Angles in degrees, lengths in metres. Sections over two coordinates, stacked along a third; coordinates not named
+    Angles in degrees, lengths in metres. Sections over two coordinates are stacked along a third; the other coordinates
     stay at home, or at the value of --at.
     """
     from pm3dof_pin.chapter.printed_ranges import compare_printed_ranges, printed_ranges
@@ -139,7 +139,7 @@ def _lines(found: Workspace, result: dict[str, Any]) -> list[str]:
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result["limit_shares"].items() if share)
     lines = [*table_lines(header, rows), "", ", ".join(ranges), f"limits along the boundary: {shares}"]
     if "printed_ranges" in result:
-        lines += ["", "beside the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]
+        lines += ["", "next to the chapter's working ranges:", *(f"- {text}" for text in result["printed_ranges"])]
     return lines
 
 

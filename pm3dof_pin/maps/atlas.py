@@ -262,7 +262,7 @@ def _compute(
         if error.filename and error.errno == errno.ENOENT:
             reason += f": {error.filename} (removed by another program?)"
         if atlas.parts.exists():
-            reason += f"; finished blocks are kept in {atlas.parts} and the same command goes on there"
+            reason += f"; finished blocks are kept in {atlas.parts}; run the same command again to resume"
         raise OutputError(atlas.path, reason) from error
 
 

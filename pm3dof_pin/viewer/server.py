@@ -42,7 +42,7 @@ class SceneServer:
         self._socket = _bind(host, port)
         self.port: int = self._socket.getsockname()[1]
         if not is_loopback(host):
-            _logger.warning("listening on %s: everybody who reaches this machine can see the scene", host)
+            _logger.warning("listening on %s: anyone who can reach this machine can see the scene", host)
         ready: Future[None] = Future()
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()

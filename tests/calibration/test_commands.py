@@ -159,7 +159,7 @@ def test_conditions(place: Path, run: Run, answer: Answer) -> None:
     usual = run("compensate", *pose, cwd=place)
     assert "temperature_screws_K is not given" in usual.stderr
     kelvin = run("compensate", *pose, "--condition", "temperature_screws_K=293", "--json", cwd=place)
-    assert "temperature_screws_K = 293 is outside what was measured" in kelvin.stderr
+    assert "temperature_screws_K = 293 is outside the measured range" in kelvin.stderr
     assert json.loads(kelvin.stdout)["conditions"] == {"temperature_screws_K": 293.0}
     wrong = run("compensate", *pose, "--condition", "wind=3", cwd=place)
     assert wrong.returncode == 1
@@ -312,4 +312,4 @@ def test_parameters_with_which_loops_cannot_close_are_named(place: Path, run: Ru
     crowded = run("calibration-plan", *plan, "--distance", "1.0", cwd=place)
     assert crowded.returncode == 1
     assert "at least 1 of the ranges from each other" in crowded.stderr
-    assert "parameters are left out, as the loops cannot close with them: left_motor" in planned.stderr
+    assert "parameters are left out because the loops cannot close with them: left_motor" in planned.stderr

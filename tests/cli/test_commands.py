@@ -112,7 +112,7 @@ def test_a_tool_that_is_rigid_in_some_directions_has_a_compliance_only(
     assert len(result["rigid_directions"]) == 3
     assert result["felt"]["x"] is None
     said = run("stiffness", "--robot", str(tmp_path / "stiff.urdf")).stderr
-    assert "Rigid are: translation along" in said
+    assert "Rigid: translation along" in said
     assert "rotation about (0, 0, 1)" in said
     assert result["felt"]["z"] == pytest.approx(answer("stiffness", "--configuration", "home")["felt"]["z"])
 
@@ -127,7 +127,7 @@ def test_home_needs_no_name(answer: Answer, run: Run, tmp_path: Path) -> None:
     assert answer("statics", *robot, "--configuration", "home")["force_N"] == pytest.approx(home)
     wrong = run("statics", *robot, "--configuration", "nest")
     assert wrong.returncode == 1
-    assert wrong.stderr == "pm3dof: --configuration = nest: expected home, as no other has a name\n"
+    assert wrong.stderr == "pm3dof: --configuration = nest: expected home, the only one there is\n"
 
 
 def test_table_8_3(answer: Answer, run: Run) -> None:
@@ -241,7 +241,7 @@ def test_atlas_says_how_it_goes_on_after_an_interrupt(
     target = tmp_path / "atlas.zarr"
     words = ("atlas", "-q", "slider_travel", "--points", "9", "9", "9", "--threads", "1", "--out", str(target))
     result = run(*words)
-    assert f"finished blocks are kept in {target}.parts, and the same command goes on" in result.stderr
+    assert f"finished blocks are kept in {target}.parts; run the same command again" in result.stderr
     assert result.returncode == 130
     assert not target.exists()
     assert list((tmp_path / "atlas.zarr.parts" / "broken_limits").rglob("0"))
@@ -266,9 +266,9 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["ik", "nan", "0", "0.5"], 2, "nan is not a finite number"),
         (["ik"], 2, "expected a pose: pm3dof takes theta_x"),
         (["ik", "0", "0", "500"], 2, "z_e = 500 m looks like millimetres: expected metres (0.5)"),
-        (["ik", "573", "0", "0.5"], 2, "theta_x = 573 deg is more than a turn"),
+        (["ik", "573", "0", "0.5"], 2, "theta_x = 573 deg is more than a full turn"),
         (["ik", "0", "0", "0.5", "--configuration", "home"], 2, "POSE and --configuration"),
-        (["ik", "0", "0", "0.5", "--out", "x.csv"], 2, "--out is for the poses of --poses"),
+        (["ik", "0", "0", "0.5", "--out", "x.csv"], 2, "--out requires --poses"),
         (["ik", "--poses", "nowhere.csv"], 1, "nowhere.csv: file: expected a readable file"),
         (["fk", "0", "0", "0", "0", "0", "0", "--robot", "hexapod", "--all"], 2, "machine of chapter 8"),
         (["stiffness", "--robot", "hexapod", "--model", "chapter"], 2, "machine of chapter 8"),
@@ -283,10 +283,10 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["stiffness-map", "--height", "nan"], 2, "'--height': nan is not a finite number"),
         (["stiffness-map", "--tilt", "-40"], 2, "'--tilt': -40 is not an angle"),
         (["atlas", "--points", "5", "1", "5"], 2, "--points 5 1 5: expected at least 2 each"),
-        (["atlas", "--heights", "0.5", "0.4"], 2, "--heights 0.5 0.4: expected two growing"),
+        (["atlas", "--heights", "0.5", "0.4"], 2, "--heights 0.5 0.4: expected two finite, increasing"),
         (["atlas", "--points", "90000", "90000", "90000"], 1, "GB of disk to make"),
         (["atlas", "--tilt", "nan"], 2, "'--tilt': nan is not a finite number"),
-        (["fk", "0.1", "0.2", "0.9"], 1, "u1 runs 0.1553 to 0.3253 m, u3 runs 0.1553 to 0.3253 m"),
+        (["fk", "0.1", "0.2", "0.9"], 1, "u1 ranges from 0.1553 to 0.3253 m, u3 ranges from 0.1553 to 0.3253 m"),
         (["stiffness-map", "--height", "0.9"], 1, "no pose of the map at z_e = 0.9 m is within every joint limit"),
         (["stiffness-map", "--height", "0.577"], 1, "too few to draw"),
         (["stiffness-map", "--points", "2000000"], 1, "not enough memory"),

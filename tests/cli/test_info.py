@@ -105,7 +105,7 @@ def test_a_folder_of_example_parallel_robots(tmp_path: Path) -> None:
     assert (result["mobility"], result["closure_residual"]) == (1 + 3 + 2 - 3, 0.0)
     assert result["free_degrees_of_freedom"] == 2
     assert result["limits_given"] is False
-    assert any("count as unlimited" in said for said in result["missing"])
+    assert any("treated as unlimited" in said for said in result["missing"])
     assert [(c["name"], c["unit"], c["lower"], c["home"]) for c in result["commands"]] == [("motor", "rad", None, 0.0)]
 
 
@@ -167,7 +167,7 @@ def test_which_loop_is_open_and_by_how_much(tmp_path: Path) -> None:
     assert result["closures"] == [{"frame_a": "tip", "frame_b": "far", "type": "3d", "residual": pytest.approx(0.4)}]
     (said,) = (said for said in result["missing"] if "open" in said)
     assert "tip-far by 0.4 m or rad" in said
-    assert "try a configuration 'home'" in said
+    assert "define a configuration 'home'" in said
 
 
 def test_the_packages_own_robot_lacks_nothing() -> None:

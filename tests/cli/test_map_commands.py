@@ -88,8 +88,8 @@ def test_workspace_over_chosen_coordinates(answer: Answer, tmp_path: Path) -> No
     ("arguments", "status", "words"),
     [
         (["atlas", "--robot", "hexapod", "--range", "w", "0", "1", "3"], 2, "hexapod has no coordinate 'w'"),
-        (["atlas", "--robot", "hexapod", "--range", "x", "0", "1"], 2, "is not NAME FIRST LAST COUNT"),
-        (["atlas", "--robot", "hexapod", "--range", "x", "1", "0", "3"], 2, "expected growing values"),
+        (["atlas", "--robot", "hexapod", "--range", "x", "0", "1"], 2, "expected NAME FIRST LAST COUNT, not 'x 0 1'"),
+        (["atlas", "--robot", "hexapod", "--range", "x", "1", "0", "3"], 2, "expected increasing values"),
         (["atlas", "--robot", "hexapod", "--range", "x", "-10", "500", "3"], 2, "looks like millimetres"),
         (["atlas", "--robot", "hexapod", "--range", "x", "0", "nan", "3"], 2, "nan is not a finite number"),
         (["atlas", "--robot", "hexapod", "--tilt", "20"], 2, "use --range"),

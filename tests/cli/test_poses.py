@@ -91,7 +91,7 @@ def test_a_file_of_poses_and_back(run: Run, tmp_path: Path) -> None:
     (tmp_path / "back.csv").write_text("\n".join(kept))
     back = run("fk", "--poses", "back.csv", cwd=tmp_path)
     assert back.returncode == 0
-    assert "not used: theta_x_deg, theta_y_rad, z_e_m, broken_limits" in back.stderr
+    assert "unused columns: theta_x_deg, theta_y_rad, z_e_m, broken_limits" in back.stderr
     (row,) = _rows(back.stdout)
     assert float(row["theta_y_deg"]) == pytest.approx(math.degrees(-0.2), abs=1e-8)
 
@@ -137,7 +137,7 @@ def test_small_tilts_are_asked_about_and_answered(run: Run) -> None:
     done = run("ik", "0.1", "-0.2", "0.5")
     assert done.returncode == 0
     assert done.stderr == (
-        "pm3dof: theta_x = 0.1, theta_y = -0.2 are taken as degrees; if radians were meant: 5.72958, -11.4592\n"
+        "pm3dof: reading theta_x = 0.1, theta_y = -0.2 as degrees; if radians were meant: 5.72958, -11.4592\n"
     )
     assert run("ik", "0", "0", "0.5").stderr == ""
 

@@ -142,7 +142,7 @@ def test_other_robots(tmp_path: Path, run: Run) -> None:
     options = ("--no-pictures", "--out", str(tmp_path))
     done = run("error-map", "--robot", str(MACHINES / "five_bar"), "--samples", "5", *options)
     assert done.returncode == 0, done.stderr
-    assert "left out, as the loops cannot close with them" in done.stderr
+    assert "left out because the loops cannot close with them" in done.stderr
     assert "no command can undo" in done.stdout
     assert run("error-map", "--robot", "nonsense", *options).returncode == 1
     done = run("error-map", "--robot", "hexapod", "--over", "rz", "-2", "2", "3", "--at", "z", "0.13", *options)

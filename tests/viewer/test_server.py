@@ -75,7 +75,7 @@ def test_everywhere_only_with_a_warning(mechanism: Robot, caplog: pytest.LogCapt
         assert url.startswith("http://localhost:")
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
-    assert "everybody who reaches this machine" in caplog.text
+    assert "anyone who can reach this machine" in caplog.text
 
 
 def test_no_warning_otherwise(viewer: Viewer, caplog: pytest.LogCaptureFixture) -> None:

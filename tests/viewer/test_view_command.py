@@ -73,8 +73,8 @@ def test_limits_strangers_and_no_screen_are_named_and_the_page_still_served() ->
         assert said.count("joint limit broken: slider") == 3
         assert process.stderr is not None
         after = process.stderr.readline() + process.stderr.readline()
-        assert "everybody who reaches this machine can see the page" in after
-        assert "no browser could be opened here: open the address yourself" in after
+        assert "anyone who can reach this machine can see the page" in after
+        assert "no browser could be opened: open the address yourself" in after
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=20) == 0
 
@@ -107,7 +107,7 @@ def test_a_taken_port(run: Run) -> None:
             "--workspace = colour: expected",
         ),
         (["--robot", "hexapod", "0", "0", "0.135"], 2, "hexapod takes x"),
-        (["10", "0", "0.5", "--path", "path.txt"], 2, "--path: the file has the poses"),
+        (["10", "0", "0.5", "--path", "path.txt"], 2, "--path cannot be combined"),
         (["--path", "missing.txt"], 1, "missing.txt: file: expected a readable file"),
         (["--host", "no such host.invalid"], 1, "cannot listen on no such host.invalid"),
     ],
@@ -129,7 +129,7 @@ def test_bad_input_gives_one_clear_message(
         ("0 0 0.49\n0 0\n", "line 2: expected 3 numbers: theta_x [deg]"),
         ("0 0 0.49\n\n# nothing\n1 2 three\n", "line 4: expected 3 numbers"),
         ("0 0 0.49\n0 0 inf\n", "line 2: expected finite numbers"),
-        ("0 0 0.49\n", "two poses at least"),
+        ("0 0 0.49\n", "at least two poses"),
         ("0 0 0.49\n0 0 0.9\n", "between poses 1 and 2: pose theta_x = 0 deg"),
     ],
 )
@@ -164,7 +164,7 @@ def test_a_planar_mechanism_has_ellipsoids_of_the_velocity(run: Run, tmp_path: P
     planar = Path(__file__).parents[1] / "machines" / "five_bar" / "five_bar.urdf"
     result = run("--robot", str(planar), "--html", "page.html", cwd=tmp_path)
     assert result.returncode == 0
-    said = "pm3dof: ellipsoids of the velocity are drawn: no stiffness ellipsoid of translation"
+    said = "pm3dof: drawing velocity ellipsoids instead: no stiffness ellipsoid of translation"
     assert result.stderr.startswith(said)
     assert "Translation velocity" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
