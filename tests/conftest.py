@@ -205,11 +205,11 @@ def mechanism() -> Robot:
 
 @pytest.fixture(scope="session")
 def tripod_workspace(tripod: Tripod) -> Workspace:
-    """The whole reachable set of the chapter's machine, 61 sections of 360 rays."""
+    """The whole reachable set of the chapter's machine, 61 sections of 90 rays."""
     from pm3dof_pin.chapter.workspace import tripod_space
     from pm3dof_pin.maps.workspace import workspace
 
-    return workspace(tripod_space(tripod))
+    return workspace(tripod_space(tripod), 61, 90)
 
 
 @pytest.fixture(scope="session")
@@ -219,7 +219,7 @@ def reachable_poses(tripod: Tripod) -> np.ndarray:
 
     generator = np.random.default_rng(20100801)
     lowest, highest = np.array([-0.8, -0.8, 0.38]), np.array([0.8, 0.8, 0.6])
-    candidates = generator.uniform(lowest, highest, (120_000, 3))
+    candidates = generator.uniform(lowest, highest, (45_000, 3))
     reachable = candidates[limit_flags(tripod, candidates) == 0]
     assert len(reachable) >= 10_000
     return reachable[:10_000]

@@ -18,9 +18,12 @@ def rotation(theta_x: ArrayLike, theta_y: ArrayLike) -> Array:
     """Return the platform's orientation R = Rx(theta_x) Ry(theta_y), (8.3), shape=(..., 3, 3)."""
     x, y = np.broadcast_arrays(np.asarray(theta_x, dtype=float), np.asarray(theta_y, dtype=float))
     with np.errstate(invalid="ignore"):  # an infinite angle gives NaN
-        cx, sx, cy, sy, zero = np.cos(x), np.sin(x), np.cos(y), np.sin(y), np.zeros(x.shape)
-    rows = [[cy, zero, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+        cx, sx, cy, sy = np.cos(x), np.sin(x), np.cos(y), np.sin(y)
+    entries = np.empty((3, 3, *x.shape))  # the poses lie side by side in memory, as NumPy works through them
+    rows = ((cy, 0.0, sy), (sx * sy, cx, -sx * cy), (-cx * sy, sx, cx * cy))
+    for row, column in np.ndindex(3, 3):
+        entries[row, column] = rows[row][column]
+    return np.moveaxis(entries, (0, 1), (-2, -1))
 
 
 def placement(poses: ArrayLike) -> Array:
@@ -91,29 +94,29 @@ class Legs:
     @cached_property
     def passive_angles(self) -> Array:
         """Angles of the passive joints, see :func:`passive_joint_angles`, shape=(..., n, 3) [rad]."""
-        *shape, legs = self.travels.shape
-        along_axes = np.moveaxis(self.links, -2, 0).reshape(legs, math.prod(shape), 3)
-        x, y, z = np.moveaxis(along_axes @ self.tripod.link_frames, -1, 0)
-        universal = np.stack([np.arctan2(x, z), -np.arctan2(y, np.sqrt(x * x + z * z))], axis=-1)
-        sockets = _dotted(self.orientation, self.tripod.socket_axes)
-        (ax, ay, az), (bx, by, bz) = np.moveaxis(sockets, -1, 0), np.moveaxis(self.links, -1, 0)
+        frames = np.moveaxis(self.tripod.link_frames, -1, 0)
+        bx, by, bz = np.moveaxis(self.links, -1, 0)
+        x, y, z = (bx * axis[:, 0] + by * axis[:, 1] + bz * axis[:, 2] for axis in frames)
+        ax, ay, az = np.moveaxis(_dotted(self.orientation, self.tripod.socket_axes), -1, 0)
         across = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
-        swing = np.arctan2(across, _dot(sockets, self.links))
-        angles = np.empty(self.links.shape)
-        angles[..., :2] = np.moveaxis(universal.reshape(legs, *shape, 2), 0, -2)
-        angles[..., 2] = swing
+        angles = np.empty_like(self.links)
+        angles[..., 0] = np.arctan2(x, z)
+        angles[..., 1] = -np.arctan2(y, np.sqrt(x * x + z * z))
+        angles[..., 2] = np.arctan2(across, ax * bx + ay * by + az * bz)
         return angles
 
 
 def _dot(a: Array, b: Array) -> Array:
     """Return scalar products along the last axis."""
-    product: Array = np.einsum("...i,...i->...", a, b)
+    product: Array = np.sum(a * b, axis=-1)
     return product
 
 
 def _dotted(matrices: Array, vectors: Array) -> Array:
     """Turn each of n vectors by each of many matrices, shapes=(..., 3, 3), (n, 3) to (..., n, 3)."""
-    return np.moveaxis(np.tensordot(matrices, vectors, axes=(-1, -1)), -1, -2)
+    shape = matrices.shape[:-2]
+    turned = vectors @ np.moveaxis(matrices, (-2, -1), (0, 1)).reshape(3, 3, math.prod(shape))
+    return np.moveaxis(turned.reshape(3, len(vectors), *shape), (0, 1), (-1, -2))
 
 
 def inverse_kinematics(

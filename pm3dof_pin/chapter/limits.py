@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.chapter.kinematics import Legs
 from pm3dof_pin.chapter.tripod import Tripod
+from pm3dof_pin.typing import Array, Mask
 
 
 class Limit(IntFlag):
@@ -35,6 +36,8 @@ class Limit(IntFlag):
 LIMIT_NAMES = tuple(str(limit.name).lower() for limit in Limit)
 """Names of the limits, from the lowest bit on."""
 
+_BATCH = 16_384  # poses at a time: large arrays take longer to get from the operating system than to compute
+
 
 def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
     """Return sums of the :class:`Limit` that poses (theta_x, theta_y, z_e) break, shape=(...); zero within every limit.
@@ -43,12 +46,23 @@ def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
         InvalidValueError: poses of a wrong shape.
     """
     pose_array = tripod.checked(poses)
+    rows = pose_array.reshape(-1, 3)
+    flags = np.zeros(len(rows), dtype=np.uint8)
+    for start in range(0, len(rows), _BATCH):
+        part = slice(start, start + _BATCH)
+        for limit, where_broken in _broken(tripod, rows[part]).items():
+            flags[part] |= np.where(where_broken, np.uint8(limit), np.uint8(0))
+    return flags.reshape(pose_array.shape[:-1])
+
+
+def _broken(tripod: Tripod, poses: Array) -> dict[Limit, Mask]:
+    """Tell of n poses which break each limit."""
     u_min, u_max, universal, spherical, z_low, z_high = tripod.bounds
-    legs = Legs.at(tripod, pose_array)
+    legs = Legs.at(tripod, poses)
     u, angles = legs.travels, legs.passive_angles
-    tilts, height = np.abs(pose_array[..., :2]), pose_array[..., 2]
+    tilts, height = np.abs(poses[:, :2]), poses[:, 2]
     # comparisons with NaN are false: a leg out of reach breaks REACH alone, a pose that is not a number its own limit
-    broken = {
+    return {
         Limit.REACH: np.isnan(u).any(axis=-1),
         Limit.STROKE: ((u < u_min) | (u > u_max)).any(axis=-1),
         Limit.UNIVERSAL: (np.abs(angles[..., :2]) > universal).any(axis=(-1, -2)),
@@ -56,7 +70,3 @@ def limit_flags(tripod: Tripod, poses: ArrayLike) -> NDArray[np.uint8]:
         Limit.TILT: ~(tilts <= universal).all(axis=-1),
         Limit.HEIGHT: ~((z_low <= height) & (height <= z_high)),
     }
-    flags = np.zeros(pose_array.shape[:-1], dtype=np.uint8)
-    for limit, where_broken in broken.items():
-        flags |= np.where(where_broken, np.uint8(limit), np.uint8(0))
-    return flags
