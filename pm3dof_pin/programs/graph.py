@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
-from pm3dof_pin.programs.program import OPERATIONS, Program
+from pm3dof_pin.programs.program import CODES, OPERATIONS, Program
 
 
 class Graph:
@@ -92,13 +92,15 @@ class Graph:
         constants = [value for value in order if value.value is not None]
         lines = _by_first_use(order, flat)
         place = {value: number for number, value in enumerate([*leaves, *constants, *lines])}
+        operands = [([place[operand] for operand in line.operands] + [-1, -1])[:3] for line in lines]
         return Program(
             name=name,
             inputs=tuple(self._inputs),
             parameters=tuple(self._parameters),
             outputs={group: array.shape for group, array in groups.items()},
             constants=tuple(float(constant.value or 0.0) for constant in constants),
-            lines=tuple((line.operation, tuple([place[operand] for operand in line.operands])) for line in lines),
+            codes=bytes([CODES[line.operation] for line in lines]),
+            operands=np.array(operands, dtype=np.int32).reshape(-1, 3).T,
             results=tuple([place[number] for number in flat]),
         )
 

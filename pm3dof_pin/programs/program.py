@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array
@@ -50,7 +50,8 @@ OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
 the second operand where both are equal; `less` is false where an operand is NaN."""
 
 _NAMES = tuple(OPERATIONS)
-_CODES = {name: code for code, name in enumerate(_NAMES)}
+CODES = {name: code for code, name in enumerate(OPERATIONS)}
+"""Places of the operations in `OPERATIONS`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +67,21 @@ class Program:
     #: name and shape of each group of outputs; results stand one group after the other, each in C order
     outputs: Mapping[str, tuple[int, ...]]
     constants: tuple[float, ...]  #: the constants
-    #: name of the operation and numbers of its operands; operands come before the line
-    lines: tuple[tuple[str, tuple[int, ...]], ...]
+    codes: bytes  #: places in `OPERATIONS` of the operations, one for every line
+    operands: NDArray[np.int32]  #: numbers of their operands, which come before the line, -1 for none, shape=(3, lines)
     results: tuple[int, ...]  #: numbers of the values that are output, flat
 
     def __len__(self) -> int:
         """Return the number of operations."""
-        return len(self.lines)
+        return len(self.codes)
+
+    @cached_property
+    def lines(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """Name of the operation and numbers of its operands, for every line."""
+        return tuple(
+            (_NAMES[code], (a,) if b < 0 else (a, b) if c < 0 else (a, b, c))
+            for code, a, b, c in zip(self.codes, *self.operands.tolist(), strict=True)
+        )
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -105,16 +114,15 @@ class Program:
             "inputs": self.inputs,
             "parameters": self.parameters,
             "outputs": [[name, list(shape)] for name, shape in self.outputs.items()],
-            "counts": [len(self.constants), len(self.lines), len(self.results)],
+            "counts": [len(self.constants), len(self), len(self.results)],
         }
-        operands = [(*numbers, -1, -1)[:3] for _, numbers in self.lines]
         return b"".join(
             (
                 json.dumps(header).encode() + b"\n",
                 np.array(self.constants, dtype="<f8").tobytes(),
                 np.array(self.results, dtype="<i4").tobytes(),
-                np.array(operands, dtype="<i4").reshape(-1, 3).T.tobytes(),
-                bytes(_CODES[operation] for operation, _ in self.lines),
+                self.operands.astype("<i4").tobytes(),
+                self.codes,
             )
         )
 
@@ -135,7 +143,9 @@ class Program:
             ends = np.cumsum([8 * n_constants, 4 * n_results, 12 * n_lines, n_lines])
             if len(body) != ends[-1]:
                 raise ValueError("length")
-            operands = np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(3, -1).tolist()
+            codes = body[ends[2] :]
+            if codes and max(codes) >= len(_NAMES):
+                raise ValueError("operations")
             program = cls(
                 name=header["name"],
                 inputs=tuple(header["inputs"]),
@@ -143,10 +153,8 @@ class Program:
                 outputs={name: tuple(shape) for name, shape in header["outputs"]},
                 constants=tuple(np.frombuffer(body[: ends[0]], dtype="<f8").tolist()),
                 results=tuple(np.frombuffer(body[ends[0] : ends[1]], dtype="<i4").tolist()),
-                lines=tuple(
-                    (_NAMES[code], (a,) if b < 0 else (a, b) if c < 0 else (a, b, c))
-                    for code, a, b, c in zip(body[ends[2] :], *operands, strict=True)
-                ),
+                codes=codes,
+                operands=np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(3, -1),
             )
             program.__dict__["content"] = content  # it need not be made again for the key
             return program
