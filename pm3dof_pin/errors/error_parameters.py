@@ -236,6 +236,10 @@ class GeometricErrors:
                 columns[3:, index] = pin.Jexp3(pin.log3(rotation)) @ axis
         return columns
 
+    @functools.cached_property
+    def _moved(self) -> dict[str, tuple[set[int], set[int]]]:
+        return {place: moved_by(self.robot, place) for place in self._places}
+
     def movers(self, frame: int) -> Vector:
         """Tell which joint velocities, then which errors, move a frame, 1 or 0, shape=(nv + number of parameters,)."""
         if frame not in self._movers:
@@ -245,9 +249,8 @@ class GeometricErrors:
             for joint in list(model.supports[body])[1:]:
                 start = model.joints[joint].idx_v
                 moves[start : start + model.joints[joint].nv] = 1.0
-            moved = {place: moved_by(self.robot, place) for place in self._places}
             for index, parameter in enumerate(self.parameters, start=model.nv):
-                joints, frames = moved[parameter.place]
+                joints, frames = self._moved[parameter.place]
                 moves[index] = float(body in joints or frame in frames)
             self._movers[frame] = frozen(moves)
         return self._movers[frame]

@@ -180,8 +180,7 @@ class _Loops:
         raised where the tool can move while all drives stand still; and where a drive cannot move without others.
         """
         robot, nv = self._robot, self._model.nv
-        driven = robot.actuated_indices
-        free = np.setdiff1d(np.arange(nv), driven)
+        driven, free = robot.actuated_indices, robot.passive_indices
         inputs = np.concatenate([driven, np.arange(nv, self._columns.shape[2])])
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
