@@ -104,6 +104,11 @@ class GeometricErrors:
         bearings = np.zeros(actuated) if fixed_bearings is None else fixed_bearings
         self.fixed_bearings = frozen(finite_array("fixed_bearings", bearings, (actuated,)))
         self._places = _places_in_order(robot, {parameter.place for parameter in self.parameters})
+        numbers = {place: number for number, place in enumerate(self._places)}
+        self._place_numbers = np.array([numbers[parameter.place] for parameter in self.parameters], dtype=np.intp)
+        turning = [parameter.motion == "rotation" for parameter in self.parameters]
+        self._turning = np.array(turning, dtype=np.intp)
+        self._axes = np.array([parameter.axis for parameter in self.parameters], dtype=float).reshape(-1, 3)
         self._movers: dict[int, Vector] = {}
 
     @classmethod
@@ -211,13 +216,9 @@ class GeometricErrors:
 
     def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
         """Return the displacement D of each place, in its own axes, places nearer to the root first."""
-        p = self.values(values)
-        turns = {place: np.zeros(3) for place in self._places}
-        shifts = {place: np.zeros(3) for place in self._places}
-        for value, parameter in zip(p, self.parameters, strict=True):
-            parts = shifts if parameter.motion == "translation" else turns
-            parts[parameter.place] += value * np.array(parameter.axis)
-        return {place: pin.SE3(pin.exp3(turns[place]), shifts[place]) for place in self._places}
+        moves = np.zeros((2, len(self._places), 3))
+        np.add.at(moves, (self._turning, self._place_numbers), self.values(values)[:, None] * self._axes)
+        return {place: pin.SE3(pin.exp3(turn), shift) for place, shift, turn in zip(self._places, *moves, strict=True)}
 
     def local_twists(self, values: ArrayLike | Mapping[str, float]) -> Matrix:
         """Return the twist of each place against its parameters, in the axes of the displaced place.
@@ -226,15 +227,12 @@ class GeometricErrors:
             Columns [v; omega] at the place's origin, shape=(6, number of parameters). At p = 0 they are the axes; the
             derivative of exp3 makes them exact elsewhere.
         """
-        displacements = self.displacements(values)
-        columns = np.zeros((6, len(self)))
-        for index, parameter in enumerate(self.parameters):
-            rotation, axis = displacements[parameter.place].rotation, np.array(parameter.axis)
-            if parameter.motion == "translation":
-                columns[:3, index] = rotation.T @ axis
-            else:
-                columns[3:, index] = pin.Jexp3(pin.log3(rotation)) @ axis
-        return columns
+        rotations = [displacement.rotation for displacement in self.displacements(values).values()]
+        by_shift_and_turn = np.array([(turn.T, pin.Jexp3(pin.log3(turn))) for turn in rotations]).reshape(-1, 2, 3, 3)
+        columns = np.zeros((len(self), 2, 3))
+        derivatives = by_shift_and_turn[self._place_numbers, self._turning]
+        columns[np.arange(len(self)), self._turning] = np.einsum("kij,kj->ki", derivatives, self._axes)
+        return columns.reshape(-1, 6).T
 
     @functools.cached_property
     def _moved(self) -> dict[str, tuple[set[int], set[int]]]:
@@ -246,9 +244,8 @@ class GeometricErrors:
             model = self.robot.model
             body = model.frames[frame].parentJoint
             moves = np.zeros(model.nv + len(self))
-            for joint in list(model.supports[body])[1:]:
-                start = model.joints[joint].idx_v
-                moves[start : start + model.joints[joint].nv] = 1.0
+            for joint in model.supports[body].tolist()[1:]:
+                moves[model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
             for index, parameter in enumerate(self.parameters, start=model.nv):
                 joints, frames = self._moved[parameter.place]
                 moves[index] = float(body in joints or frame in frames)
@@ -260,12 +257,22 @@ class GeometricErrors:
         nominal = self.robot
         model = nominal.model.copy()
         for place, displacement in self.displacements(values).items():
-            if model.existJointName(place):
+            if place in self._hanging:
+                _displace_frames(model, self._hanging[place], displacement)
+            else:
                 joint = model.getJointId(place)
                 model.jointPlacements[joint] = model.jointPlacements[joint] * displacement
-            else:
-                _displace_frame(model, nominal.frame_id(place), displacement)
         return nominal.displaced(model)
+
+    @functools.cached_property
+    def _hanging(self) -> dict[str, list[int]]:
+        """Each place that is a frame, and the frames that hang on it, itself first."""
+        model = self.robot.model
+        return {
+            place: _frame_and_descendants(model, self.robot.frame_id(place))
+            for place in self._places
+            if not model.existJointName(place)
+        }
 
     def _parameter(self, name: str) -> int:
         if name not in self._index:
@@ -417,11 +424,11 @@ def _frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
     return found
 
 
-def _displace_frame(model: pin.Model, frame: int, displacement: pin.SE3) -> None:
-    """Move a frame, and what hangs on the same body beyond it, by a displacement in the frame's axes."""
-    placement = model.frames[frame].placement.copy()
-    body, moved = model.frames[frame].parentJoint, placement * displacement * placement.inverse()
-    for index in _frame_and_descendants(model, frame):
+def _displace_frames(model: pin.Model, frames: list[int], displacement: pin.SE3) -> None:
+    """Move the first of some frames, and what hangs on the same body beyond it, by a displacement in its axes."""
+    placement = model.frames[frames[0]].placement.copy()
+    body, moved = model.frames[frames[0]].parentJoint, placement * displacement * placement.inverse()
+    for index in frames:
         entry = model.frames[index]
         if entry.type == pin.FrameType.JOINT and model.parents[entry.parentJoint] == body:
             model.jointPlacements[entry.parentJoint] = moved * model.jointPlacements[entry.parentJoint]

@@ -11,6 +11,7 @@ twist of everything beyond its place, like the rate of a joint that stood there,
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,11 +26,13 @@ from pm3dof_pin.exceptions import InvalidValueError, ProgramError, SingularConfi
 from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
+from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask
 
 _POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
+_SOUND = 1e-2 / RANK_TOLERANCE  # condition up to which a square matrix has no value near the tolerance
 _PROGRAM_FROM = 100  # poses: a calibration from fewer takes Pinocchio no longer than tracing and compiling does
 
 
@@ -160,7 +163,7 @@ class _Loops:
         self._errors = errors
         self._robot = poses.robot
         self._model = poses.robot.model
-        self._joints, twists = _tree(self._model, poses.q)
+        self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
     def strains(self, *, tool_at_rest: bool = True) -> Array:
@@ -190,6 +193,10 @@ class _Loops:
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
+        inverse, sound = _inverses(closures[:, :, free] * velocity_scale)
+        if sound.all():
+            rates[:, free] = -velocity_scale[:, None] * (inverse @ closures[:, :, inputs])
+            return rates, np.zeros((len(rates), len(inputs)))
         left, values, right = np.linalg.svd(closures[:, :, free] * velocity_scale, full_matrices=False)
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
@@ -227,6 +234,14 @@ class _Loops:
         linear, angular = (np.einsum("nkij,jk->nik", frames[..., :3, :3], part) for part in np.split(local, 2))
         origins = np.swapaxes(frames[..., :3, 3], 1, 2)
         return np.concatenate([linear + _crossed(origins, angular), angular], axis=1)
+
+    def _carriers(self) -> list[int]:
+        """Return the joints that carry closures, tool and places of errors."""
+        places = {parameter.place for parameter in self._errors.parameters}
+        joints = {place for place in places if self._model.existJointName(place)}
+        frames = {self._robot.frame_id(name) for name in (*frame_names(self._robot), *(places - joints))}
+        on_frames = {self._model.frames[frame].parentJoint for frame in frames}
+        return sorted(on_frames | {self._model.parents[self._model.getJointId(name)] for name in joints})
 
     def _place(self, place: str) -> Array:
         """Return where the displaced origin of a place is, before its joint moves, shape=(n, 4, 4)."""
@@ -272,18 +287,28 @@ class _Loops:
             )
 
 
+def _inverses(matrices: Array) -> tuple[Array, Mask]:
+    """Return inverses, many times quicker than singular values, and where these leave no doubt of the rank."""
+    if matrices.shape[1] == matrices.shape[2]:
+        with contextlib.suppress(np.linalg.LinAlgError):  # some are singular
+            inverses = np.linalg.inv(matrices)
+            condition = np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(inverses, axis=(1, 2))
+            return np.asarray(inverses), np.asarray(condition < _SOUND)
+    return matrices, np.zeros(len(matrices), dtype=bool)
+
+
 def _crossed(a: Array, b: Array) -> Array:
     """Return cross products along the middle axis, shape=(n, 3, k), quicker than np.cross does."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 
-def _tree(model: pin.Model, q: Array) -> tuple[Array, Array]:
-    """Return joint placements, shape=(n, joints, 4, 4), and the twists of all velocities, shape=(n, 6, nv)."""
+def _tree(model: pin.Model, q: Array, joints: list[int]) -> tuple[Array, Array]:
+    """Return placements of some joints, shape=(n, all joints, 4, 4), and the twists of all velocities, (n, 6, nv)."""
     data = model.createData()
     placements = np.empty((len(q), model.njoints, 4, 4))
     twists = np.empty((len(q), 6, model.nv))
     for row, positions in enumerate(q):
         pin.computeJointJacobians(model, data, positions)
         twists[row] = data.J.reshape(6, model.nv)
-        placements[row] = [placement.homogeneous for placement in data.oMi]
+        placements[row, joints] = [data.oMi[joint].homogeneous for joint in joints]
     return placements, twists

@@ -114,7 +114,7 @@ class ProgramSource:
         variant, numbers, dense = self._latest
         if variant is not robot:
             numbers = geometry.numbers(robot)
-            dense = geometry.constants(numbers) != self._constants
+            dense = any(numbers[name] != value for name, value in self._constants)
             self._latest = robot, numbers, dense
         return numbers, dense
 

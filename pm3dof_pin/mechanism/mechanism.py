@@ -104,7 +104,6 @@ class Mechanism:
         velocity_scale: the characteristic length for every linear entry of v [m/s], 1 for angular ones, shape=(nv,).
         twist_scale, closure_scale: the same for the entries of a twist, shape=(6,), and of the closure error,
             shape=(m,).
-        loop_kinematics: Pinocchio's data, one copy per thread.
 
     Raises:
         FrameNotFoundError: a closure or the tool names a frame that the model does not have.
@@ -161,16 +160,13 @@ class Mechanism:
 
         if tool_frame is not None:
             self._frame_id(tool_frame, f"{self.source}: tool_frame")
-        self.loop_kinematics = LoopKinematics(
-            self.model, [self._constraint(index, loop) for index, loop in enumerate(self.closures)]
-        )
+        sizes = [rows.stop - rows.start for rows in self.loop_kinematics.rows]
         length = self._typical_length() if characteristic_length is None else characteristic_length
         if not (np.isfinite(length) and length > 0.0):
             raise InvalidValueError("characteristic_length", length, "a positive length [m]")
         self.characteristic_length = float(length)
         self.velocity_scale = frozen(np.where(translates, self.characteristic_length, 1.0))
         self.twist_scale = frozen(np.repeat([self.characteristic_length, 1.0], 3))
-        sizes = [rows.stop - rows.start for rows in self.loop_kinematics.rows]
         self.closure_scale = frozen(np.concatenate([np.zeros(0), *(self.twist_scale[:size] for size in sizes)]))
         self.limit_groups = self._complete_limit_groups(tuple(limit_groups))
         self.tool_motions = tuple(tool_motions) or TOOL_COMPONENTS
@@ -187,7 +183,8 @@ class Mechanism:
             "source": self.source,
             "files": files,
         }
-        self._described = frozenset(vars(self)) | {"_described"}  # excludes properties cached later
+        # excludes properties cached later
+        self._described = frozenset(vars(self)) - {"loop_kinematics"} | {"_described"}
 
     def __repr__(self) -> str:
         return (
@@ -217,9 +214,12 @@ class Mechanism:
         variant = kind.__new__(kind)
         vars(variant).update({name: vars(self)[name] for name in self._described})
         variant.model, variant._prototype = model, self.prototype
-        constraints = [variant._constraint(*loop) for loop in enumerate(self.closures)]
-        variant.loop_kinematics = LoopKinematics(model, constraints)
         return variant
+
+    @cached_property
+    def loop_kinematics(self) -> LoopKinematics:
+        """Pinocchio's data, one copy per thread."""
+        return LoopKinematics(self.model, [self._constraint(*loop) for loop in enumerate(self.closures)])
 
     @property
     def prototype(self) -> Self:

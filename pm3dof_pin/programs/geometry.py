@@ -51,12 +51,14 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
     Frames are those of the closures and the tool, and others named; numbers are rounded as said above.
     """
     model = mechanism.model
-    found: dict[str, float] = {}
+    names: list[str] = []
+    entries: list[NDArray[Any]] = []
     for index in range(1, model.njoints):
-        _add_placement(found, model.names[index], model.jointPlacements[index])
-        _add_joint(found, model.names[index], model.joints[index])
+        _add_placement(names, entries, model.names[index], model.jointPlacements[index])
+        _add_joint(names, entries, model.names[index], model.joints[index])
     for name in dict.fromkeys([*frame_names(mechanism), *frames]):
-        _add_placement(found, f"frame/{name}", model.frames[mechanism.frame_id(name)].placement)
+        _add_placement(names, entries, f"frame/{name}", model.frames[mechanism.frame_id(name)].placement)
+    found = dict(zip(names, _rounded(np.concatenate([np.zeros(0), *entries])).tolist(), strict=True))
     for k, (lower, upper) in enumerate(zip(mechanism.lower_limits, mechanism.upper_limits, strict=True)):
         found[f"limit/{k}/lower"] = float(lower) - LIMIT_TOLERANCE
         found[f"limit/{k}/upper"] = float(upper) + LIMIT_TOLERANCE
@@ -139,9 +141,9 @@ def frame_names(mechanism: Mechanism) -> list[str]:
     return list(dict.fromkeys([*names, *([mechanism.tool_frame] if mechanism.tool_frame is not None else [])]))
 
 
-def _add_placement(found: dict[str, float], owner: str, placement: pin.SE3) -> None:
-    entries = _rounded(np.append(placement.rotation, placement.translation))
-    found.update(zip(_placement_names(owner), entries.tolist(), strict=True))
+def _add_placement(names: list[str], entries: list[NDArray[Any]], owner: str, placement: pin.SE3) -> None:
+    names += _placement_names(owner)
+    entries += placement.rotation.ravel(), placement.translation
 
 
 @lru_cache(maxsize=1000)
@@ -149,18 +151,18 @@ def _placement_names(owner: str) -> tuple[str, ...]:
     return (*(f"{owner}/R{i}{j}" for i in range(3) for j in range(3)), *(f"{owner}/p{k}" for k in range(3)))
 
 
-def _add_joint(found: dict[str, float], owner: str, model_joint: Any) -> None:
+def _add_joint(names: list[str], entries: list[NDArray[Any]], owner: str, model_joint: Any) -> None:
     joint = model_joint.extract() if hasattr(model_joint, "extract") else model_joint
     axes = {entry: getattr(joint, entry) for entry in ("axis", "axis1", "axis2") if hasattr(joint, entry)}
     if model_joint.shortname() == "JointModelRevoluteUnboundedUnaligned":
         axes["axis"] = _unbounded_axis(joint)
     for entry, axis in axes.items():
-        for k, number in enumerate(_rounded(np.asarray(axis)).tolist()):
-            found[f"{owner}/{entry}{k}"] = number
+        names += [f"{owner}/{entry}{k}" for k in range(3)]
+        entries.append(np.asarray(axis).ravel())
     if hasattr(joint, "jointPlacements"):
         for k, (part, placement) in enumerate(zip(joint.joints, joint.jointPlacements, strict=True)):
-            _add_placement(found, f"{owner}[{k}]", placement)
-            _add_joint(found, f"{owner}[{k}]", part)
+            _add_placement(names, entries, f"{owner}[{k}]", placement)
+            _add_joint(names, entries, f"{owner}[{k}]", part)
 
 
 def _unbounded_axis(joint: Any) -> NDArray[Any]:
