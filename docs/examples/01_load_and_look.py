@@ -1,7 +1,7 @@
 """Load a robot and look at it.
 
-A robot is loaded by its name or by the path of its files. Its coordinates are the numbers that a pose is given in, its
-commands what the counters of its drives show. The page that is written at the end needs no network and no Python.
+A robot is loaded by its name or by the path of its files. Its coordinates describe a pose, its commands are the counter
+readings of its drives. The page that is written at the end needs no network and no Python.
 """
 
 import pm3dof_pin as pm

@@ -1,7 +1,7 @@
 """A stiffness map of your robot.
 
-A grid over two coordinates; those that are not named stay at home. All loops are closed and the stiffness is computed
-at every pose by programs that are made from the robot's model, microseconds a pose. The picture ends where limits do.
+A grid over two coordinates; the others stay at home. Programs compiled from the robot's model close all loops and
+compute the stiffness at every pose, in microseconds a pose. The picture ends at the limits.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ for coordinate in robot.coordinates:
 tilt = np.radians(40.0)
 grid = robot.grid(rx=(-tilt, tilt, 81), ry=(-tilt, tilt, 81))
 found = quantity_map(MappedRobot(robot), grid, ["felt_stiffness"])  # an xarray.Dataset
-felt = 1e-6 * found.felt_stiffness.sel(axis="z")  # what a probe feels that pushes along z, all else free [N/µm]
+felt = 1e-6 * found.felt_stiffness.sel(axis="z")  # felt by a probe that pushes along z, all else free [N/µm]
 print(f"{int(felt.notnull().sum())} of {felt.size} poses are within all limits")
 print(f"felt along z: {float(felt.min()):.3g} to {float(felt.max()):.3g} N/µm")
 

@@ -1,7 +1,7 @@
 """A mechanism from MuJoCo's format.
 
-MJCF says how loops close: by `connect` and `weld`. Actuators become drives, sites can be the tool. Here a four-bar
-linkage is turned once around; the path of its coupler point is a coupler curve.
+MJCF defines loop closures by `connect` and `weld`. Actuators become drives, sites can be the tool. Here the crank of a
+four-bar linkage makes one turn; the path of its coupler point is a coupler curve.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Where can it go?
 
-The reachable set under all limits of joints and closures, section by section: ends and areas, and by name what limits
-it, and how much of the boundary. The picture has every edge where one limit takes over from another.
+The reachable set under all limits of joints and closures, section by section: ranges and areas, and each limit's name
+and share of the boundary. The picture shows every edge between two limits.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Which part to make stiffer?
 
-Every spring has a share in the deflection under a load; the shares add up to one. So a spring that is made stiffer by
-ten per cent takes a tenth of its share away.
+Every spring has a share in the deflection under a load; the shares add up to one. So making a spring ten
+per cent stiffer removes about a tenth of its share.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
-"""How far does it give under a large load?
+"""How far does it deflect under a large load?
 
-The stiffness is the slope at no load. Under large loads the machine stands elsewhere: the equilibrium is followed with
-the exact tangent stiffness, all loops closed. Here a load presses down that leans by half a degree.
+The stiffness is the slope at zero load. Under large loads the pose changes: the equilibrium is followed with the exact
+tangent stiffness, all loops closed. Here a load presses down, inclined by half a degree.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Where do the errors of the tool come from?
 
 Geometry within its tolerances, heat, the load at work, drives, vibration: each alone and all together, over poses of
-the whole workspace, and what is left of them when the commands are the best ones.
+the whole workspace, and the part that remains with the best commands.
 """
 
 import matplotlib.pyplot as plt

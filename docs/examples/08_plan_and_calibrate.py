@@ -1,7 +1,7 @@
-"""Plan the measurements, calibrate, and see what it brought.
+"""Plan the measurements, calibrate, and check the result.
 
-A machine is simulated that has errors of every part within its tolerances. Thirty poses that tell most are measured,
-with noise; then the machine's errors are compared at poses that were not measured.
+A machine with errors of every part within its tolerances is simulated. Its thirty most informative poses are measured,
+with noise; then its errors are compared at poses that were not measured.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
-"""A path judged pose by pose: limits, deflection, closeness to singular poses.
+"""A path evaluated pose by pose: limits, deflection, closeness to singular poses.
 
-A circle of the tool at a tilt, as a milling path would have it. What breaks a limit is named; the deflection under a
-cutting force is the compliance times the force, at every pose.
+A circle of the tool with varying tilt, as in milling. Broken limits are named; the deflection under a cutting force is
+the compliance times the force, at every pose.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """An atlas of the whole workspace, on a cluster.
 
 Any quantity over three to six coordinates as one file with named axes. The work is cut into blocks that any Dask
-cluster computes; an interrupted job goes on where it stopped. Here the cluster is two processes of this machine.
+cluster computes; an interrupted job continues where it stopped. Here the cluster is two processes of this machine.
 """
 
 from pathlib import Path
