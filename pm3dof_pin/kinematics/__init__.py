@@ -1,1 +1,1 @@
-"""Closing loops, poses, limits, mobility and singularities of any mechanism."""
+"""Loop closing, poses, limits, mobility and singularities of any mechanism."""

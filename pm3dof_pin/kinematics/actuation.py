@@ -1,4 +1,4 @@
-"""The platform's independent motions, and the rates at which the actuated joints follow them."""
+"""The platform's independent motions, and the corresponding rates of the actuated joints."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _PIVOT_DIGITS = 9
 
 
 def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]:
-    """Choose the components of the tool's twist, world axes, that tell its independent motions: as many as there are.
+    """Choose components of the tool's twist, world axes, that describe its independent motions: one per motion.
 
-    Where every motion turns it about an axis within the machine, as a wrist does, the rotations. Else, of those that
-    count as its motion, the most independent ones in scaled numbers: of a planar platform x, y and rz, of a 3-RPS
-    platform z, rx and ry.
+    If every motion turns the tool about an axis within the machine, as in a wrist, these are rotations. Otherwise they
+    are the most independent of the `tool_motions`, in scaled numbers: x, y and rz for a planar platform, z, rx and ry
+    for a 3-RPS platform.
 
     Raises:
         DescriptionError: the mechanism has no tool frame.
@@ -36,23 +36,23 @@ def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]
         counting = [3, 4, 5]
     from scipy.linalg import qr  # most robots declare their coordinates
 
-    # rounded, so that which of several equally good ones are taken does not hang on the last digits
+    # rounded, so that the choice among equally good ones does not depend on the last digits
     projector = np.round(seen.image @ seen.image.T, _PIVOT_DIGITS)
     order = qr(projector, mode="r", pivoting=True)[1]
     return tuple(TOOL_COMPONENTS[k] for k in sorted(counting[row] for row in order[:count]))
 
 
 def independent_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:
-    """Compute the velocities of all joints that belong to the platform's independent motions, shape=(nv, p).
+    """Compute the joint velocities of the platform's independent motions, shape=(nv, p).
 
-    Column k is the velocity at which motion k has rate 1 and the others 0. The motions are the components of the tool's
-    twist, world axes, that are named; else the motion coordinates, if the mechanism has such; else the
-    :func:`motion_components`. Where idle degrees of freedom leave a choice, the shortest velocity in scaled numbers is
-    taken.
+    Column k is the velocity at which motion k has rate 1 and the others 0. The motions are the given `components` of
+    the tool's twist, world axes; by default the motion coordinates, if the mechanism has any, or else the
+    :func:`motion_components`. If idle degrees of freedom leave a choice, the velocity has the least norm in scaled
+    numbers.
 
     Raises:
-        SingularConfigurationError: the motions are not independent there, or actuated joints or the tool can move
-            without them.
+        SingularConfigurationError: the motions are not independent, or actuated joints or the tool can move without
+            them.
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
     """
@@ -80,25 +80,24 @@ def independent_motions(configuration: Configuration, *, components: Sequence[To
 def tool_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:
     """Compute the tool's twists [v; omega], world axes, shape=(6, p), in the platform's :func:`independent_motions`.
 
-    The tool's twist is this times the rates of the motions. Arguments and errors are those of
-    :func:`independent_motions`.
+    The tool's twist is this times the rates of the motions. Arguments and errors as in :func:`independent_motions`.
     """
     motions = independent_motions(configuration, components=components)
     return frozen(configuration.tool_jacobian @ motions)
 
 
 def actuation_jacobian(configuration: Configuration) -> Matrix:
-    """Compute the actuated joints' rates, over those of the motions, in the :func:`independent_motions`.
+    """Compute the Jacobian from the rates of the :func:`independent_motions` to those of the actuated joints.
 
     Shape=(number of actuated joints, p). For the tripod this is J_t, (8.9) of D. Zhang, Parallel Robotic Machine Tools
-    (2010). Arguments and errors are those of :func:`independent_motions`.
+    (2010). Arguments and errors as in :func:`independent_motions`.
     """
     motions = independent_motions(configuration)
     return frozen(motions[configuration.mechanism.actuated_indices])
 
 
 def _turns_within(configuration: Configuration, dof: DegreesOfFreedom) -> bool:
-    """Tell whether the tool turns in all its motions, about axes no further from it than the farthest joint is."""
+    """Return whether all motions turn the tool, about axes no further from it than the farthest joint."""
     mechanism = configuration.mechanism
     if mechanism.tool_motions != TOOL_COMPONENTS or dof.at_tool.rank.rank == 0:
         return False

@@ -1,4 +1,4 @@
-"""Closing the loops with care: one damped least-squares solver for every kind of target."""
+"""Robust loop closing: one damped least-squares solver for all kinds of targets."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from pm3dof_pin.mechanism.tool_components import angle_rates, rotation_of_angles
 from pm3dof_pin.typing import Indices, Matrix, Vector
 
 CLOSURE_TOLERANCE = 1e-12
-"""Greatest residual that counts as closed [m, rad]."""
+"""Largest residual of a closed loop [m, rad]."""
 
 _FIRST_DAMPING, _LEAST_DAMPING, _GREATEST_DAMPING = 1e-2, 1e-8, 1e12
-LONGEST_STEP = 0.5  # rad, or characteristic lengths: beyond it the linear model of a rotation is worth little
+LONGEST_STEP = 0.5  # rad, or characteristic lengths: for longer steps the linear model of a rotation is poor
 _LEAST_GAIN, _GOOD_GAIN = 1e-4, 0.75
 _STATIONARY = 1e-13
 _ROUNDING = float(np.finfo(float).eps)
@@ -29,18 +29,18 @@ _ROUNDING = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """What the assembly solver found."""
+    """The result of the assembly solver."""
 
-    converged: bool  #: the loops are closed, and the tool is where it was wanted, within the tolerance
+    converged: bool  #: whether the loops are closed and the tool is on target, within the tolerance
     steps: int  #: iterations done
-    residual: float  #: greatest entry of what is left of the closure error and the pose error [m, rad]
+    residual: float  #: greatest absolute entry of the remaining closure and pose errors [m, rad]
     mechanism: Mechanism  #: the mechanism
-    q: Vector  #: where the solver stopped; assembled only if `converged`
-    jacobian: Matrix  #: of the scaled errors there, by the scaled velocities that are free
+    q: Vector  #: the last iterate; assembled only if `converged`
+    jacobian: Matrix  #: of the scaled errors by the scaled free velocities, at the last iterate
 
     @cached_property
     def configuration(self) -> Configuration:
-        """The mechanism where the solver stopped."""
+        """The configuration of the last iterate."""
         return Configuration(self.mechanism, self.q)
 
     @cached_property
@@ -57,22 +57,21 @@ def assemble(
     tool: Mapping[ToolComponent, float] | None = None,
     max_steps: int = 100,
 ) -> Assembly:
-    """Close the loops of a mechanism, with joints or components of the tool's placement at given values.
+    """Close the loops of a mechanism, with given joints or components of the tool's placement.
 
-    A failure is no error: see `converged`. The methods of :class:`~pm3dof_pin.kinematics.robot.Robot` raise instead.
+    Failure does not raise: check `converged`. The methods of :class:`~pm3dof_pin.kinematics.robot.Robot` raise instead.
 
-    Levenberg-Marquardt on the closure error and the pose error, lengths divided by the characteristic length. The
-    damping falls with the square of the residual (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
-    quadratic where the solutions are no isolated points (a mechanism free to move) or constraints are redundant too;
-    there each step is the shortest one. At a singular configuration convergence is linear.
+    Levenberg-Marquardt on the closure and pose errors, with lengths divided by the characteristic length. The damping
+    is proportional to the square of the residual (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
+    quadratic even if solutions are not isolated (a mechanism free to move) or constraints are redundant; each step is
+    then the one of least norm. At a singular configuration convergence is linear.
 
     Args:
         mechanism: the mechanism.
         guess: configuration to start from.
-        joints: coordinates of joints that stay where they are [m, rad]; shape=(joint's nq,) for a joint with several
-            degrees of freedom.
+        joints: coordinates of joints to hold [m, rad]; shape=(joint's nq,) for a joint with several degrees of freedom.
         tool: components of the tool's placement in the base, x, y, z [m], rx, ry, rz [rad], R = Rx Ry Rz.
-        max_steps: iterations to give up after.
+        max_steps: maximum number of iterations.
 
     Raises:
         InvalidValueError: an argument is not finite or of the wrong shape.
@@ -89,7 +88,7 @@ def assemble(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """The equations at one q: residual [m, rad], scaled error, and its derivative by the scaled free velocities."""
+    """The equations at one q: residual [m, rad], scaled error, and its Jacobian by the scaled free velocities."""
 
     q: Vector
     residual: float
@@ -102,7 +101,7 @@ class _Point:
 
     @cached_property
     def factors(self) -> tuple[Vector, Vector, Matrix]:
-        """The error in the left singular directions, the singular values but noise, and the right directions."""
+        """The error in the left singular directions, the singular values above noise, and the right directions."""
         left, values, right = np.linalg.svd(self.jacobian, full_matrices=False)
         noise = _ROUNDING * max(self.jacobian.shape, default=0) * values.max(initial=0.0)
         kept = np.count_nonzero(values > noise)
@@ -118,7 +117,7 @@ class _Point:
 
 
 class _Equations:
-    """Closure equations and, if wanted, tool pose equations, in the velocities that are free to move."""
+    """Closure equations and, if requested, tool pose equations, in the free velocities."""
 
     def __init__(self, mechanism: Mechanism, free: Indices, tool: Mapping[ToolComponent, float]) -> None:
         self._kinematics = mechanism.loop_kinematics
@@ -151,7 +150,7 @@ class _Equations:
         components = tool_components(placement.homogeneous)
         error = components[self._rows] - self._target
         turns = np.array(self._rows) >= 3
-        if self._turned:  # by the rotation that is left, which is regular where the angles are not
+        if self._turned:  # by the remaining rotation, which is regular where the angles are singular
             angles_of_target = np.empty(3)
             angles_of_target[np.array(self._rows)[turns] - 3] = self._target[turns]
             left = pin.log3(placement.rotation @ rotation_of_angles(angles_of_target).T)

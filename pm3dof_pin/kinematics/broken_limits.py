@@ -1,4 +1,4 @@
-"""Which limits a pose breaks, in the words and units of the robot's commands and coordinates."""
+"""Which limits a pose breaks, in the names and units of the robot's commands and coordinates."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 class BrokenLimit:
     """A joint or closure outside its range."""
 
-    name: str  #: the joint; or the closure, by its limit group and its place in it, or by its frames
-    value: float  #: the reading [unit]: of the command or coordinate that shows this joint, else the joint's own
-    lower: float  #: least reading allowed [unit]
-    upper: float  #: greatest reading allowed [unit]
+    name: str  #: the joint; or the closure, by limit group and index in it, or by its frames
+    value: float  #: the value [unit]: of the command or coordinate of this joint, if any, or of the joint itself
+    lower: float  #: least permitted value [unit]
+    upper: float  #: greatest permitted value [unit]
     unit: Unit  #: "m" or "rad"
 
     def __str__(self) -> str:
@@ -30,7 +30,7 @@ class BrokenLimit:
 
 
 def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimit]:
-    """List the joints and closures that a configuration takes outside their ranges."""
+    """List the joints and closures that are outside their ranges in a configuration."""
     names, broken = closure_names(robot), []
     for violation in configuration.violated_limits():
         unit, scale, offset = limit_reading(robot, violation.name) if violation.kind == "joint" else ("rad", 1.0, 0.0)
@@ -41,8 +41,8 @@ def broken_limits(robot: Robot, configuration: Configuration) -> list[BrokenLimi
 
 
 def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
-    """Return unit, scale and offset of the limits of an entry of q, by name: reading = scale * q + offset."""
-    if not robot.model.existJointName(name):  # one entry of a joint with several
+    """Return unit, scale and offset of the limits of an entry of q, by name: value = scale * q + offset."""
+    if not robot.model.existJointName(name):  # an entry of a multi-DoF joint
         return "rad", 1.0, 0.0
     for reading in (*robot.command_coordinates, *robot.coordinates):
         if reading.joint == name:
@@ -51,7 +51,7 @@ def limit_reading(robot: Robot, name: str) -> tuple[Unit, float, float]:
 
 
 def closure_names(robot: Robot) -> dict[str, str]:
-    """Return what each closure is called, by its frames: its declared limit group with its place in it, or the same."""
+    """Return the display name of each closure, by frames: its declared limit group and index, or its frames."""
     names = {}
     for index, loop in enumerate(robot.closures):
         frames = f"{loop.frame_a}-{loop.frame_b}"

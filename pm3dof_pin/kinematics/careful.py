@@ -1,9 +1,9 @@
-"""Closing the loops of poses with care: on Pinocchio's Jacobians throughout, by continuation from home.
+"""Robust solution of poses: on Pinocchio's Jacobians throughout, by continuation from home.
 
-A pose is walked to in legs short enough to stay in one assembly mode, each closed by the damped solver of
-:mod:`pm3dof_pin.kinematics.assembly`. A leg after which a joint is far from its prediction, or the determinant of the
-equations changed its sign, is tried again in shorter ones: a walk ends at singular poses. A serial arm can be led past
-these, and a guess may have its loops open: the solver goes to the pose in one go then.
+A walk reaches a pose in legs short enough to stay in one assembly mode, each closed by the damped solver of
+:mod:`pm3dof_pin.kinematics.assembly`. A leg that leaves a joint far from its prediction, or changes the sign of the
+determinant of the equations, is repeated with shorter legs: a walk ends at singular poses. For serial arms, which can
+pass these, and guesses with open loops, the solver goes to the pose in one step.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from pm3dof_pin.typing import Matrix, Vector
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEG = 0.25  # of the way to a far pose [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 256.0  # of that
-_FIRST_LEG = 1.0 / 8.0  # of it, as there is no prediction yet
-_JUMP = 0.5  # greatest distance of a joint from its prediction [rad, characteristic lengths]
-_STEPS = 20  # of a leg that may be tried again
+_LEG = 0.25  # for distant poses [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 256.0  # relative to that
+_FIRST_LEG = 1.0 / 8.0  # relative to it, as there is no prediction yet
+_JUMP = 0.5  # largest distance of a joint from its prediction [rad, characteristic lengths]
+_STEPS = 20  # per leg, if it may be repeated
 _LAST_STEPS = 100
-_DEPENDENT = 1e-10  # part of the greatest singular value up to which equations depend on others
-_SINGULAR = 1e-6  # the same, up to which a pose is singular
+_DEPENDENT = 1e-10  # relative singular value of dependent equations
+_SINGULAR = 1e-6  # relative singular value of a singular pose
 
 
 def close_all(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix, starts: Matrix) -> Matrix:
-    """Find closed configurations with coordinates at targets, from starts; shape=(n, nq), NaN where there is none."""
+    """Find closed configurations with coordinates at targets, from starts; shape=(n, nq), NaN where none is found."""
     found = np.full(starts.shape, np.nan)
     for row in np.flatnonzero(np.isfinite(targets).all(axis=1) & np.isfinite(starts).all(axis=1)):
         found[row] = _Walk(robot, coordinates, starts[row]).end(targets[row])
@@ -42,7 +42,7 @@ def close_all(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix
 def assemble_at(
     robot: Robot, coordinates: tuple[Coordinate, ...], values: Vector, guess: Vector, max_steps: int = _LAST_STEPS
 ) -> Assembly:
-    """Close the loops with coordinates at values [m, rad], see :func:`~pm3dof_pin.kinematics.assembly.assemble`."""
+    """Close the loops at values of coordinates [m, rad], see :func:`~pm3dof_pin.kinematics.assembly.assemble`."""
     numbers = [(value - c.offset) / c.scale for c, value in zip(coordinates, values, strict=True)]
     joints = {c.joint: x for c, x in zip(coordinates, numbers, strict=True) if c.joint is not None}
     tool = {c.tool: float(x) for c, x in zip(coordinates, numbers, strict=True) if c.tool is not None}
@@ -50,13 +50,13 @@ def assemble_at(
 
 
 class _Walk:
-    """From one configuration to values of coordinates."""
+    """A walk from a configuration to values of coordinates."""
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], start: Vector) -> None:
         self._robot, self._coordinates, self._start = robot, coordinates, start
 
     def end(self, target: Vector) -> Vector:
-        """Return the pose at the target, NaN where there is none."""
+        """Return the pose at the target, NaN if none is found."""
         robot, q = self._robot, self._start
         start = robot.configuration(q)
         if not robot.closures or start.closure_residual > CLOSURE_TOLERANCE:
@@ -66,12 +66,12 @@ class _Walk:
         origin = robot.read(self._coordinates, q, start.tool_placement.homogeneous if placed else None)
         way, turns = target - origin, turns_of(robot, self._coordinates)
         angles = np.isfinite(turns)
-        way[angles] -= turns[angles] * np.round(way[angles] / turns[angles])  # the shortest way round
+        way[angles] -= turns[angles] * np.round(way[angles] / turns[angles])  # the shorter direction
         units = units_of(robot, self._coordinates)
         first = 1.0 / max(np.ceil(np.abs(way / units).max(initial=0.0) / _LEG), 1.0)
         done, step, last = 0.0, _FIRST_LEG * first, assemble_at(robot, self._coordinates, origin, q, 1)
         regularity = _regularity(last)
-        rate, narrowing = np.zeros(robot.model.nv), 0.0  # how q and the regularity change along the way
+        rate, narrowing = np.zeros(robot.model.nv), 0.0  # derivatives of q and the regularity along the path
         while done < 1.0:
             reached = min(done + step, 1.0)
             is_last_try = step <= _SHORTEST_LEG * first
@@ -94,10 +94,10 @@ class _Walk:
         return q
 
     def _continues(self, last: Assembly, guess: Vector, result: Assembly, *, is_end: bool) -> bool:
-        """Tell whether a leg ended near its guess and has stayed in its assembly mode; it may end at a singular pose.
+        """Return whether a leg ended near its guess and stayed in its assembly mode; it may end at a singular pose.
 
-        The equations that were independent at its start keep the sign of their determinant unless a singular pose was
-        passed, in the motions that they determined: there may be more of either.
+        The determinant of the equations that were independent at its start, over the motions they determined, keeps
+        its sign unless a singular pose was passed. There may be more equations or motions.
         """
         robot = self._robot
         moves = pin.difference(robot.model, guess, result.q) / robot.velocity_scale
@@ -113,6 +113,6 @@ class _Walk:
 
 
 def _regularity(assembly: Assembly) -> float:
-    """Return the least singular value that is not one of dependent equations, at most 1."""
+    """Return the least singular value other than those of dependent equations, at most 1."""
     values = assembly.factors[1]
     return float(values[values > _DEPENDENT * values.max(initial=0.0)].min(initial=1.0))

@@ -1,4 +1,4 @@
-"""The compiled programs that close a robot's loops: traced once for a robot and all its variants, and kept on disk."""
+"""Compiled programs that close a robot's loops: traced once for a robot and its variants, and cached on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def program_source(robot: Robot) -> ProgramSource:
-    """Return where the programs of a robot come from: its prototype, unless their structures differ."""
+    """Return the source of a robot's programs: its prototype's, unless their structures differ."""
     source = robot.prototype.program_source
     return source if source.serves(robot) else robot.program_source
 
@@ -42,20 +42,20 @@ class BoundProgram(NamedTuple):
         return self.compiled.iterate(inputs, self.parameters, tolerance=tolerance, max_steps=max_steps)
 
     def with_doubt(self, inputs: Matrix, threads: int | None = None) -> tuple[Array, Mask]:
-        """Evaluate the program at many poses; return its outputs but the last, flat, and where nothing is in doubt."""
+        """Evaluate the program at many poses; return all outputs but the last, and a mask of those not in doubt."""
         return self.compiled.with_doubt(inputs, self.parameters, threads)
 
     def named(self, inputs: Matrix) -> dict[str, Array]:
-        """Evaluate the program at many poses; return the groups of its outputs by name."""
+        """Evaluate the program at many poses; return groups of outputs by name."""
         return self.compiled.program.split(self(inputs))
 
 
 class ProgramSource:
-    """Traces, compiles and keeps the programs of a robot.
+    """Traces, compiles and caches the programs of a robot.
 
-    Its variants (robots with errors, recalibrated ones) use them with their own geometry and limits as parameters.
-    Where a variant has another number than the robot in the place of a constant, a second program is made in which all
-    of the geometry are parameters; it serves all further variants.
+    Variants of the robot (with errors, or recalibrated) use them with their own geometry and limits as parameters. If
+    a variant differs in a number that is a constant of the program, a second program is made with the whole geometry
+    as parameters, which serves all further variants.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -72,14 +72,14 @@ class ProgramSource:
         return samples_near_home(self._robot)
 
     def serves(self, robot: Robot) -> bool:
-        """Tell whether a variant of the robot has the same structure."""
+        """Return whether a variant of the robot has the same structure."""
         return robot is self._robot or geometry.structure(robot) == self._structure
 
     def step(self, robot: Robot, task: Task, *, damped: bool = False) -> BoundProgram:
-        """Return a step, damped or not, that closes the loops of the robot or a variant.
+        """Return the program of a solver step, damped or not, that closes the loops of the robot or a variant.
 
         Raises:
-            ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
+            ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
         """
         trace = damped_closing_program if damped else closing_program
         return self._bound(
@@ -89,9 +89,9 @@ class ProgramSource:
         )
 
     def checks(self, robot: Robot) -> BoundProgram:
-        """Return the checks of closed configurations, see :func:`~pm3dof_pin.programs.checks.checks_program`.
+        """Return the program that checks closed configurations, see :func:`~pm3dof_pin.programs.checks.checks_program`.
 
-        Args and errors are those of :meth:`step`.
+        Arguments and errors as in :meth:`step`.
         """
         return self._bound(robot, "checks", lambda dense: checks_program(self._robot, self.samples, dense=dense))
 
@@ -108,7 +108,7 @@ class ProgramSource:
         return BoundProgram(found, geometry.chosen(numbers, found.program.parameters))
 
     def _geometry_of(self, robot: Robot) -> tuple[Mapping[str, float], bool]:
-        """Return the numbers of the robot or a variant, and whether one of them stands in the place of a constant."""
+        """Return the numbers of the robot or a variant, and whether one of them differs from a constant."""
         if robot is self._robot:
             return self._numbers, False
         variant, numbers, dense = self._latest
@@ -120,7 +120,7 @@ class ProgramSource:
 
     @cached_property
     def _content(self) -> str:
-        """All that the programs depend on besides their task."""
+        """Everything that the programs depend on besides their task."""
         robot = self._robot
         content = (self._structure, self._numbers, robot.home.q.tolist(), robot.characteristic_length)
         return hashlib.sha256(repr(content).encode()).hexdigest()

@@ -1,21 +1,21 @@
-"""Closing the loops of many poses by compiled programs: walks from home, and marches over grids.
+"""Solving many poses by compiled programs: walks from home, and marches over grids.
 
-A *walk* goes from a start along a straight line in the space of the coordinates, in legs short enough to stay in one
-assembly mode. A *march* fills a product grid from its point nearest to home, outward along axis after axis: every pose
-starts from its neighbours on a line, which predict it. Newton's steps are programs of
-:mod:`pm3dof_pin.programs.closing`, and lines are followed in machine code.
+A *walk* follows a straight line in coordinate space from its start, in legs short enough to stay in one assembly mode.
+A *march* fills a product grid outward from its point nearest to home, axis by axis: each pose starts from a prediction
+by its neighbours on a line. Newton steps are programs of :mod:`pm3dof_pin.programs.closing`, and lines are followed in
+machine code.
 
-A pose is accepted if the loops are closed to rounding, the joints ended near where they were predicted, and no closing
-system is singular or has changed its orientation, which would be another assembly mode. What is not accepted is tried
-again in shorter legs; what a march leaves is walked to, from home and from solved neighbours. A walk may end at a
-singular pose, and not go past it: what lies beyond is another assembly mode, and not solved.
+A pose is accepted if the loops are closed to rounding, the joints are near their predictions, and no closing system is
+singular or has changed its orientation, which would be another assembly mode. Otherwise the walk is repeated in shorter
+legs; poses that a march leaves unsolved are walked to from home and from solved neighbours. A walk may end at a
+singular pose but does not pass it: poses beyond are in another assembly mode and stay unsolved.
 
-A serial arm can be led past its singular poses, and a guess may have its loops open: damped steps are taken then. Where
-these come to rest with an error, the pose is not solved; where they do not come to rest, the careful solver
+For serial arms, which can pass singular poses, and guesses with open loops, damped steps are taken. If these settle
+with an error, the pose is unsolved; if they do not settle, the careful solver
 :func:`~pm3dof_pin.kinematics.assembly.assemble` on Pinocchio's Jacobians decides.
 
-The result for a pose depends on the mechanism, the grid (or the part of it that is marched) and the coordinates, and
-neither on the number of threads nor on other poses of a walk.
+The result for a pose depends on the mechanism, the coordinates and the grid (or the part of it that is marched), but
+not on the number of threads or on other poses of a walk.
 """
 
 from __future__ import annotations
@@ -43,31 +43,31 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Vector
 if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
-_LEG = 0.1  # of a walk [rad, characteristic lengths]
-_SHORTEST_LEG = 1.0 / 1024.0  # of that
-_SHORTEST_QUICK_LEG = 0.25  # of that
-_NEARLY_CLOSED = 1e-8  # from here one quadratic step ends in rounding
+_LEG = 0.1  # of walks [rad, characteristic lengths]
+_SHORTEST_LEG = 1.0 / 1024.0  # relative to that
+_SHORTEST_QUICK_LEG = 0.25  # relative to that
+_NEARLY_CLOSED = 1e-8  # from here one quadratic step reaches rounding
 _STEPS = 6
-_LAST_STEPS = 50  # of the last leg: next to a singular pose the first ones only halve the distance
-_DAMPED_STEPS = 50  # in a round
+_LAST_STEPS = 50  # for the last leg: near a singular pose the first steps only halve the distance
+_DAMPED_STEPS = 50  # per round
 _DAMPED_ROUNDS = 20
-_AT_REST = 0.99  # of the squared error that is left after a round
-_DAMPING = 0.1  # of the first of them
-_JUMP = 0.3  # of a leg: greatest distance of a joint from its prediction [rad, characteristic lengths]
-_MARCH_JUMP = 0.1  # the same from neighbour to neighbour of a grid
-_GREATEST_SHARE = 20.0  # of a pose in the prediction of another; that of equally spaced ones is 6
+_AT_REST = 0.99  # ratio of squared errors after and before a round that has settled
+_DAMPING = 0.1  # of the first damped step
+_JUMP = 0.3  # largest distance of a joint from its prediction in a leg [rad, characteristic lengths]
+_MARCH_JUMP = 0.1  # the same between neighbours of a grid
+_GREATEST_SHARE = 20.0  # largest weight in a prediction; that of equally spaced poses is 6
 _WAYPOINTS = 1000
-_WIDTH = 3.0  # of their lattice on both sides of home, where no joint ends before [characteristic lengths]
-_AT_ONCE = 4096  # poses whose numbers stay near the processor
-_SINGULAR = 1e-5  # regularity up to which a pose is singular
-_REGULAR = 1e-3  # regularity of a configuration away from singular ones
+_WIDTH = 3.0  # of the waypoint lattice on both sides of home, unless joints end earlier [characteristic lengths]
+_AT_ONCE = 4096  # poses per block, to stay in cache
+_SINGULAR = 1e-5  # largest regularity of a singular pose
+_REGULAR = 1e-3  # least regularity of a configuration well away from singular ones
 
 
 class Continuation:
-    """Poses of a robot at values of some coordinates, by continuation from home.
+    """Finds poses of a robot at values of some coordinates, by continuation from home.
 
     Raises:
-        ProgramError: there is no program for the robot, or it does not agree with Pinocchio.
+        ProgramError: there is no program for the robot, or it disagrees with Pinocchio.
     """
 
     def __init__(self, robot: Robot, coordinates: Sequence[Coordinate]) -> None:
@@ -76,17 +76,17 @@ class Continuation:
         self._coordinates = tuple(coordinates)
         self._given = [mechanism.single_joint(c.joint) for c in self._coordinates if c.joint is not None]
         self._tool = tuple(c.tool for c in self._coordinates if c.tool is not None)
-        # in which the program takes the coordinates, joints first
+        # the program's order of the coordinates: joints first
         self._order = sorted(range(len(self._coordinates)), key=lambda k: self._coordinates[k].joint is None)
         self._offsets = np.array([c.offset for c in self._coordinates])
         self._scales = np.array([c.scale for c in self._coordinates])
         self._units, turns = units_of(mechanism, self._coordinates), turns_of(mechanism, self._coordinates)
-        self._angles = np.flatnonzero(np.isfinite(turns))  # which come back to where they were after a turn
+        self._angles = np.flatnonzero(np.isfinite(turns))  # periodic coordinates
         self._turns = turns[self._angles]
         self._linear = _linear_positions(mechanism)
         self._source = source = program_source(robot)
         self._task = Task(tuple(joint.name for joint in self._given), self._tool)
-        # joints of a serial robot are where they are put, however far away
+        # joints of a serial robot can be set directly, however far away
         self._leg = _LEG if mechanism.closures or self._tool else np.inf
         self._step = source.step(robot, self._task)
         self._checks = source.checks(robot)
@@ -97,7 +97,7 @@ class Continuation:
 
     @cached_property
     def _home(self) -> Vector:
-        """The home configuration, or if that is singular the most regular of the samples."""
+        """The home configuration or, if that is singular, the most regular of the samples."""
         home = self._robot.home.q
         if self._regularity_and_mode(home[None])[0][0] > _REGULAR:
             return home
@@ -110,12 +110,12 @@ class Continuation:
         return float(self._regularity_and_mode(self._home[None])[1][0])
 
     def _regularity_and_mode(self, q: Matrix, values: Matrix | None = None) -> tuple[Vector, Vector]:
-        """Return both at q, where the coordinates have these values."""
+        """Return both at q, with the coordinates at these values."""
         outputs = self._step(self._inputs(q, self._given_numbers(self.read(q) if values is None else values)))
         return regularity_and_mode(outputs[:, self._nq])
 
     def read(self, q: Matrix) -> Matrix:
-        """Read the coordinates off closed configurations, shape=(n, number of coordinates) [m, rad]."""
+        """Return the coordinates of closed configurations, shape=(n, number of coordinates) [m, rad]."""
         return self._robot.read(self._coordinates, q, self._check(q).transforms if self._tool else None)
 
     # walking
@@ -123,10 +123,10 @@ class Continuation:
     def walk(
         self, targets: Matrix, starts: Matrix | None = None, *, thorough: bool = True, home_too: bool = True
     ) -> Solution:
-        """Find the poses at targets [m, rad], each by a walk of its own from its start, by default home.
+        """Find the poses at targets [m, rad], each by its own walk from its start, by default home.
 
-        Where a walk fails, damped steps start where it ended and (`home_too`) at home. Not `thorough`, a walk that
-        meets trouble is given up: quick where many poses are out of reach, at the price of some next to singular ones.
+        If a walk fails, damped steps start from its end and (`home_too`) from home. If not `thorough`, a walk in
+        trouble is abandoned: faster if many poses are out of reach, but may miss poses next to singular ones.
         """
         targets = np.asarray(targets, dtype=float)
         q = np.tile(self._home, (len(targets), 1)) if starts is None else np.array(starts, dtype=float)
@@ -140,9 +140,9 @@ class Continuation:
         return self._check(q, targets)
 
     def waypoints(self, targets: Matrix) -> Matrix:
-        """Return poses near targets from which walks may lead where none does from home, shape=(n, nq); NaN for none.
+        """Return poses near targets as alternative starts of walks, shape=(n, nq); NaN where there is none.
 
-        They belong to a lattice that was marched over.
+        They are from a lattice filled by a march.
         """
         lattice, waypoints = self._waypoints
         index = tuple(
@@ -153,12 +153,12 @@ class Continuation:
 
     @cached_property
     def _waypoints(self) -> tuple[Grid, Array]:
-        """A lattice around home, and its poses; neighbours' where there is none, or NaN."""
+        """A lattice around home, and its poses; where unsolved, those of a neighbour, or NaN."""
         size = max(round(_WAYPOINTS ** (1.0 / len(self._coordinates))), 3)
         axes = {}
         for coordinate, home, unit in zip(self._coordinates, self.read(self._home[None])[0], self._units, strict=True):
             width = unit * (_WIDTH if coordinate.unit == "m" else np.pi)
-            # what is declared for the tool is what maps go over, and no end of what is reached
+            # declared ranges of the tool are for maps, and do not bound the reachable set
             lower, upper = (-np.inf, np.inf) if coordinate.joint is None else self._robot.range_of(coordinate)
             first = lower if np.isfinite(lower) else home - width
             last = upper if np.isfinite(upper) else home + width
@@ -168,7 +168,7 @@ class Continuation:
         return lattice, np.where(np.isnan(q), _solved_neighbours(q), q)
 
     def _solve_each(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> None:
-        """Walk from q to the targets, in place; damped steps, where they may be taken, start there and at home."""
+        """Walk from q to the targets, in place; permitted damped steps start from there and from home."""
         left, ends = self._walked(q.copy(), targets)
         found = self._last_leg(ends, targets, left)
         failed = np.flatnonzero(np.isnan(found[:, 0]) & np.isfinite(q[:, 0]))
@@ -179,7 +179,7 @@ class Continuation:
         q[:] = found
 
     def _last_leg(self, q: Matrix, targets: Matrix, left: Vector) -> Matrix:
-        """Return the poses at targets that are not farther than the shortest leg; NaN where there are none."""
+        """Return the poses at targets no farther than the shortest leg; NaN where there are none."""
         numbers = self._given_numbers(targets)
         found, residuals, regularity, modes, jumps = self._iterated(q, numbers, CLOSURE_TOLERANCE, _LAST_STEPS)
         accepted = (left <= 2.0 * _SHORTEST_LEG) & (residuals <= CLOSURE_TOLERANCE) & (jumps <= _JUMP)
@@ -188,9 +188,9 @@ class Continuation:
         return np.where(accepted[:, None], found, np.nan)
 
     def _damped(self, q: Matrix, targets: Matrix, *, home_too: bool = False) -> Matrix:
-        """Return the poses that damped steps find from q or else from home; NaN where they come to rest.
+        """Return the poses found by damped steps from q or else from home; NaN where these settle with an error.
 
-        Where they do not, the careful solver has the last word.
+        Where they do not settle, the careful solver decides.
         """
         found = np.full_like(q, np.nan)
         numbers = self._given_numbers(targets)
@@ -206,7 +206,7 @@ class Continuation:
         return found
 
     def _damped_ends(self, q: Matrix, numbers: Matrix) -> tuple[Matrix, Mask]:
-        """Take damped steps until the error falls no more, then Newton's; return q, and where it still falls."""
+        """Take damped steps until the error no longer falls, then Newton steps; return q, and where it still falls."""
         nq = self._nq
         inputs = np.hstack([q, q, np.tile([_DAMPING, np.inf], (len(q), 1)), numbers])
         rows = np.arange(len(q))
@@ -225,17 +225,17 @@ class Continuation:
         return ends, moving
 
     def _residuals(self, q: Matrix, targets: Matrix) -> Vector:
-        """Return the greatest errors of closures and tool, shape=(n,) [m, rad]."""
+        """Return the largest errors of closures and tool, shape=(n,) [m, rad]."""
         outputs = self._step(self._inputs(q, self._given_numbers(targets)))
         residuals: Vector = outputs[:, -1]
         return residuals
 
     def _walked(self, q: Matrix, targets: Matrix, shortest_leg: float = _SHORTEST_LEG) -> tuple[Vector, Matrix]:
-        """Walk as far as there is a way; return how many legs are left, infinite from open loops, and the ends."""
+        """Walk as far as possible; return the number of legs left, infinite for open loops, and the ends."""
         origins = self.read(q)
         _, modes = self._regularity_and_mode(q, origins)
         turns = np.round((targets[:, self._angles] - origins[:, self._angles]) / self._turns)
-        origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shortest way round
+        origins[:, self._angles] += self._turns * np.nan_to_num(turns)  # the shorter direction
         distances = np.abs((targets - origins) / self._units).max(axis=1, initial=0.0)
         legs = np.where(np.isfinite(distances), np.maximum(np.ceil(distances / self._leg), 1.0), 1.0)
         shortest, step = shortest_leg / legs, 1.0 / legs
@@ -266,14 +266,14 @@ class Continuation:
     def march(self, grid: Grid, threads: int | None = None) -> Solution:
         """Find the poses of a product grid, flat, in the order of `grid.values`.
 
-        Poses depend on the whole of it: a part of a grid marched alone may differ in the last digits, since its poses
-        start from other neighbours.
+        Poses depend on the whole grid: a part marched alone may differ in the last digits, since its poses start from
+        other neighbours.
         """
         shape, values = grid.shape, np.reshape(grid.values, (*grid.shape, -1))
         names = [coordinate.name for coordinate in self._coordinates]
         at_home = dict(zip(names, self.read(self._home[None])[0], strict=True))
         first = tuple(int(np.abs(axis - at_home[name]).argmin()) for name, axis in grid.axes.items())
-        q = np.empty((*shape, self._nq))  # every pose of it will be marched to
+        q = np.empty((*shape, self._nq))  # filled completely below
         nearest = self._home[None].copy()
         self._solve_each(nearest, values[first][None], home_too=True)
         q[first] = nearest[0]
@@ -295,7 +295,7 @@ class Continuation:
         return self._check(q.reshape(-1, self._nq), flat_values, placed=False)
 
     def _march_lines(self, lines: Array, numbers: Array, axis: Vector, known: int, threads: int | None) -> None:
-        """Go along lines of a grid, in place, shape=(n, points, nq), of which the first points are known."""
+        """March along lines of a grid, in place, shape=(n, points, nq); the first points are known."""
         mode = 2.0 * self._home_mode
         compiled, parameters = self._step
         compiled.march(
@@ -308,7 +308,7 @@ class Continuation:
         )
 
     def _fill(self, q: Array, values: Array) -> None:
-        """Find what a march has left, by walks from home, then from solved neighbours, in place."""
+        """Find poses that a march left unsolved, by walks from home, then from solved neighbours, in place."""
         missing = np.isnan(q[..., 0])
         left, ends = self._walked(np.tile(self._home, (int(missing.sum()), 1)), values[missing])
         q[missing] = self._last_leg(ends, values[missing], left)
@@ -328,12 +328,12 @@ class Continuation:
             q[frontier] = found
 
     def _predicted(self, q: Matrix, before: Matrix, ratio: Array | float) -> Matrix:
-        """Extrapolate from two configurations, those entries of q that allow it."""
+        """Extrapolate from two configurations the entries of q that permit it."""
         predicted: Matrix = q + (q - before) * (self._linear * ratio)
         return predicted
 
     def _given_numbers(self, values: Array) -> Array:
-        """Return coordinates as the program takes them."""
+        """Return coordinates in the form the program takes."""
         numbers: Array = np.take(values, self._order, axis=-1)
         numbers -= self._offsets[self._order]
         numbers /= self._scales[self._order]
@@ -342,12 +342,12 @@ class Continuation:
     def _newton(
         self, q: Matrix, numbers: Matrix, jump: float, regular: float, modes: Vector | float
     ) -> tuple[Matrix, Mask]:
-        """Close the loops; return q, and which poses are accepted, by a joint's longest way, regularity and mode."""
+        """Close the loops; return q, and which poses are accepted by joint travel, regularity and mode."""
         found, residuals, regularity, found_modes, jumps = self._iterated(q, numbers, _NEARLY_CLOSED, _STEPS)
         return found, (residuals <= _NEARLY_CLOSED) & (regularity > regular) & (jumps <= jump) & (found_modes == modes)
 
     def _iterated(self, q: Matrix, numbers: Matrix, tolerance: float, steps: int) -> tuple[Array, ...]:
-        """Take Newton steps; return q, residuals, regularity, modes, and how far joints moved at most."""
+        """Take Newton steps; return q, residuals, regularity, modes, and the largest travel of a joint."""
         nq = self._nq
         states, residuals, _ = self._step.iterate(self._inputs(q, numbers), tolerance, steps)
         return states[:, :nq], residuals, *regularity_and_mode(states[:, nq]), states[:, nq + 1]
@@ -361,7 +361,7 @@ class Continuation:
         return inputs
 
     def _check(self, q: Matrix, values: Matrix | None = None, *, placed: bool = True) -> Solution:
-        """Check configurations, whether the tool is at its values too; what is not solved becomes NaN in a copy."""
+        """Check configurations, tool values included; unsolved ones become NaN in a copy."""
         n, program = len(q), self._checks.compiled.program
         residual, broken = np.empty(n), np.empty(n, dtype=np.uint32)
         transforms = np.empty((n, 4, 4)) if placed and "transform" in program.outputs else None
@@ -385,7 +385,7 @@ class Continuation:
         return Solution(q, residual, broken, transforms)
 
     def _residuals_of_placed(self, q: Matrix, values: Matrix, outputs: dict[str, Array]) -> Vector:
-        """Return what :meth:`_residuals` does, from the checks where the tool's position is all that is given."""
+        """Return the same as :meth:`_residuals`, from the checks if only the tool's position is given."""
         if not set(self._tool) <= {"x", "y", "z"}:
             return self._residuals(q, values)
         numbers = self._given_numbers(values)[:, len(self._given) :]
@@ -395,7 +395,7 @@ class Continuation:
 
 
 def _solved_neighbours(q: Array) -> Array:
-    """Return for every point of a grid a neighbour along some dimension that is solved, or NaN."""
+    """Return for each point of a grid a solved neighbour along some dimension, or NaN."""
     neighbours = np.full_like(q, np.nan)
     for dimension in range(q.ndim - 1):
         size = q.shape[dimension]
@@ -409,11 +409,11 @@ def _solved_neighbours(q: Array) -> Array:
     return neighbours
 
 
-@lru_cache(maxsize=64)  # the parts of a grid have axes in common
+@lru_cache(maxsize=64)  # parts of a grid share axes
 def _shares(values: bytes) -> Matrix:
-    """Return minus the weights by which a polynomial through the points before it predicts each, shape=(n, HISTORY).
+    """Return minus the weights with which a polynomial through its predecessors predicts each point.
 
-    Zeros for points that are not there, and wherever the points are too unequal for a polynomial.
+    Shape=(n, HISTORY); zero for missing points, and where the spacing is too uneven for a polynomial.
     """
     axis = np.frombuffer(values)
     shares = np.zeros((len(axis), HISTORY))
@@ -430,7 +430,7 @@ def _shares(values: bytes) -> Matrix:
 
 
 def _linear_positions(mechanism: Mechanism) -> Vector:
-    """Return which entries of q are linear in the joint's motion, as 1 and 0, shape=(nq,)."""
+    """Return 1 for entries of q that are linear in the joint's motion, otherwise 0, shape=(nq,)."""
     model = mechanism.model
     linear = np.zeros(model.nq)
     for joint in list(model.joints)[1:]:

@@ -1,4 +1,4 @@
-"""From where to where coordinates go: as declared, within limits, or as far as the robot gets."""
+"""Ranges of coordinates: as declared, from limits, or as far as the robot can move."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pm3dof_pin.description.coordinates import Coordinate
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
-_STEPS = 16  # a characteristic length, or half a turn in this many steps
-_FARTHEST = 16.0  # lengths from home [characteristic lengths]
+_STEPS = 16  # per characteristic length or half turn
+_FARTHEST = 16.0  # largest distance from home [characteristic lengths]
 
 
 def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float]:
-    """Return the ends of a coordinate [m, rad]; infinite where neither the description nor limits give any.
+    """Return the range of a coordinate [m, rad]; infinite if neither the description nor limits give one.
 
-    A joint that turns without end, or further than once around, makes one turn. What has no range of its own goes from
-    home as far as all limits allow.
+    A joint that can turn more than once has a range of one turn. A coordinate without its own range goes from home as
+    far as all limits permit.
     """
     lower, upper = robot.range_of(coordinate)
     if coordinate.joint is not None and coordinate.unit == "rad" and not upper - lower <= 2.0 * math.pi:
@@ -29,17 +29,17 @@ def coordinate_range(robot: Robot, coordinate: Coordinate) -> tuple[float, float
 
 
 def coordinate_ranges(robot: Robot, coordinates: tuple[Coordinate, ...]) -> tuple[Array, Array]:
-    """Return least and greatest values of coordinates, as :func:`coordinate_range`; -pi and pi where there are none."""
+    """Return the ends of the ranges of coordinates, as :func:`coordinate_range`; -pi and pi where infinite."""
     lower, upper = np.array([coordinate_range(robot, coordinate) for coordinate in coordinates]).T
     unlimited = np.isinf(lower) | np.isinf(upper)
     return np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
 
 
 def _span(robot: Robot, coordinate: Coordinate) -> tuple[float, float] | None:
-    """Return the ends between which a coordinate is within all limits, the others at home [m, rad].
+    """Return the interval in which a coordinate is within all limits, the others being at home [m, rad].
 
-    It is moved from home, either way, in steps of a sixteenth of the characteristic length or of half a turn, until a
-    limit is broken or no pose is found; an end is this far out at most. None where it never ends, or moves not at all.
+    It is moved from home in both directions in steps of a sixteenth of the characteristic length or of half a turn,
+    until a limit is broken or no pose is found; ends are off by at most one step. None if it has no end or cannot move.
     """
     home = float(robot.home_coordinates[robot.coordinates.index(coordinate)])
     step, count = math.pi / _STEPS, _STEPS

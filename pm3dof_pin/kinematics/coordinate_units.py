@@ -1,4 +1,4 @@
-"""How far coordinates are apart: what counts as one of each, and which come back to where they were."""
+"""Scaling of coordinates: the unit of each, and the period of those that are periodic."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pm3dof_pin.typing import Vector
 
 
 def units_of(mechanism: Mechanism, coordinates: Iterable[Coordinate]) -> Vector:
-    """Return by how much coordinates change as a joint, or the tool, moves by a characteristic length or a radian."""
+    """Return the change of each coordinate as its joint, or the tool, moves by a characteristic length or a radian."""
     length = mechanism.characteristic_length
     return np.array([abs(c.scale) * (length if c.unit == "m" else 1.0) for c in coordinates])
 
 
 def turns_of(mechanism: Mechanism, coordinates: Iterable[Coordinate]) -> Vector:
-    """Return after how much coordinates are where they were; infinite for those that are not [rad]."""
+    """Return the periods of coordinates; infinite for those that are not periodic [rad]."""
     return np.array(
         [
             2.0 * np.pi * abs(c.scale)

@@ -1,9 +1,9 @@
-"""The degrees of freedom of a configuration: the velocities that keep its loops closed, and how they were counted.
+"""The degrees of freedom of a configuration: the velocities that keep its loops closed, and how they are counted.
 
-Degrees of freedom are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: velocities
-along an axis, and rows of Jacobians that are such velocities, are divided by :attr:`Mechanism.characteristic_length`;
-angular velocities stay as they are. A singular value counts as zero below :data:`RANK_TOLERANCE` times a reference,
-see :class:`RankDecision`.
+Degrees of freedom are the velocities v with G v = 0. Ranks and directions are decided on scaled numbers: linear
+velocities, and the corresponding rows of Jacobians, are divided by :attr:`Mechanism.characteristic_length`; angular
+velocities are unchanged. A singular value below :data:`RANK_TOLERANCE` times a reference is treated as zero, see
+:class:`RankDecision`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pm3dof_pin.mechanism.configuration import Configuration, require_assembled
 from pm3dof_pin.typing import Matrix, Vector
 
 RANK_TOLERANCE = 1e-6
-"""Singular values below this times their reference count as zero."""
+"""Singular values below this times their reference are treated as zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +29,28 @@ class RankDecision:
     rank: int  #: number of singular values above the threshold
     #: :data:`RANK_TOLERANCE` times the reference, the greatest singular value of the matrix before it was restricted
     threshold: float
-    singular_values: Vector  #: singular values of the scaled matrix, falling, shape=(min(rows, columns),)
+    singular_values: Vector  #: singular values of the scaled matrix, descending, shape=(min(rows, columns),)
 
     @classmethod
     def of(cls, singular_values: Vector, threshold: float) -> RankDecision:
-        """Count the falling singular values above a threshold."""
+        """Count the singular values above a threshold; they are in descending order."""
         return cls(int(np.count_nonzero(singular_values > threshold)), threshold, frozen(singular_values))
 
     @property
     def gap(self) -> float:
-        """Least singular value that counts over the greatest that does not; infinite if none is left out."""
+        """Ratio of the least singular value above the threshold to the greatest below; infinite if none is below."""
         kept, dropped = self.singular_values[: self.rank], self.singular_values[self.rank :]
         if not kept.size or not dropped.size or dropped[0] == 0.0:
             return float("inf")
         return float(kept[-1] / dropped[0])
 
     def least(self, expected_rank: int) -> float:
-        """Return the smallest of the singular values that an expected rank counts; 0 if there are not so many."""
+        """Return the smallest singular value that an expected rank includes; 0 if there are fewer."""
         return float(self.singular_values[expected_rank - 1]) if 0 < expected_rank <= len(self.singular_values) else 0.0
 
 
 class DegreesOfFreedom:
-    """The scaled degrees of freedom of a configuration, and what they do to the actuated joints and the tool.
+    """The scaled degrees of freedom of a configuration, and their effect on the actuated joints and the tool.
 
     Raises:
         InvalidValueError: the loops are not closed.
@@ -71,7 +71,7 @@ class DegreesOfFreedom:
 
     @cached_property
     def actuators(self) -> Matrix:
-        """Rows that take the actuated joints' rates out of a scaled velocity."""
+        """Rows that select the actuated joints' rates from a scaled velocity."""
         return np.eye(len(self.scale))[self._configuration.mechanism.actuated_indices]
 
     @cached_property
@@ -82,36 +82,36 @@ class DegreesOfFreedom:
 
     @cached_property
     def tool(self) -> Matrix:
-        """The rows of the tool's Jacobian that count as its motion, see :attr:`Mechanism.tool_motions`."""
+        """The rows of the tool's Jacobian that make up its motion, see :attr:`Mechanism.tool_motions`."""
         return self.twist[[TOOL_COMPONENTS.index(name) for name in self._configuration.mechanism.tool_motions]]
 
     @property
     def actuators_and_tool(self) -> Matrix:
-        """Rates of the actuated joints and motions of the tool, one above the other."""
+        """Rows of :attr:`actuators` and :attr:`tool`, stacked."""
         return np.vstack([self.actuators, self.tool])
 
     @cached_property
     def at_actuators(self) -> Restriction:
-        """The degrees of freedom seen at the actuated joints."""
+        """The degrees of freedom restricted to the actuated joints."""
         return self.over(self.actuators)
 
     @cached_property
     def at_tool(self) -> Restriction:
-        """The degrees of freedom seen at the tool."""
+        """The degrees of freedom restricted to the tool."""
         return self.over(self.tool)
 
     @cached_property
     def idle(self) -> Restriction:
-        """The degrees of freedom seen at actuated joints and tool."""
+        """The degrees of freedom restricted to actuated joints and tool."""
         return self.over(self.actuators_and_tool)
 
     def over(self, rows: Matrix) -> Restriction:
-        """See the degrees of freedom at rows of scaled numbers, shape=(k, nv)."""
+        """Restrict the degrees of freedom to rows of scaled numbers, shape=(k, nv)."""
         return Restriction(rows, self.basis)
 
 
 class Restriction:
-    """Rows of scaled numbers over the motions of a basis.
+    """Rows of scaled numbers, restricted to the motions of a basis.
 
     Args:
         rows: shape=(k, nv).
@@ -119,12 +119,12 @@ class Restriction:
 
     Attributes:
         rows: the rows, shape=(k, nv).
-        rank: the decision on `rows @ basis`.
-        directions: orthonormal motions of the basis that the rows see less and less, shape=(nv, f); the first of them
-            belong to the singular values.
-        motions: those of them that the rows do not see, shape=(nv, f - rank).
-        image: orthonormal values that the rows take on the basis, shape=(k, rank).
-        inverse: shortest motion of the basis for given values of the rows, shape=(nv, k).
+        rank: the rank decision on `rows @ basis`.
+        directions: orthonormal motions of the basis, in descending order of their effect on the rows, shape=(nv, f);
+            the first of them belong to the singular values.
+        motions: those of them with no effect on the rows, shape=(nv, f - rank).
+        image: orthonormal basis of the values of the rows, shape=(k, rank).
+        inverse: motion of least norm for given values of the rows, shape=(nv, k).
     """
 
     def __init__(self, rows: Matrix, basis: Matrix) -> None:

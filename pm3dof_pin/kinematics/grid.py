@@ -17,7 +17,7 @@ from pm3dof_pin.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """All combinations of the values of some coordinates, the others standing at one value.
+    """All combinations of the values of some coordinates, with the others fixed.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -26,8 +26,8 @@ class Grid:
         (('theta_x',), (5,), {'theta_y': 0.0, 'z_e': 0.5})
 
     Attributes:
-        coordinates: all coordinates of the robot, in their order.
-        axes: values by coordinate, in the order of the grid's dimensions, shape=(n,) each [m, rad].
+        coordinates: all coordinates of the robot, in order.
+        axes: values by coordinate, in order of the grid's dimensions, shape=(n,) each [m, rad].
         fixed: values of the other coordinates [m, rad].
     """
 
@@ -77,6 +77,6 @@ class Grid:
         return frozen(values)
 
     def part(self, slices: tuple[slice, ...]) -> Grid:
-        """Return the part of the grid between indices along each dimension."""
+        """Return a part of the grid by one slice per dimension."""
         axes = {name: values[part] for (name, values), part in zip(self.axes.items(), slices, strict=True)}
         return Grid(self.coordinates, axes, self.fixed)

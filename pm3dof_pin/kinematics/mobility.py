@@ -1,4 +1,4 @@
-"""Mobility: how many degrees of freedom there are, how many the tool has, and which leave everything at rest."""
+"""Mobility: the degrees of freedom of the mechanism and of the tool, and idle ones."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix
 
 _NEIGHBOUR_TRIALS = 5
-_DISTANCE = 0.1  # of the first of them [rad, characteristic lengths]
+_DISTANCE = 0.1  # largest for the first attempt [rad, characteristic lengths]
 
 
 @dataclass(frozen=True, eq=False)
 class Mobility:
-    """The degrees of freedom that a mechanism has at one instant.
+    """The instantaneous degrees of freedom of a mechanism.
 
-    At a singular configuration they are not what they are everywhere else: compare with :func:`generic_configuration`.
+    At a singular configuration they differ from the usual ones: compare with :func:`generic_configuration`.
     """
 
     count: int  #: number of degrees of freedom, nv - rank G
     tool_mobility: int  #: number of independent twists of the tool
-    redundant_constraints: int  #: number of rows of G that follow from the others
-    #: basis of the degrees of freedom that leave actuated joints and tool at rest, such as that of a link which spins
-    #: about its own axis, shape=(nv, k)
+    redundant_constraints: int  #: number of dependent rows of G
+    #: basis of the degrees of freedom that leave actuated joints and tool at rest, such as the spin of a link about its
+    #: own axis, shape=(nv, k)
     idle_motions: Matrix
-    constraint_rank: RankDecision  #: the decision on G
-    actuator_rank: RankDecision  #: the decision on the actuated joints' rates over the dof
-    tool_rank: RankDecision  #: the decision on the tool's twists over the dof
-    idle_rank: RankDecision  #: the decision on both together
+    constraint_rank: RankDecision  #: the rank decision on G
+    actuator_rank: RankDecision  #: the rank decision on the actuated joints' rates
+    tool_rank: RankDecision  #: the rank decision on the tool's twists
+    idle_rank: RankDecision  #: the rank decision on both together
 
 
 def instantaneous_mobility(configuration: Configuration) -> Mobility:
@@ -64,13 +64,13 @@ def instantaneous_mobility(configuration: Configuration) -> Mobility:
 
 
 def generic_configuration(configuration: Configuration, *, seed: int = 0) -> Configuration:
-    """Find an assembled configuration near by at which, with probability one, nothing is singular.
+    """Find a nearby assembled configuration that is nonsingular with probability one.
 
-    Every joint is moved at random by at most a tenth of a radian or characteristic length, and the loops are closed
+    Every joint is moved randomly by at most a tenth of a radian or characteristic length, and the loops are closed
     again. Joint limits are not checked.
 
     Raises:
-        ConvergenceError: the loops did not close anywhere near.
+        ConvergenceError: no closed configuration was found nearby.
     """
     mechanism, generator, distance = configuration.mechanism, np.random.default_rng(seed), _DISTANCE
     for _ in range(_NEIGHBOUR_TRIALS):

@@ -1,4 +1,4 @@
-"""Files of poses: CSV with a column `name_deg`, `name_rad` or `name_m` for each coordinate or command of a robot."""
+"""Pose files: CSV with a column `name_deg`, `name_rad` or `name_m` for each coordinate or command of a robot."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from pm3dof_pin.typing import Array, Matrix
 QUATERNION = ("qw", "qx", "qy", "qz")
 """Headings of a unit quaternion, the orientation of the tool."""
 
-UNIT_QUATERNION = 1e-2  # more than the rounding of a few printed digits
+UNIT_QUATERNION = 1e-2  # tolerance of the norm; more than the rounding of a few printed digits
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFile:
-    """Values of coordinates (or commands) as a file gives them."""
+    """Values of coordinates (or commands) in a file."""
 
     path: Path  #: the file
-    columns: tuple[str, ...]  #: heading of each coordinate's column, in the order of the coordinates
+    columns: tuple[str, ...]  #: heading of each coordinate's column, in order of the coordinates
     written: Matrix  #: the numbers of these columns, shape=(n, number of coordinates) [units of the columns]
     values: Matrix  #: the same, shape=(n, number of coordinates) [m, rad]
-    unused: tuple[str, ...]  #: columns of the file that were not needed
-    #: further columns of numbers that were asked for and are there, by their headings, shape=(n,) each
+    unused: tuple[str, ...]  #: unused columns of the file
+    #: further requested columns of numbers that the file has, by heading, shape=(n,) each
     numbers: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def columns_as_written(self) -> dict[str, Array]:
-        """The columns by their headings, in the units of the file, shape=(n,) each."""
+        """The columns by heading, in the units of the file, shape=(n,) each."""
         return dict(zip(self.columns, self.written.T, strict=True))
 
     @classmethod
@@ -50,22 +50,20 @@ class PoseFile:
         known: Sequence[str] = (),
         numbers: Sequence[str] = (),
     ) -> PoseFile:
-        """Read a CSV file of poses with a heading; blank lines and lines that start with # are skipped.
+        """Read a CSV file of poses with a header; blank lines and lines starting with # are skipped.
 
-        Each coordinate has one column, `name_deg` or `name_rad` of an angle, `name_m` of a length. Columns `known` may
-        be there, those of `numbers` are read if they are.
+        Each coordinate has one column: `name_deg` or `name_rad` for an angle, `name_m` for a length. Columns `known`
+        are permitted, columns `numbers` are read if present.
 
         Raises:
-            DescriptionError: the file cannot be read, a column is missing, unknown or there twice, or an entry is not a
+            DescriptionError: the file is unreadable, a column is missing, unknown or duplicate, or an entry is not a
                 finite number.
         """
         path = Path(path)
         lines = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1)]
         lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
         if not lines:
-            raise DescriptionError(
-                path, "file", f"is empty, expected a heading such as {_example_heading(coordinates)}"
-            )
+            raise DescriptionError(path, "file", f"is empty, expected a header such as {_example_heading(coordinates)}")
         try:
             rows = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in lines)]
         except csv.Error as error:
@@ -91,10 +89,10 @@ class PoseFile:
     def read_placements(
         cls, path: Path | str, *, known: Sequence[str] = (), numbers: Sequence[str] = ()
     ) -> tuple[PoseFile, Array]:
-        """Read a file as :meth:`read` of tool placements: columns x_m, y_m, z_m, qw, qx, qy, qz; and transforms.
+        """Read tool placements like :meth:`read`, in columns x_m, y_m, z_m, qw, qx, qy, qz; also return transforms.
 
         Raises:
-            DescriptionError: see there; or a quaternion is missing or not of length 1.
+            DescriptionError: as there; or a quaternion is missing or not of unit length.
         """
         position = [Coordinate(name, "m", tool=name) for name in TOOL_COMPONENTS[:3]]
         file = cls.read(path, position, known=known, numbers=(*QUATERNION, *numbers))
@@ -117,7 +115,7 @@ class PoseFile:
 
     @staticmethod
     def gives_placements(path: Path | str) -> bool:
-        """Tell whether a file gives placements of the tool, with quaternions; False for one that cannot be read."""
+        """Return whether a file contains tool placements with quaternions; False if it is unreadable."""
         try:
             lines = read_text(path).splitlines()
         except DescriptionError:
@@ -127,12 +125,12 @@ class PoseFile:
 
 
 def _example_heading(coordinates: Sequence[Coordinate]) -> str:
-    """Return the heading of a file with these coordinates."""
+    """Return the header of a file with these coordinates."""
     return ",".join(coordinate.heading for coordinate in coordinates)
 
 
 def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
-    """Return columns of numbers or words as the text of a CSV file."""
+    """Return columns of numbers or words as CSV text."""
     cells = [
         [entry if isinstance(entry, str) else f"{entry:.12g}" for entry in np.asarray(values).tolist()]
         for values in columns.values()
@@ -143,7 +141,7 @@ def columns_text(columns: Mapping[str, ArrayLike | Sequence[str]]) -> str:
 def _require_known(path: Path, heading: Sequence[str], coordinates: Sequence[Coordinate], known: Sequence[str]) -> None:
     possible = {*known, *(name for coordinate in coordinates for name in coordinate.headings)}
     if unknown := [name for name in heading if name not in possible]:
-        expected = f"is unknown, expected a heading such as {_example_heading(coordinates)}"
+        expected = f"is unknown, expected a header such as {_example_heading(coordinates)}"
         raise DescriptionError(path, f"column {', '.join(unknown)}", expected)
 
 
@@ -151,8 +149,8 @@ def _column(path: Path, heading: Sequence[str], coordinate: Coordinate, coordina
     possible = coordinate.headings
     found = [name for name in heading if name in possible]
     if len(found) != 1:
-        problem = "is missing" if not found else "stands there twice"
-        expected = f"{problem}, expected {' or '.join(possible)}; a heading is {_example_heading(coordinates)}"
+        problem = "is missing" if not found else "appears twice"
+        expected = f"{problem}, expected {' or '.join(possible)}; an example header is {_example_heading(coordinates)}"
         raise DescriptionError(path, f"column {coordinate.name}", expected)
     return found[0]
 

@@ -1,4 +1,4 @@
-"""Finding poses at values of coordinates, one by one: from home, from guesses, and from elsewhere where that fails."""
+"""Finding poses at values of coordinates: from home or from guesses, with further starts if that fails."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.continuation import Continuation
     from pm3dof_pin.kinematics.robot import Robot
 
-_FURTHER_STARTS = 16  # of the inverse kinematics of a serial arm
+_FURTHER_STARTS = 16  # for the inverse kinematics of a serial arm
 
 
 class Solution(NamedTuple):
-    """Poses found, and what was checked of them. All is NaN, and `broken_limits` is 1, where there is none."""
+    """Poses found, and their checks. Where there is none, everything is NaN and `broken_limits` is 1."""
 
     q: Matrix  #: joint configurations, shape=(n, nq) [m, rad]
-    residual: Vector | None = None  #: greatest closure error, shape=(n,) [m, rad]; None if it is not known
-    #: sums of bits, shape=(n,): 1 for a pose not solved, 2^(k + 1) for limit group k
+    residual: Vector | None = None  #: greatest closure error, shape=(n,) [m, rad]; None if unknown
+    #: bit masks, shape=(n,): 1 for an unsolved pose, 2^(k + 1) for limit group k
     broken_limits: NDArray[np.uint32] | None = None
     #: placements of the tool, shape=(n, 4, 4); None also for a mechanism without a tool frame, and after a march
     transforms: Array | None = None
@@ -40,7 +40,7 @@ def find_poses(
 ) -> Solution:
     """Find poses at targets, shape=(n, number of coordinates), from guesses, shape=(n, nq), or by default from home.
 
-    By programs, or by Pinocchio where there is no continuation. Poses without a guess are searched from elsewhere too.
+    By programs, or by Pinocchio if there is no continuation. Without a guess, further starts are tried.
     """
     if guesses is not None:
         return _walked(robot, coordinates, targets, guesses, continuation)
@@ -55,7 +55,7 @@ def find_poses(
                 if values is not None:
                     values[failed] = other
     turned = _turned_into_limits(robot, coordinates, found.q)
-    # the same poses, but for the limits they break
+    # the same poses, except for their broken limits
     return found if turned is found.q else found._replace(q=turned, broken_limits=None)
 
 
@@ -75,10 +75,10 @@ def _walked(
 
 
 def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: Matrix) -> Iterator[Matrix]:
-    """Yield where else walks to targets start, if none leads there from home, shape=(n, nq).
+    """Yield further starts of walks to targets, for targets not reached from home, shape=(n, nq).
 
-    The inverse kinematics of a serial arm has many solutions, and far ways to them. The reachable set of a machine with
-    loops may have holes, and walks go round them.
+    The inverse kinematics of a serial arm has many, distant solutions. The reachable set of a machine with loops may
+    have holes, which walks must go around.
     """
     if robot.closures:
         if (continuation := robot.continuation(coordinates)) is not None:
@@ -91,7 +91,7 @@ def _further_starts(robot: Robot, coordinates: tuple[Coordinate, ...], targets: 
 
 
 def _turned_into_limits(robot: Robot, coordinates: tuple[Coordinate, ...], q: Matrix) -> Matrix:
-    """Turn joints of a serial arm by whole turns into their limits, where that is possible."""
+    """Turn joints of a serial arm by whole turns into their limits, where possible."""
     if robot.closures or any(coordinate.tool is None for coordinate in coordinates):
         return q
     joints = [

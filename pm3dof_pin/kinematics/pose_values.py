@@ -1,4 +1,4 @@
-"""Values at many poses: from a compiled program, and with care where that is in doubt."""
+"""Values at many poses: from a compiled program, and by the careful method where that is in doubt."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _logger = logging.getLogger(__name__)
 
 
 class BatchOptions(TypedDict, total=False):
-    """Keywords of what is computed at many poses."""
+    """Options of functions that evaluate many poses."""
 
-    on_failure: OnFailure  #: "raise"; or "nan" to mark poses that are not solved, and those that have no value
-    engine: Engine  #: "program", where poses are enough for one; or "pinocchio", pose by pose
-    threads: int | None  #: the number of processors by default; the result does not depend on it
+    on_failure: OnFailure  #: "raise", or "nan" for poses that are unsolved or have no value
+    engine: Engine  #: "program", if there are enough poses for one; or "pinocchio", pose by pose
+    threads: int | None  #: number of processors by default; the result does not depend on it
 
 
 @dataclass(frozen=True, eq=False)
 class PoseValues:
     """Values at many poses."""
 
-    values: Array  #: shape=(..., *shape of one value); NaN where it failed
-    redone: Mask  #: poses at which the program was in doubt and Pinocchio and singular values decided, shape=(...)
-    failed: Mask  #: poses that have no value, shape=(...)
+    values: Array  #: shape=(..., *shape of one value); NaN where there is none
+    redone: Mask  #: poses where the program was in doubt and Pinocchio and singular values decided, shape=(...)
+    failed: Mask  #: poses without a value, shape=(...)
 
 
 def evaluate_at(
@@ -52,14 +52,14 @@ def evaluate_at(
     engine: Engine = "program",
     threads: int | None = None,
 ) -> PoseValues:
-    """Compute something, named for the log, at many poses or configurations q, shape=(..., nq).
+    """Evaluate a quantity, named for the log, at many poses or configurations q, shape=(..., nq).
 
-    `program` goes from configurations, shape=(n, nq), and threads to values, shape=(n, size), and where nothing is in
-    doubt, shape=(n,); it raises ProgramError where there is none. `careful` goes from one configuration to its value of
-    the given shape, and decides where the program does not, and at fewer poses than `program_from`.
+    `program` maps configurations, shape=(n, nq), and threads to values, shape=(n, size), and a mask of those not in
+    doubt, shape=(n,); it raises ProgramError if there is no program. `careful` maps one configuration to its value of
+    the given shape; it decides where the program is in doubt, and for fewer poses than `program_from`.
 
     Raises:
-        InvalidValueError: `poses` has another shape.
+        InvalidValueError: `poses` has the wrong shape.
         PM3DofError: see `careful`.
     """
     require_choice("on_failure", on_failure, OnFailure)
@@ -92,7 +92,7 @@ def evaluate_at(
     redone[doubtful] = ~failed[doubtful]
     if len(doubtful):
         _logger.info(
-            "%s of %s: %d of %d poses computed by Pinocchio and singular values, %d without a value",
+            "%s of %s: %d of %d poses evaluated by Pinocchio and singular values, %d without a value",
             *(name, robot.name, int(redone.sum()), len(rows), int(failed.sum())),
         )
     return PoseValues(values.reshape(*q.shape[:-1], *shape), redone.reshape(q.shape[:-1]), failed.reshape(q.shape[:-1]))

@@ -1,4 +1,4 @@
-"""A batch of poses of one robot: solved configurations with everything that maps and reports read from them."""
+"""A batch of poses of one robot: solved configurations, and everything that maps and reports read from them."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from pm3dof_pin.kinematics.robot import Robot
 
 REACH = 1
-"""Bit of :attr:`Poses.broken_limits` for a pose that was not solved; the k-th limit group has bit k + 1."""
+"""Bit of :attr:`Poses.broken_limits` for an unsolved pose; limit group k has bit k + 1."""
 
-_KNOWN = ("residual", "broken_limits", "transforms")  # what the solver may have found besides q
+_KNOWN = ("residual", "broken_limits", "transforms")  # what the solver may provide besides q
 
 
 class Poses:
     """A batch of poses, of any shape. Read-only.
 
-    Made by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and its siblings. A pose that was not solved
-    is NaN throughout.
+    Returned by :meth:`Robot.solve <pm3dof_pin.kinematics.robot.Robot.solve>` and similar methods. An unsolved pose is
+    NaN throughout.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -41,9 +41,9 @@ class Poses:
 
     Args:
         robot: the robot.
-        q: joint configurations with closed loops, NaN where there is none, shape=(..., nq) [m, rad].
+        q: joint configurations with closed loops, NaN for unsolved poses, shape=(..., nq) [m, rad].
         residual: greatest closure error, shape=(...) [m, rad]; computed by Pinocchio if not given.
-        broken_limits: sums of bits, shape=(...); computed by Pinocchio if not given.
+        broken_limits: bit masks, shape=(...); computed by Pinocchio if not given.
         transforms: placements of the tool, shape=(..., 4, 4); computed by Pinocchio if not given.
 
     Attributes:
@@ -80,11 +80,11 @@ class Poses:
         return len(self.q)
 
     def __iter__(self) -> Iterator[Configuration]:
-        """Iterate over the configurations of a batch in one dimension."""
+        """Iterate over the configurations of a one-dimensional batch."""
         return (self.configuration(index) for index in range(len(self)))
 
     def __getitem__(self, index: Any) -> Poses:
-        """Return part of the batch; indices are those of its own dimensions."""
+        """Return part of the batch; the index is over the batch dimensions."""
         return self._mapped(lambda values: values[index])
 
     def reshape(self, *shape: int) -> Poses:
@@ -93,7 +93,7 @@ class Poses:
         return self._mapped(lambda values: values.reshape((*shape, *values.shape[dimensions:])))
 
     def configuration(self, index: int | tuple[int, ...] = ()) -> Configuration:
-        """Return the configuration at an index, with all its Jacobians.
+        """Return the configuration at an index.
 
         Raises:
             InvalidValueError: the pose was not solved.
@@ -114,7 +114,7 @@ class Poses:
 
     @cached_property
     def commands(self) -> Array:
-        """What the drives' counters show, shape=(..., number of commands) [m, rad]."""
+        """Counter readings of the drives, shape=(..., number of commands) [m, rad]."""
         return frozen(self.robot.read(self.robot.command_coordinates, self.q))
 
     @cached_property
@@ -125,7 +125,7 @@ class Poses:
             DescriptionError: the robot has no tool frame.
         """
         model, data, frame = self.robot.model, self.robot.model.createData(), self.robot.tool_frame_id
-        if "residual" in self.__dict__:  # found by programs, which can place the tool too
+        if "residual" in self.__dict__:  # solved by programs, which can also place the tool
             return self.robot.at(self.q).transforms
         transforms = np.full((*self.shape, 4, 4), np.nan)
         for index in map(tuple, np.argwhere(self.solved)):
@@ -153,7 +153,7 @@ class Poses:
 
     @cached_property
     def broken_limits(self) -> NDArray[np.uint32]:
-        """Which limits a pose breaks: a sum of :data:`REACH` and the bits of the robot's limit groups, shape=(...)."""
+        """Limits that a pose breaks: a bit mask of :data:`REACH` and the robot's limit groups, shape=(...)."""
         robot = self.robot
         flags = np.where(self.solved, 0, REACH).astype(np.uint32)
         outside = (self.q < robot.lower_limits - LIMIT_TOLERANCE) | (self.q > robot.upper_limits + LIMIT_TOLERANCE)
@@ -168,7 +168,7 @@ class Poses:
 
     @property
     def within_limits(self) -> Mask:
-        """Whether a pose is solved and breaks no limit of a joint or closure, shape=(...)."""
+        """Whether a pose is solved and breaks no joint or closure limit, shape=(...)."""
         return np.asarray(self.broken_limits == 0)
 
     def _beyond_swing(self, closure: int) -> Mask:
@@ -190,5 +190,5 @@ class Poses:
 
 
 def _kept(values: NDArray[Any]) -> NDArray[Any]:
-    """Return an array that nobody can change: itself if it is read-only, or else a copy."""
+    """Return a read-only array: the array itself if it is one, or else a copy."""
     return frozen(values.copy()) if values.flags.writeable else values

@@ -1,4 +1,4 @@
-"""Random poses within all limits of a robot: candidates for measurements, and poses at which to judge."""
+"""Random poses within all limits of a robot: candidates for measurements, and poses for evaluation."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from pm3dof_pin.typing import Array, Mask
 _ROUNDS = 40
 _TRIAL = 200
 _LEAST_RATE = 0.02
-_NARROWED_RATE = 0.1  # of draws within limits, below which the box is made smaller
-_LATTICE = 4096  # poses by commands, of which the smaller box is made
-_MOST_DRAWS = 4  # a round, times the poses wanted
-_NEAR = 0.2  # edge of the cells that draws are walked to from the middle of [rad, characteristic lengths]
+_NARROWED_RATE = 0.1  # if a smaller share of draws is within limits, the box is narrowed
+_LATTICE = 4096  # poses by commands, from which the narrower box is made
+_MOST_DRAWS = 4  # per round, relative to the number of poses requested
+_NEAR = 0.2  # edge length of the cells from whose centres draws are walked to [rad, characteristic lengths]
 _DRAWS_A_CELL = 1
 _KEPT = "_random_draws"
 
 
 def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *, margin: float = 0.0) -> Poses:
-    """Draw poses within all limits, evenly over the coordinates.
+    """Draw poses within all limits, uniformly over the coordinates.
 
-    A robot whose coordinates have no ranges, or whose limits exclude nearly all of these (six degrees of freedom with
-    short struts), gets poses evenly over its commands instead. None are drawn so near to singular poses that Newton's
-    method does not converge.
+    If the coordinates have no ranges, or limits exclude nearly all of these (six degrees of freedom with short struts),
+    poses are drawn uniformly over the commands instead. None are so near to singular poses that Newton's method does
+    not converge.
 
     Example:
         >>> import numpy as np
@@ -46,19 +46,19 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
     Args:
         robot: the robot.
         count: number of poses.
-        generator: source of the random numbers.
-        margin: part of each coordinate's range that is kept free at either end.
+        generator: random number generator.
+        margin: part of each coordinate's range to exclude at either end.
 
     Raises:
         UnreachablePoseError: hardly any pose was found within the limits, or nothing moves.
-        InvalidValueError: the margin is not between 0 and 0.5, or the count is no whole number.
+        InvalidValueError: the margin is not between 0 and 0.5, or the count is not an integer.
     """
     require_kind("robot", robot, Robot, "pm.load")
     require_count("count", count, 0)
     if not 0.0 <= margin < 0.5:
         raise InvalidValueError("margin", margin, "a part of the range, at least 0 and less than 0.5")
     if not robot.coordinates:
-        raise UnreachablePoseError(f"{robot.name}: has no coordinates, as it has no actuated joints")
+        raise UnreachablePoseError(f"{robot.name}: has no coordinates, since it has no actuated joints")
     for by_commands in (False, True):
         if not (robot.command_coordinates if by_commands else _has_ranges(robot)):
             continue
@@ -80,17 +80,17 @@ def reachable_poses(robot: Robot, count: int, generator: np.random.Generator, *,
 
 
 def _has_ranges(robot: Robot) -> bool:
-    """Tell whether coordinates can be drawn: they have ranges, or else the drives depend on each other."""
+    """Return whether to draw coordinates: they have ranges, or the drives depend on each other."""
     if all(c.joint is not None or np.isfinite(robot.range_of(c)).all() for c in robot.coordinates):
         return True
     return bool(robot.closures) and len(robot.coordinates) < len(robot.command_coordinates)
 
 
 class _Draws:
-    """Values of coordinates or commands at random, evenly over a box, and the poses there.
+    """Uniform random values of coordinates or commands in a box, and the poses there.
 
-    Many draws are walked to from the middles of cells. Cells of which neither the middle nor that of any neighbour is
-    within limits are passed over: what is within limits there is smaller than a cell.
+    Many draws are walked to from the centres of cells. A cell is skipped if neither its centre nor any neighbour's is
+    within limits: the part within limits is then smaller than a cell.
     """
 
     def __init__(self, robot: Robot, coordinates: tuple[Coordinate, ...], lower: Array, upper: Array) -> None:
@@ -100,11 +100,11 @@ class _Draws:
 
     @classmethod
     def kept(cls, robot: Robot, by_commands: bool, margin: float) -> _Draws:
-        """Return those over all ranges of a robot; they are kept with it, since their cells take a while."""
+        """Return the draws over all ranges of a robot; cached with it, since their cells take long to compute."""
         kept: dict[tuple[bool, float], _Draws] = vars(robot).setdefault(_KEPT, {})
         if (by_commands, margin) not in kept:
             coordinates = robot.command_coordinates if by_commands else robot.coordinates
-            # a declared range is what maps go over; what a joint can do beyond it is reachable too
+            # declared ranges are for maps; what joints can reach beyond is reachable too
             whole = tuple(c if c.joint is None else replace(c, lower=None, upper=None) for c in coordinates)
             lower, upper = coordinate_ranges(robot, whole)
             spare = margin * (upper - lower)
@@ -118,10 +118,10 @@ class _Draws:
 
     @cached_property
     def narrowed(self) -> tuple[_Draws, float]:
-        """The same without what no commands lead to, and the part of the box that is left.
+        """The same without what no commands reach, and the remaining part of the box.
 
-        A lattice of commands gives the coordinates that are reached with a neighbour within limits. The box is wider
-        than these by the greatest steps between neighbours, twice what they differ by within a cell if nearly linear.
+        A lattice of commands gives the coordinates that are reached with a neighbour within limits. The box exceeds
+        these by the largest steps between neighbours: twice the difference within a cell, if nearly linear.
         """
         commands = self._robot.command_coordinates
         count = round(_LATTICE ** (1.0 / max(len(commands), 1)))
@@ -143,7 +143,7 @@ class _Draws:
         return _Draws(self._robot, self._coordinates, lower, upper), left
 
     def within_limits(self, count: int, generator: np.random.Generator) -> Array:
-        """Return those of so many draws that are within all limits, shape=(n, nq)."""
+        """Return those of `count` draws that are within all limits, shape=(n, nq)."""
         shares = generator.uniform(size=(count, len(self._coordinates)))
         values = self._lower + shares * (self._upper - self._lower)
         if _DRAWS_A_CELL * self.cells > count:
@@ -158,7 +158,7 @@ class _Draws:
 
     @cached_property
     def _cells(self) -> tuple[Array, Mask]:
-        """Where walks in each cell start, and whether it or a neighbour is within limits in its middle."""
+        """Starts of walks in each cell, and whether its centre or a neighbour's is within limits."""
         steps = (self._upper - self._lower) / self._sizes
         axes = {
             c.name: first + step * (np.arange(size) + 0.5)
@@ -172,7 +172,7 @@ class _Draws:
 def _solved(
     robot: Robot, coordinates: tuple[Coordinate, ...], values: Array, starts: Array | None = None
 ) -> tuple[Array, Mask]:
-    """Return the poses at values of coordinates, NaN where there is none, and which are within all limits."""
+    """Return the poses at values of coordinates, NaN if unsolved, and which are within all limits."""
     solver = robot.continuation(coordinates)
     if solver is None:
         solve = robot.solve if coordinates == robot.coordinates else robot.forward

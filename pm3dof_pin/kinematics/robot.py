@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-_GREATEST = 1e12  # of a coordinate or command, beyond which arithmetic overflows before anything is found
+_GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _HOME = "home"
-_MANY = 32  # poses that are worth a program
+_MANY = 32  # poses that justify a program
 
 
 class Robot(Mechanism):
-    """A mechanism that can be placed: loops are closed from coordinates, commands or placements of the tool.
+    """A mechanism with solvers: finds poses from coordinates, commands or placements of the tool.
 
-    Poses are geometry: joint limits are not checked, :attr:`Poses.broken_limits` tells which of them a pose breaks.
+    Poses are purely geometric: joint limits are not enforced; :attr:`Poses.broken_limits` reports violations.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -64,7 +64,7 @@ class Robot(Mechanism):
         package_paths: Iterable[str | Path] = (),
         characteristic_length: float | None = None,
     ) -> Robot:
-        """Load a robot by its name or from its description.
+        """Load a robot by name or from its description.
 
         Example:
             >>> import pm3dof_pin as pm
@@ -72,16 +72,16 @@ class Robot(Mechanism):
             Robot(hexapod: 24 joints, 6 actuated, 6 closures, tool O_e)
 
         Args:
-            name_or_path: name of a robot; or path of a URDF, a xacro, an MJCF or a closures file, or of the folder of
+            name_or_path: name of a robot, or path of a URDF, xacro, MJCF or closures file, or of a folder containing
                 one; see :func:`~pm3dof_pin.description.robots.find_robot`.
-            tool_frame: frame of the tool, instead of the one described.
-            package_paths: folders that ROS packages are in.
+            tool_frame: tool frame, instead of the described one.
+            package_paths: folders of ROS packages.
             characteristic_length: see :class:`~pm3dof_pin.mechanism.mechanism.Mechanism` [m].
 
         Raises:
-            UnknownRobotError: no such robot.
+            UnknownRobotError: there is no such robot.
             DescriptionError: a file is missing, unreadable or malformed.
-            FrameNotFoundError: the tool or a closure is at a frame that the tree does not have.
+            FrameNotFoundError: the tool or a closure refers to a frame that the tree does not have.
             JointNotFoundError: the closures file names a joint that the tree does not have.
         """
         described = read_description(find_robot(name_or_path, package_paths), tool_frame)
@@ -89,10 +89,10 @@ class Robot(Mechanism):
 
     @cached_property
     def home(self) -> Configuration:
-        """The named configuration "home", or else Pinocchio's neutral one, its loops closed if that is possible nearby.
+        """The named configuration "home" or else Pinocchio's neutral one, with its loops closed if possible nearby.
 
-        The actuated joints stay in place if the loops close so. If no closed configuration is found, it is the one
-        described: see its :attr:`Configuration.closure_residual`.
+        The actuated joints keep their positions if the loops close that way. If no closed configuration is found, it is
+        the described one: check its :attr:`Configuration.closure_residual`.
         """
         described = self.configuration(self.named_configurations.get(_HOME, pin.neutral(self.model)))
         if described.closure_residual <= CLOSURE_TOLERANCE:
@@ -106,7 +106,7 @@ class Robot(Mechanism):
 
     @cached_property
     def program_source(self) -> ProgramSource:
-        """Where the programs of this robot and its variants come from."""
+        """Source of the programs of this robot and its variants."""
         from pm3dof_pin.kinematics.closing_programs import ProgramSource
 
         return ProgramSource(self)
@@ -115,9 +115,9 @@ class Robot(Mechanism):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The independent numbers that place the tool.
 
-        Those that the description declares; else the tool's placement if it has six degrees of freedom; else, where
-        there are more drives than degrees of freedom, as many components of the tool's placement as it has; else the
-        commands.
+        In order of precedence: those declared by the description; the tool's placement if it has six degrees of
+        freedom; if there are more drives than degrees of freedom, as many components of the tool's placement as it has
+        degrees of freedom; the commands.
         """
         if self.declared_coordinates:
             return self.declared_coordinates
@@ -125,7 +125,7 @@ class Robot(Mechanism):
 
     @cached_property
     def command_coordinates(self) -> tuple[Coordinate, ...]:
-        """The commands, written as coordinates."""
+        """The commands, as coordinates."""
         return tuple(
             Coordinate(command.name, command.unit, joint=command.joint, offset=command.offset, scale=command.scale)
             for command in self.commands
@@ -137,18 +137,18 @@ class Robot(Mechanism):
         return self.at([self.home.q])[0].coordinates
 
     def configuration(self, q: ArrayLike) -> Configuration:
-        """Make the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
+        """Return the read-only :class:`Configuration` at q, shape=(nq,) [m, rad]; its loops need not be closed."""
         return Configuration(self, q)
 
     def coordinate(self, name: str) -> Coordinate:
-        """Return a coordinate by name; InvalidValueError if the robot has none such."""
+        """Return a coordinate by name; InvalidValueError if there is none of this name."""
         for coordinate in self.coordinates:
             if coordinate.name == name:
                 return coordinate
         raise InvalidValueError("coordinate", name, f"one of {', '.join(c.name for c in self.coordinates)}")
 
     def range_of(self, coordinate: Coordinate) -> tuple[float, float]:
-        """Return the declared range of a coordinate, or that of its joint; infinite where there is none [m, rad]."""
+        """Return the declared range of a coordinate, or that of its joint; infinite if there is none [m, rad]."""
         lower, upper = -np.inf, np.inf
         if coordinate.joint is not None:
             joint = self.single_joint(coordinate.joint)
@@ -161,7 +161,7 @@ class Robot(Mechanism):
         )
 
     def grid(self, **values: float | tuple[float, float, int]) -> Grid:
-        """Make a product grid over coordinates; those that are not named stay at home.
+        """Return a product grid over coordinates; those not named stay at home.
 
         Args:
             values: by coordinate, (first, last, count) for a dimension of the grid, or one value [m, rad].
@@ -186,14 +186,14 @@ class Robot(Mechanism):
         return Grid(self.coordinates, axes, fixed)
 
     def at(self, q: ArrayLike, *, engine: Engine = "program") -> Poses:
-        """Return the poses at joint configurations whose loops are closed.
+        """Return the poses at joint configurations with closed loops.
 
         Args:
-            q: joint configurations, NaN where there is none, shape=(..., nq) [m, rad].
-            engine: what places the tool and checks limits and closures of many poses; of a few Pinocchio does.
+            q: joint configurations, NaN for unsolved poses, shape=(..., nq) [m, rad].
+            engine: what places the tool and checks limits and closures of many poses; for a few it is Pinocchio.
 
         Raises:
-            InvalidValueError: they are not numbers, or of a wrong shape.
+            InvalidValueError: q is not numeric or has the wrong shape.
         """
         require_choice("engine", engine, Engine)
         positions = real_array("q", q)
@@ -207,7 +207,7 @@ class Robot(Mechanism):
         try:
             outputs = program_source(self).checks(self).named(rows)
         except ProgramError as error:
-            _logger.info("%s: placed without programs: %s", self.name, error)
+            _logger.info("%s: poses are placed without programs: %s", self.name, error)
             return Poses(self, positions)
         missing = np.isnan(rows).any(axis=1)
         broken_limits = np.where(missing, REACH, outputs["broken"]).astype(np.uint32)
@@ -227,20 +227,20 @@ class Robot(Mechanism):
     ) -> Poses:
         """Find the poses at values of the coordinates.
 
-        Without a guess a pose is found by continuation from home, which fixes the assembly mode. That of a serial arm
-        has many solutions and ways to them that are singular: its single poses are tried from elsewhere too.
+        Without a guess, a pose is found by continuation from home, which fixes the assembly mode. A serial arm has many
+        solutions, and singular poses on the way to them: its poses are also tried from further starts.
 
         Args:
-            values: a grid, or values in the order of the coordinates, shape=(..., number of coordinates) [m, rad].
+            values: a grid, or values in order of the coordinates, shape=(..., number of coordinates) [m, rad].
             guess: configurations to start from, shape=(nq,) or (..., nq).
-            on_failure: "raise", or "nan" for poses that are out of reach.
-            engine: what closes the loops.
+            on_failure: "raise", or "nan" for unreachable poses.
+            engine: the engine that closes the loops.
             threads: the number of processors by default. The result does not depend on it.
 
         Raises:
             UnreachablePoseError: no closed configuration was found for a pose, and `on_failure` is "raise".
-            InvalidValueError: values or guesses of a wrong shape, or not finite where `on_failure` is "raise"; or all
-                values of a coordinate look like millimetres or degrees, being far out of its range.
+            InvalidValueError: values or guesses have the wrong shape, or are not finite and `on_failure` is "raise"; or
+                all values of a coordinate look like millimetres or degrees, being far out of its range.
         """
         return self._solutions(self.coordinates, "coordinates", values, guess, on_failure, engine, threads)
 
@@ -252,9 +252,9 @@ class Robot(Mechanism):
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
-        """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` does at coordinates.
+        """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` at coordinates.
 
-        Commands are what the drives' counters show; a guess picks the assembly mode.
+        Commands are counter readings of the drives; a guess selects the assembly mode.
         """
         return self._solutions(self.command_coordinates, "commands", commands, guess, on_failure, engine)
 
@@ -266,11 +266,11 @@ class Robot(Mechanism):
         on_failure: OnFailure = "raise",
         engine: Engine = "program",
     ) -> Poses:
-        """Find poses that bring the tool to placements, as :meth:`solve` does to coordinates.
+        """Find poses that bring the tool to placements, as :meth:`solve` to coordinates.
 
         Placements are `pin.SE3` or homogeneous transforms of the tool in the base, shape=(..., 4, 4); or positions
-        alone, the orientation being left free, shape=(..., 3) [m]. A guess picks the assembly mode. Raises besides
-        DescriptionError without a tool frame, and InvalidValueError for a matrix that is no placement.
+        only, with free orientation, shape=(..., 3) [m]. A guess selects the assembly mode. Also raises DescriptionError
+        without a tool frame, and InvalidValueError for a matrix that is not a placement.
         """
         array = real_array("placements", placements.homogeneous if isinstance(placements, pin.SE3) else placements)
         if array.shape[-2:] == (4, 4):
@@ -287,8 +287,8 @@ class Robot(Mechanism):
         """Close the loops near a guess.
 
         Args:
-            guess: configuration to start from, one near to which is found; the home configuration by default.
-            joints: coordinates of joints that stay [m, rad]; shape=(joint's nq,) for one with several.
+            guess: configuration to start from; the home configuration by default.
+            joints: coordinates of joints to hold [m, rad]; shape=(joint's nq,) for a joint with several.
 
         Raises:
             ConvergenceError: no closed configuration was found.
@@ -297,12 +297,12 @@ class Robot(Mechanism):
         """
         result = assemble(self, self.home if guess is None else guess, joints=joints)
         if not result.converged:
-            advice = "try a guess nearer to an assembled configuration"
+            advice = "try a guess closer to an assembled configuration"
             raise ConvergenceError("closing the loops", result.residual, "m or rad", result.steps, advice)
         return result.configuration
 
     def read(self, coordinates: tuple[Coordinate, ...], q: Array, transforms: Array | None = None) -> Array:
-        """Read coordinates off q, shape=(..., nq), as shape=(..., number of coordinates) [m, rad].
+        """Return the coordinates at q, shape=(..., nq), as shape=(..., number of coordinates) [m, rad].
 
         Placements of the tool, shape=(..., 4, 4), are needed if a coordinate is one of its components.
         """
@@ -341,7 +341,7 @@ class Robot(Mechanism):
             finite_array(f"{name} ({names})", targets, targets.shape)
         if (np.abs(targets[np.isfinite(targets)]) > _GREATEST).any():
             raise InvalidValueError(f"{name} ({names})", targets, f"numbers of at most {_GREATEST:g}")
-        if guess is None:  # steps of iterations, which start from a guess, may lead anywhere
+        if guess is None:  # iterates from a guess may be anywhere
             for coordinate, column in zip(coordinates, np.moveaxis(targets, -1, 0), strict=True):
                 self._require_unit(coordinate, column)
         shape = targets.shape[:-1]
@@ -360,7 +360,7 @@ class Robot(Mechanism):
         return Poses(self, *known).reshape(*shape)
 
     def _require_unit(self, coordinate: Coordinate, values: ArrayLike) -> None:
-        """Refuse values that are in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""
+        """Refuse values that seem to be in another unit, see :func:`~pm3dof_pin.kinematics.unit_sense.other_unit`."""
         lower, upper = self.range_of(coordinate)
         if word := other_unit(values, coordinate.unit, lower, upper):
             first = np.asarray(values, dtype=float).reshape(-1)[0]
@@ -369,7 +369,7 @@ class Robot(Mechanism):
             raise InvalidValueError(coordinate.name, f"{first:.6g} {coordinate.unit}", expected)
 
     def _starts(self, guess: Configuration | ArrayLike, shape: tuple[int, ...]) -> Matrix:
-        """Return a guess for each of a batch of poses, one after the other."""
+        """Return a guess for each pose of a batch, flat."""
         nq = self.model.nq
         starts = real_array("guess", guess.q if isinstance(guess, Configuration) else guess)
         if starts.shape not in ((nq,), (*shape, nq)):
@@ -377,12 +377,12 @@ class Robot(Mechanism):
         return np.broadcast_to(starts, (*shape, nq)).reshape(-1, nq)
 
     def _unreachable(self, coordinates: tuple[Coordinate, ...], target: Vector, which: str) -> UnreachablePoseError:
-        """Return the error of a pose that was not found: what damped steps from home come to."""
+        """Return the error for a pose that was not found, with the residual of damped steps from home."""
         result = assemble_at(self, coordinates, target, self.home.q)
         pose = ", ".join(f"{c.name} = {v:.9g} {c.unit}" for c, v in zip(coordinates, target, strict=True))
         reason = f"residual {result.residual:.3e} m or rad"
         if result.converged:
-            reason = "the loops close there past a singular pose or in another assembly mode only"
+            reason = "the loops close there only beyond a singular pose or in another assembly mode"
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
 
@@ -392,16 +392,16 @@ class Robot(Mechanism):
         return solver if isinstance(solver, str) else None
 
     def continuation(self, coordinates: tuple[Coordinate, ...]) -> Continuation | None:
-        """Return what solves for these coordinates by programs, or None where there are none: then Pinocchio does."""
+        """Return the solver for these coordinates by programs, or None if there is none and Pinocchio solves them."""
         solver = self._solver(coordinates)
         return None if isinstance(solver, str) else solver
 
     def _solver(self, coordinates: tuple[Coordinate, ...]) -> Continuation | str:
-        """Return what solves for these coordinates by programs, or why nothing does."""
-        from pm3dof_pin.kinematics.continuation import Continuation  # one pose on Pinocchio needs no compiler
+        """Return the solver for these coordinates by programs, or why there is none."""
+        from pm3dof_pin.kinematics.continuation import Continuation  # a single pose by Pinocchio needs no compiler
 
         if self.model.nq == 0:
-            return "nothing moves in it but what gives"
+            return "it has no movable joints"
         if coordinates not in self._solvers:
             try:
                 self._solvers[coordinates] = Continuation(self, coordinates)
@@ -415,7 +415,7 @@ class Robot(Mechanism):
         return {}
 
     def _tool_coordinates(self) -> tuple[Coordinate, ...]:
-        """Return components of the tool's placement that tell a pose better than the commands; none if none do."""
+        """Return components of the tool's placement that describe a pose better than the commands, if any."""
         if self.tool_frame is None:
             return ()
         try:

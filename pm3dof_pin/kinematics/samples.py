@@ -1,4 +1,4 @@
-"""Closed configurations near home, at which programs choose what they eliminate."""
+"""Closed configurations near home, at which programs choose their eliminations."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TRIALS = 10
 
 
 def samples_near_home(robot: Robot) -> Matrix:
-    """Find closed configurations near home, home itself first. Home alone would mislead where it is singular.
+    """Find closed configurations near home, home itself first. Home alone would mislead if it is singular.
 
-    The same ones every time, shape=(9, nq), or (8, nq) if the loops are not closed at home.
+    Deterministic, shape=(9, nq), or (8, nq) if the loops are not closed at home.
 
     Raises:
-        ProgramError: the loops do not close there.
+        ProgramError: the loops do not close near home.
     """
     home, model, generator = robot.home.q, robot.model, np.random.default_rng(0)
     first = [home] if robot.home.closure_residual <= CLOSURE_TOLERANCE else []

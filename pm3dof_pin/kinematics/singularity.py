@@ -1,4 +1,4 @@
-"""Singular configurations, their names, and the distance from them."""
+"""Singular configurations, their types, and the distance from them."""
 
 from __future__ import annotations
 
@@ -33,31 +33,30 @@ class Singularity:
 class SingularityDistance:
     """How far a configuration is from one type of singularity."""
 
-    type: SingularityType  # see :class:`Singularity`
-    measure: float  #: the singular value that comes down to zero there, in scaled numbers
-    #: the motion that is nearest to being lost or gained there, as velocities, shape=(nv,), of length 1 in scaled
-    #: numbers
+    type: SingularityType  # as in :class:`Singularity`
+    measure: float  #: the singular value that becomes zero there, in scaled numbers
+    #: the motion nearest to being lost or gained, as velocities, shape=(nv,), of length 1 in scaled numbers
     motion: Vector
     twist: Vector  #: twist [v; omega] of the tool in this motion, world axes, shape=(6,)
 
 
 def singularities(configuration: Configuration, *, generic: Mobility | None = None) -> tuple[Singularity, ...]:
-    """Name the singularities of a configuration; none if it is regular.
+    """Return the singularities of a configuration; none if it is regular.
 
-    What is exceptional is judged against a generic configuration near by, so that redundant constraints, redundant
-    drives and idle degrees of freedom that a mechanism always has are no singularities. "serial" and "parallel" are
+    Ranks are compared with those at a nearby generic configuration, so that redundant constraints, redundant drives
+    and idle degrees of freedom that a mechanism always has are not singularities. "serial" and "parallel" are
     those of C. Gosselin and J. Angeles, IEEE Trans. Robotics and Automation 6 (1990), "constraint" that of D. Zlatanov,
     I. Bonev and C. Gosselin, ICRA 2002, and "passive" the redundant passive motion of D. Zlatanov, R. Fenton and B.
     Benhabib (1995).
 
-    Where c degrees of freedom are gained at a constraint singularity, actuated joints at rest leave motions free for
-    lack of number. This consequence is not reported once more as "parallel".
+    If c degrees of freedom are gained at a constraint singularity, the actuated joints are too few to hold all
+    motions. This consequence is not reported again as "parallel".
 
-    What counts as motion of the tool is the robot's `tool_motions`: of a point tool its translations, so that it does
-    not matter which of the bodies that meet in the point carries the tool frame.
+    The tool's motion is given by the robot's `tool_motions`: for a point tool its translations, so that it does not
+    matter which of the bodies that meet at the point carries the tool frame.
 
     Example:
-        A hexapod is singular where its platform is turned by 90 degrees about its axis:
+        A hexapod is singular if its platform is turned by 90 degrees about its axis:
 
         >>> import numpy as np
         >>> import pm3dof_pin as pm
@@ -68,13 +67,13 @@ def singularities(configuration: Configuration, *, generic: Mobility | None = No
 
     Args:
         configuration: an assembled configuration.
-        generic: mobility at a generic configuration of the same assembly mode, worth giving when many configurations
-            are judged; by default that at :func:`generic_configuration`.
+        generic: mobility at a generic configuration of the same assembly mode, to save time when many configurations
+            are checked; by default that at :func:`generic_configuration`.
 
     Raises:
         DescriptionError: the mechanism has no tool frame.
         InvalidValueError: the loops are not closed.
-        ConvergenceError: no generic configuration was found near by.
+        ConvergenceError: no generic configuration was found nearby.
     """
     dof = DegreesOfFreedom(configuration)
     bases: dict[SingularityType, Matrix] = {
@@ -95,10 +94,10 @@ def singularity_distances(
 ) -> tuple[SingularityDistance, ...]:
     """Measure how far a configuration is from each type of singularity.
 
-    The measure is the least of the singular values that a generic configuration has, of the matrix that loses rank
-    there: the closures, the actuated joints' rates, the tool's motions, or the latter two together, over the degrees of
-    freedom. It is zero at the singularity, and near it as good as linear in the distance. Lengths are divided by
-    the characteristic length. Arguments and errors are those of :func:`singularities`.
+    The measure is the least singular value, among as many as the generic rank, of the matrix that loses rank there: of
+    the closures, the actuated joints' rates, the tool's motions, or the latter two together, over the degrees of
+    freedom. It is zero at the singularity, and practically linear in the distance near it. Lengths are divided by the
+    characteristic length. Arguments and errors as in :func:`singularities`.
 
     Example:
         >>> import numpy as np
@@ -114,7 +113,7 @@ def singularity_distances(
         0.0049
 
     Returns:
-        One for each type that the mechanism can have at all: one without closures has no constraint singularity.
+        One for each type that the mechanism can have: without closures there is no constraint singularity.
     """
     dof = DegreesOfFreedom(configuration)
     found = []
@@ -128,7 +127,7 @@ def singularity_distances(
 
 @dataclass(frozen=True, eq=False)
 class _RankLoss:
-    """A matrix over the degrees of freedom: the rank it usually has, and how much of it is lost."""
+    """A matrix over the degrees of freedom: its usual rank, and how much of it is lost."""
 
     type: SingularityType
     restriction: Restriction
@@ -159,7 +158,7 @@ def _rank_losses(dof: DegreesOfFreedom, usual: Mobility) -> tuple[_RankLoss, ...
 
 
 def _by_movement(motions: Matrix, rows: Matrix) -> Matrix:
-    """Turn a basis of motions so that its columns move the rows less and less."""
+    """Rotate a basis of motions so that its columns have descending effect on the rows."""
     turned: Matrix = motions @ np.linalg.svd(rows @ motions)[2].T
     return turned
 

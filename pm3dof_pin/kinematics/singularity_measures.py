@@ -1,4 +1,4 @@
-"""How far many poses are from each type of singularity: scaled Jacobians from a program, decomposed by LAPACK."""
+"""Distances of many poses from each type of singularity: scaled Jacobians from a program, decomposed by LAPACK."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Array, Mask, Matrix
 
-_AT_ONCE = 4096  # poses whose decompositions are in memory at a time
+_AT_ONCE = 4096  # poses per block, to limit memory
 
 
 def singularity_measures(
@@ -72,9 +72,9 @@ def singularity_measures(
 
 
 def _measured(robot: Robot, compiled: Compiled, q: Matrix, ranks: list[int], threads: int | None) -> tuple[Array, Mask]:
-    """Return the measures at poses whose closures have their usual rank, shape=(n, 4), and which these are."""
+    """Return the measures, shape=(n, 4), at poses whose closures have their usual rank, and a mask of these."""
     groups = compiled.program.split(compiled(q, geometry.values(robot, compiled.program.parameters), threads=threads))
-    closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # and no NaN
+    closed = groups["residual"] <= ASSEMBLED_TOLERANCE * robot.characteristic_length  # False for NaN
     rows, tool = (np.where(closed[:, None, None], groups[name], 0.0) for name in ("closures", "tool"))
     _, sizes, directions = np.linalg.svd(rows)
     count = (sizes > RANK_TOLERANCE * sizes.max(axis=1, initial=0.0, keepdims=True)).sum(axis=1)

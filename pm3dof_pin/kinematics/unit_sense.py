@@ -1,4 +1,4 @@
-"""Telling numbers in another unit from poses out of reach: millimetres for metres, degrees for radians."""
+"""Recognise numbers in the wrong unit, as opposed to unreachable poses: millimetres or degrees."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-_METRES_BEYOND = 50.0  # multiples of the greatest declared magnitude beyond which a length is suspected
+_METRES_BEYOND = 50.0  # lengths above this multiple of the greatest declared magnitude are suspected
 _RADIANS_BEYOND = 5.0
-_LEAST_ANGLE = 3.2  # no angle up to half a turn is suspected [rad]
-_MARGIN = 0.5  # how far beyond its range a number may be in the other unit, as a part of the range
+_LEAST_ANGLE = 3.2  # angles up to half a turn are not suspected [rad]
+_MARGIN = 0.5  # permitted excess over the range in the other unit, relative to the range
 
 
 def other_unit(values: ArrayLike, unit: str, lower: float, upper: float) -> str:
-    """Return "millimetres" or "degrees" if numbers [m, rad] seem to be in these; else nothing.
+    """Return "millimetres" or "degrees" if numbers [m, rad] seem to be in these, otherwise "".
 
-    Numbers are suspected if all of them are far beyond the range, and would be near it in the other unit.
+    Numbers are suspected if all are far beyond the range but would be near it in the other unit.
     """
     numbers, most = np.asarray(values, dtype=float).reshape(-1), max(abs(lower), abs(upper))
     if unit == "m":
@@ -24,7 +24,7 @@ def other_unit(values: ArrayLike, unit: str, lower: float, upper: float) -> str:
     else:
         limit, factor, word = max(_RADIANS_BEYOND * most, _LEAST_ANGLE), math.radians(1.0), "degrees"
     if not np.isfinite([lower, upper]).all() or (numbers.size and 0.0 < abs(numbers[0]) <= limit):
-        return ""  # mostly the first number tells
+        return ""  # usually the first number suffices
     numbers = numbers[np.isfinite(numbers) & (numbers != 0.0)]
     margin = _MARGIN * (upper - lower)
     plausible = (factor * numbers >= lower - margin) & (factor * numbers <= upper + margin)

@@ -1,1 +1,1 @@
-"""Algorithms of one pose, recorded once as straight-line programs and printed for LLVM, C and JavaScript."""
+"""Single-pose algorithms, recorded once as straight-line programs and printed for LLVM, C and JavaScript."""

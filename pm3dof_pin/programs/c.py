@@ -1,4 +1,4 @@
-"""Programs printed as C99 that needs nothing but `math.h`, for controllers."""
+"""Programs printed as C99 for controllers; only `math.h` is needed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXPRESSIONS = {
     "not": "!{0}",
     "select": "{0} ? {1} : {2}",
 }
-"""Operations of a program, by operands."""
+"""C expression of each operation, by operands."""
 
 _CONDITIONS = frozenset(("less", "and", "or", "not"))
 
@@ -44,12 +44,11 @@ def c99(
 ) -> str:
     """Print a program as one C function without loops, allocation or state, and a table of parameters if given.
 
-    ``void name(const double *x, const double *p, double *y)`` has inputs x, parameters p and outputs y, which may be
-    the same array as x; ``name_parameters`` are the values. The comment has a summary and descriptions by name, with
-    units.
+    ``void name(const double *x, const double *p, double *y)`` has inputs x, parameters p and outputs y; y may alias x.
+    ``name_parameters`` holds the parameter values. The comment has a summary and descriptions by name, with units.
 
     Raises:
-        InvalidValueError: there are not as many values as parameters.
+        InvalidValueError: the number of values is not the number of parameters.
     """
     texts = descriptions or {}
     parts = ["#include <math.h>", ""]
@@ -72,7 +71,7 @@ def c99(
         names.append(f"v{number}")
     results = [names[number] for number in program.results]
     for k, (name, number) in enumerate(zip(results, program.results, strict=True)):
-        if number < len(program.inputs):  # y may be x: all of it is read before anything is written
+        if number < len(program.inputs):  # y may alias x, so everything is read before anything is written
             parts.append(f"  const double r{k} = {name};")
             results[k] = f"r{k}"
     parts += [f"  y[{k}] = {name};" for k, name in enumerate(results)]
@@ -80,7 +79,7 @@ def c99(
 
 
 def _comment(program: Program, summary: str, descriptions: Mapping[str, str]) -> Iterable[str]:
-    """Yield the lines that say what the function takes and gives."""
+    """Yield the lines that describe the function's arguments."""
     yield _harmless(summary)
     for title, array, names in (
         ("inputs", "x", program.inputs),
@@ -103,7 +102,7 @@ def _described(name: str, descriptions: Mapping[str, str]) -> str:
 
 
 def _harmless(text: str) -> str:
-    """Return text that does not end the comment it stands in."""
+    """Return text that does not end the comment it is put in."""
     return text.replace("*/", "* /").replace("/*", "/ *").replace("\n", "\n * ")
 
 
@@ -121,7 +120,7 @@ def _table(program: Program, values: np.ndarray) -> list[str]:
 
 
 def literal(value: float, nan: str = "NAN", infinity: str = "INFINITY") -> str:
-    """Write a number with all its digits; in brackets where a sign before it would make another operator of it."""
+    """Format a number with all digits, parenthesised where a preceding sign would form another operator."""
     if math.isnan(value):
         return nan
     text = infinity if math.isinf(value) else repr(abs(value))

@@ -1,8 +1,8 @@
-"""Traced programs and compiled ones kept on disk, so that only the first use of a robot traces and compiles.
+"""Disk cache of traced and compiled programs, so that only the first use of a robot traces and compiles.
 
-The folder is ``PM3DOF_CACHE_DIR`` if that is set (nothing is kept if it is empty), else ``pm3dof-pin`` in the user's
-folder for caches. It is made for its user alone, and not used if somebody else owns it or may write to it: code is
-loaded from it. What is damaged is made again; where nothing can be written everything works, and is made each time.
+The folder is ``PM3DOF_CACHE_DIR`` if that is set (if it is empty, nothing is cached), otherwise ``pm3dof-pin`` in the
+user's cache folder. It is private to its user, and not used if anyone else owns it or can write to it, since code is
+loaded from it. Damaged entries are rebuilt; if the folder is not writable, everything is rebuilt each time.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from pm3dof_pin.programs import llvm
 from pm3dof_pin.programs.program import Program
 
 LARGEST = 200 * 2**20
-"""Bytes kept; beyond, and up to a twentieth more, what was not used for longest goes."""
+"""Size limit in bytes, exceeded by up to a twentieth before the least recently used entries are removed."""
 
-_unmeasured = LARGEST  # bytes written since the folder was last looked through
+_unmeasured = LARGEST  # bytes written since the folder was last measured
 
 _SUFFIX = ".program"
 _DIGEST = hashlib.sha256().digest_size
@@ -40,9 +40,9 @@ _known: dict[str, llvm.Compiled | ProgramError] = {}
 
 
 def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
-    """Return the compiled program of a :func:`stored` key: from memory, as kept, or made now.
+    """Return the compiled program of a :func:`stored` key: from memory, from disk, or made now.
 
-    That there is none is remembered too.
+    Failures are cached too.
 
     Raises:
         ProgramError: `make` raises it, or LLVM does not compile the program.
@@ -59,23 +59,23 @@ def known(key: str, make: Callable[[], Program]) -> llvm.Compiled:
 
 
 def stored(key: str, make: Callable[[], Program]) -> Program:
-    """Return the program kept under a key of all it depends on but the package's sources; or make and keep it."""
+    """Return the cached program of a key, or make and cache it; the key excludes only the package's sources."""
     name = _name("traced", key)
     content = _read(name)
     if content is not None:
         try:
             return Program.from_bytes(content)
         except InvalidValueError:
-            _LOG.info("what is kept as %s is no program; made again", name)
+            _LOG.info("cache entry %s is not a program; rebuilt", name)
     program = make()
     _keep(name, program.content)
     return program
 
 
 def compiled(program: Program) -> llvm.Compiled:
-    """Return the program as machine code, kept or compiled now; ProgramError if LLVM does not compile it.
+    """Return the program as machine code, cached or compiled now; ProgramError if LLVM does not compile it.
 
-    It is compiled quickly first, and with care when it has run for so many poses that this pays.
+    It is first compiled quickly, and with full optimisation once it has run for enough poses.
     """
     with_care = partial(_code, program, careful=True)
     for careful in (True, False):
@@ -85,7 +85,7 @@ def compiled(program: Program) -> llvm.Compiled:
             try:
                 return llvm.Compiled(program, code, faster=None if careful else with_care)
             except ProgramError:
-                _LOG.info("what is kept as %s cannot be loaded; compiled again", name)
+                _LOG.info("cache entry %s cannot be loaded; recompiled", name)
     return llvm.Compiled(program, _made(program, careful=False), faster=with_care)
 
 
@@ -107,7 +107,7 @@ def _code_name(program: Program, *, careful: bool) -> str:
 
 
 def folder() -> Path | None:
-    """Return the folder where programs are kept, made if it was missing; None where there can be none."""
+    """Return the cache folder, created if missing; None if it is unavailable."""
     path = _wanted_folder()
     if path is None:
         return None
@@ -115,10 +115,10 @@ def folder() -> Path | None:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = path.stat()
     except OSError as error:
-        _LOG.info("compiled programs are not kept: %s: %s", path, error.strerror)
+        _LOG.info("compiled programs are not cached: %s: %s", path, error.strerror)
         return None
     if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        _LOG.warning("compiled programs are not kept: %s is not its user's alone to write", path)
+        _LOG.warning("compiled programs are not cached: %s is writable by others", path)
         return None
     return path
 
@@ -138,7 +138,7 @@ def _wanted_folder() -> Path | None:
 
 
 def _name(kind: str, *key: str) -> str:
-    """Return the name of an entry; entries of other versions of what makes them have other names."""
+    """Return the name of an entry; it depends on the versions of everything that makes it."""
     made_by = "programs" if kind == "compiled" else ""
     digest = hashlib.sha256("\0".join((_sources(made_by), *key)).encode()).hexdigest()
     return f"{kind}-{digest[:40]}{_SUFFIX}"
@@ -146,7 +146,7 @@ def _name(kind: str, *key: str) -> str:
 
 @cache
 def _sources(room: str) -> str:
-    """Return the version of this package, and sizes and times of the sources of a room, or ("") of all."""
+    """Return the version of this package, and sizes and times of the sources of a subpackage, or ("") of all."""
     root = os.path.join(os.path.dirname(pm3dof_pin.__file__), room)
     return "\n".join([pm3dof_pin.__version__, *sorted(_source_files(root))])
 
@@ -162,7 +162,7 @@ def _source_files(directory: str) -> Iterator[str]:
 
 
 def _read(name: str) -> bytes | None:
-    """Return an entry, None if there is none or it is not as it was written."""
+    """Return an entry, or None if it is missing or damaged."""
     place = folder()
     if place is None:
         return None
@@ -174,13 +174,13 @@ def _read(name: str) -> bytes | None:
         return None
     content = entry[_DIGEST:]
     if hashlib.sha256(content).digest() != entry[:_DIGEST]:
-        _LOG.info("%s is damaged; made again", path)
+        _LOG.info("%s is damaged; rebuilt", path)
         return None
     return content
 
 
 def _keep(name: str, content: bytes) -> None:
-    """Write an entry, where that can be done, and make room once much has been written."""
+    """Write an entry if possible, and make room once much has been written."""
     global _unmeasured
     place = folder()
     if place is None:
@@ -193,7 +193,7 @@ def _keep(name: str, content: bytes) -> None:
             _make_room(place, name)
             _unmeasured = 0
     except (OutputError, OSError) as error:
-        _LOG.info("compiled programs are not kept: %s", error)
+        _LOG.info("compiled programs are not cached: %s", error)
 
 
 def _make_room(place: Path, newest: str) -> None:

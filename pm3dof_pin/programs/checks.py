@@ -1,4 +1,4 @@
-"""What is asked of a closed configuration, as a program: residual, broken limits, tool placement."""
+"""Checks of a closed configuration, as a program: residual, broken limits, tool placement."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from pm3dof_pin.programs.tree import Tree
 def checks_program(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record the checks of a configuration, at closed samples, shape=(s, nq), see :class:`Tree`.
 
-    Inputs are q. Outputs: `residual`, the largest closure error [m, rad]; `broken`, the sum of 2^(k + 1) over the
-    mechanism's limit groups k with a limit that is exceeded by more than the tolerance in
-    :mod:`pm3dof_pin.programs.geometry`; and, where the mechanism has a tool, its `transform` in the world, shape=(4,
-    4).
+    The input is q. Outputs: `residual`, the largest closure error [m, rad]; `broken`, the sum of 2^(k + 1) over the
+    mechanism's limit groups k with a limit exceeded by more than the tolerance in
+    :mod:`pm3dof_pin.programs.geometry`; and, if the mechanism has a tool, its `transform` in the world, shape=(4, 4).
 
     Raises:
-        ProgramError: the model has a joint of a type for which there is no program.
-        InvalidValueError: the samples have another shape.
+        ProgramError: the model has a joint of an unsupported type.
+        InvalidValueError: the samples have the wrong shape.
     """
     graph = Graph()
     tree = Tree(graph, mechanism, samples, dense=dense)
@@ -62,5 +61,5 @@ def _beyond_swing(tree: Tree, index: int) -> list[Truth]:
         return []
     square, cosine = swing(tree, index)
     sine_limit, cosine_limit = (tree.geometry.limit(f"swing/{index}/{name}") for name in ("sine", "cosine"))
-    # the sine of the angle less its limit, which keeps its digits at every angle
+    # the sine of the angle minus its limit, which is accurate at every angle
     return [less(cosine * sine_limit, sqrt(square) * cosine_limit)]

@@ -1,4 +1,4 @@
-"""How all joints move while the loops stay closed, on recorded numbers, some of them being driven."""
+"""Joint motions that keep the loops closed, for given driven joints, on recorded numbers."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pm3dof_pin.typing import Objects
 
 @dataclass(frozen=True, eq=False)
 class _ClosedMotions:
-    """Velocities that keep the loops closed; those of slides are measured in units of length."""
+    """Velocities that keep the loops closed; those of prismatic joints are in units of length."""
 
-    #: velocities of all joints at unit rate of each driven one, where these obey the relations, shape=(nv, k)
+    #: velocities of all joints at unit rate of each driven one, if the rates satisfy the relations, shape=(nv, k)
     rates: Objects
     idle: Objects  #: basis of the motions with all driven joints at rest, shape=(nv, u)
-    relations: Objects  #: independent equations that rates of the driven joints obey, shape=(r, k)
+    relations: Objects  #: independent equations that the rates of the driven joints satisfy, shape=(r, k)
 
 
 def closed_motions(
@@ -47,7 +47,7 @@ def closed_motions(
 
 
 def constraint_rows(tree: Tree, unit: float) -> Objects:
-    """Return the constraint Jacobian, velocities of slides and of points in units of length, shape=(m, nv)."""
+    """Return the constraint Jacobian, linear velocities in units of length, shape=(m, nv)."""
     rows = []
     for index in range(len(tree.mechanism.closures)):
         equations = closure_equations(tree, index)
@@ -63,7 +63,7 @@ def constraint_rows(tree: Tree, unit: float) -> Objects:
 
 
 def _without_zeros(rows: Objects, doubt: Doubt) -> Objects:
-    """Return the rows without entries that are zero at all sample poses, and without those that have no others."""
+    """Return the rows with entries that vanish at all sample poses removed, and without zero rows."""
     kept = rows.copy()
     for place, entry in np.ndenumerate(rows):
         if np.nanmax(np.abs(samples(entry))) <= DROPPED:

@@ -1,4 +1,4 @@
-"""Steps that close all loops, as programs: Newton's, and damped ones."""
+"""Newton and damped steps that close all loops, as programs."""
 
 from __future__ import annotations
 
@@ -37,54 +37,54 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array, Objects
 
 _ROUNDING = 1e-12
-"""Determinants and pivots, scaled, that count as zero."""
+"""Scaled determinants and pivots up to this are treated as zero."""
 
 _RANK = 1e-6
-"""Least singular value, as a part of the greatest, of equations that determine their joints."""
+"""Least relative singular value of equations that determine their joints."""
 
 _LEAST_DAMPING = 1e-8
-"""Least damping of damped steps, as a part of the squared error."""
+"""Least damping of damped steps, relative to the squared error."""
 
 _LONGEST_STEP = 0.5
-"""Longest damped step [rad, characteristic lengths]: beyond it the linear model of a rotation is worth little."""
+"""Longest damped step [rad, characteristic lengths]: for longer ones the linear model of a rotation is poor."""
 
 _REGULAR = 1.0 - 2.0**-10
-"""Regularity of what is at least as far from singular configurations as usual."""
+"""Regularity of configurations at least as far from singular ones as usual."""
 
-_MOST_BITS = 30  # of the mode, so that the regularity keeps seven digits beside it
+_MOST_BITS = 30  # of the mode, which leaves seven digits for the regularity
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is given when loops are closed."""
+    """The prescribed quantities when loops are closed."""
 
-    joints: tuple[str, ...] = ()  #: joints held at given coordinates, each with one degree of freedom
-    #: components of the tool's placement that are brought to targets, R = Rx(rx) Ry(ry) Rz(rz)
+    joints: tuple[str, ...] = ()  #: single-DoF joints held at given coordinates
+    #: components of the tool's placement with targets, R = Rx(rx) Ry(ry) Rz(rz)
     tool: tuple[ToolComponent, ...] = ()
 
 
 def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
     """Record one Newton step.
 
-    Closures, and the tool's equations, that determine their joints are solved one after the other; those that do not,
-    and share joints, are solved together. Overconstrained systems are solved as least squares; of joints whose motions
-    are redundant, some are left at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is
-    quadratic where the loops can be closed.
+    Closures, and the tool's equations, that determine their joints are solved one by one; others that share joints are
+    solved together. Overconstrained systems are solved by least squares; of joints with redundant motions, some are
+    kept at rest, chosen at the samples, shape=(s, nq), see :class:`Tree`. Convergence is quadratic if the loops can be
+    closed.
 
-    Inputs: q; `margin` and `jump`, 1 and 0 at first; the coordinates of the held joints and the targets of the tool, in
-    the order of the task. Outputs: the new `q`, in which the held joints are at their coordinates; the new `margin` and
+    Inputs: q; `margin` and `jump`, initially 1 and 0; the coordinates of the held joints and the targets of the tool,
+    in the order of the task. Outputs: the new `q`, with the held joints at their coordinates; the new `margin` and
     `jump`; and `residual`. The first three are the state of an iteration.
 
-    `margin` is how far q is from a singular configuration before the step, and in which assembly mode. In (0, 1) it is
-    the least determinant or pivot of the systems, as a part of what is usual at the samples. 2 c less than that, c
-    positive, it tells by the bits of c which systems' determinants have another sign than at the first sample: a
-    singular configuration lies between, see :func:`regularity_and_mode`. `jump` is the one before plus the longest move
-    of a joint in this step [rad, characteristic lengths], `residual` the largest error before the step [m, rad].
+    `margin` encodes the distance of q from singular configurations before the step, and its assembly mode. In (0, 1) it
+    is the least determinant or pivot of the systems, relative to the usual one at the samples. If it is 2 c less, c
+    positive, the bits of c say which systems' determinants have another sign than at the first sample: a singular
+    configuration lies between, see :func:`regularity_and_mode`. `jump` is the previous one plus the largest joint
+    motion of this step [rad, characteristic lengths], `residual` the largest error before the step [m, rad].
 
     Raises:
-        ProgramError: the model has a joint of a type for which there is no program.
+        ProgramError: the model has a joint of an unsupported type.
         JointNotFoundError: the model has no such joint.
-        InvalidValueError: a held joint has several degrees of freedom, or the samples have another shape.
+        InvalidValueError: a held joint has several degrees of freedom, or the samples have the wrong shape.
     """
     given = _given(mechanism, task, samples, ("margin", "jump"), dense)
     tree, equations, scale, slides, held, (_, jump) = given
@@ -110,17 +110,17 @@ def closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, den
 
 
 def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike, *, dense: bool = False) -> Program:
-    """Record one damped step, for far starts and singular configurations.
+    """Record one damped step, for distant starts and singular configurations.
 
     Levenberg-Marquardt on all equations that share joints, as in :func:`~pm3dof_pin.kinematics.assembly.assemble`: the
-    damping falls with the square of the error (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
-    quadratic; a step that makes the error larger is taken back, and the next one is shorter.
+    damping is proportional to the square of the error (J. Fan and Y. Yuan, Computing 74, 2005), which keeps convergence
+    quadratic; a step that increases the error is undone, and the next one is shorter.
 
-    Inputs: q; `best`, nq numbers that are not used before the second step; `damping`, 0.1 at first; `cost`, infinite at
-    first; then as for :func:`closing_program`. Outputs, the state of an iteration: `q`, `best`, `damping`, and `cost`,
-    the least squared error so far, lengths in characteristic lengths; and `residual`.
+    Inputs: q; `best`, nq numbers, unused before the second step; `damping`, initially 0.1; `cost`, initially infinite;
+    then as for :func:`closing_program`. Outputs, the state of an iteration: `q`, `best`, `damping`, and `cost`, the
+    least squared error so far, lengths in characteristic lengths; and `residual`.
 
-    Args and errors are those of :func:`closing_program`.
+    Arguments and errors as in :func:`closing_program`.
     """
     nq = mechanism.model.nq
     names = (*(f"best[{k}]" for k in range(nq)), "damping", "cost")
@@ -147,7 +147,7 @@ def damped_closing_program(mechanism: Mechanism, task: Task, samples: ArrayLike,
 
 
 class _Given(NamedTuple):
-    """What both kinds of steps start with: the tree, its equations, and what they leave free."""
+    """Common to both kinds of steps: the tree, its equations, and the free entries of v."""
 
     tree: Tree
     equations: list[Equations]
@@ -178,27 +178,27 @@ def _given(mechanism: Mechanism, task: Task, samples: ArrayLike, state: tuple[st
 
 
 def _targets(graph: Graph, mechanism: Mechanism, task: Task, samples: Array) -> dict[str, Number]:
-    """Add the targets to the inputs; their samples are where the tool is."""
+    """Add the targets to the inputs; their samples are the tool's placements."""
     rows = tool_components([Configuration(mechanism, q).tool_placement.homogeneous for q in samples])
     return {name: graph.input(name, rows[:, TOOL_COMPONENTS.index(name)]) for name in task.tool}
 
 
 def regularity_and_mode(margin: Array) -> tuple[Array, Array]:
-    """Return from `margin` how regular configurations are, in (0, 1), and their assembly modes, 0 the samples'."""
+    """Decode `margin`: return regularities, in (0, 1), and assembly modes, 0 being that of the samples."""
     mode = -np.floor(0.5 * margin)
     return margin + 2.0 * mode, mode
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Scaled equations that are solved together: rows by the entries of v, and errors."""
+    """Scaled equations that are solved together: columns by the entries of v, and errors."""
 
-    columns: Mapping[int, Objects]  #: derivative of the errors by the entries of v, each of shape=(m,)
+    columns: Mapping[int, Objects]  #: derivative of the errors by the entries of v, shape=(m,) each
     error: Objects  #: shape=(m,)
-    unknowns: tuple[int, ...]  #: the entries of v that solve them; others are known by then, or held
+    unknowns: tuple[int, ...]  #: the entries of v to solve for; the others are held, or known by then
 
     def reduced(self, known: Mapping[int, Scalar]) -> tuple[Objects, Objects]:
-        """Return matrix and right side in the unknowns, given the others, without rows that are zero."""
+        """Return matrix and right-hand side in the unknowns, given the others, without zero rows."""
         matrix = np.stack([self.columns[k] for k in self.unknowns], axis=1)
         right = -self.error
         for k, move in known.items():
@@ -226,10 +226,10 @@ def _scaled(equations: Equations, scale: float, slides: set[int]) -> Equations:
 
 
 def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
-    """Put equations into systems, in an order in which they can be solved.
+    """Group equations into systems, in an order in which they can be solved.
 
-    Equations that determine all of their joints are solved on their own; then those that do with the joints found; and
-    what is left is joined where it shares joints.
+    Equations that determine all their joints are solved alone; then those that do so given the joints found; the rest
+    are joined where they share joints.
     """
     waiting, found, systems = list(equations), set(held), []
     while waiting:
@@ -244,7 +244,7 @@ def _systems(equations: list[Equations], held: set[int]) -> list[_System]:
 
 
 def _joined(systems: list[_System]) -> list[_System]:
-    """Join systems that share unknowns; leave out those without."""
+    """Join systems that share unknowns; omit those without any."""
     joined: list[_System] = []
     for system in systems:
         if system.unknowns:
@@ -270,13 +270,13 @@ def _union(systems: list[_System]) -> _System:
 
 
 def _solved(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
-    """Return the solution, the regularity, and whether the determinant has another sign than at the first sample."""
+    """Return solution, regularity, and whether the determinant has another sign than at the first sample."""
     direct = matrix.shape[0] == matrix.shape[1] <= 3
     return _solved_directly(matrix, right) if direct else _solved_by_elimination(matrix, right)
 
 
 def _damped(matrix: Objects, right: Objects, damping: Scalar) -> Objects:
-    """Return the damped least squares solution."""
+    """Return the damped least-squares solution."""
     size = matrix.shape[1]
     rows = objects([[damping if i == j else 0.0 for j in range(size)] for i in range(size)])
     extended = np.concatenate([right, objects([0.0] * size)])
@@ -303,7 +303,7 @@ def _solved_directly(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, 
 
 
 def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Scalar, Truth]:
-    """Solve any system as least squares; the regularity is the least pivot, and the determinant their product."""
+    """Solve any system by least squares; the regularity is the least pivot, the determinant their product."""
     size = matrix.shape[1]
     result = eliminate(np.hstack([matrix, right[:, None]]), range(size), Doubt())
     columns = list(result.columns)
@@ -322,7 +322,7 @@ def _solved_by_elimination(matrix: Objects, right: Objects) -> tuple[Objects, Sc
 
 
 def _usual(number: Scalar) -> float:
-    """Return the median magnitude at the samples, 0 where that is rounding."""
+    """Return the median magnitude at the samples, 0 if that is a rounding error."""
     median = typical(np.abs(number.samples if isinstance(number, Number) else number))
     return median if median > _ROUNDING else 0.0
 

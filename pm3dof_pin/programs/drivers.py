@@ -1,4 +1,4 @@
-"""The loops that drive a program, as LLVM's text: over blocks of poses, over steps, and along lines of a grid."""
+"""The loops around a program, as LLVM IR: over blocks of poses, over steps, and along lines of a grid."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pm3dof_pin.programs.ir import StraightLine
 from pm3dof_pin.programs.program import Program
 
 HISTORY = 3
-"""Poses before the last one from which a march predicts the next."""
+"""Number of poses before the last one that a march uses to predict the next."""
 
 # arguments of the functions
 _ROWS = "ptr %inputs, i64 %inputs_stride, ptr %parameters, ptr %outputs, i64 %outputs_stride, i64 %n"
@@ -19,18 +19,18 @@ _MARCH = (
 
 
 def module(program: Program, lanes: int, opaque_pointers: bool, fused: bool, attributes: str = "") -> str:
-    """Return the text of a module with the function `evaluate` and, where the program allows, `iterate` and `march`.
+    """Return the text of a module with the function `evaluate` and, if the program permits, `iterate` and `march`.
 
     The first two take ``(inputs, stride, parameters, outputs, stride, n)``: rows of doubles, strides in doubles, counts
-    and strides as 64-bit integers. `iterate` takes a tolerance and the greatest number of steps besides; its rows of
-    outputs are the last state, the residual that the last step began with, and the number of steps. For `march` see
+    and strides as 64-bit integers. `iterate` also takes a tolerance and the maximum number of steps; its rows of
+    outputs are the last state, the residual at the start of the last step, and the number of steps. For `march` see
     :meth:`pm3dof_pin.programs.llvm.Compiled.march`.
 
     Args:
         program: the program.
-        lanes: poses computed at once, a power of two.
-        opaque_pointers: whether pointers are spelt without their type, as LLVM 17 and later want it.
-        fused: whether the processor has an operation a b + c, rounded once.
+        lanes: number of poses computed at once, a power of two.
+        opaque_pointers: whether pointers are untyped, as LLVM 17 and later require.
+        fused: whether the processor has a fused multiply-add, a b + c rounded once.
         attributes: attributes of all functions.
     """
     text = _Drivers(program, lanes, opaque_pointers, fused)
@@ -162,10 +162,10 @@ class _Drivers(StraightLine):
         self.label("closed")
         self.end_blocks()
 
-    # loops over blocks of poses; past the end the last pose stands in the lanes, and is written once more
+    # loops over blocks of poses; lanes past the end repeat the last pose, which is written again
 
     def begin_function(self, name: str, *arguments: str, **buffers: int) -> None:
-        """Begin a function on blocks of rows, with the table of what all poses share, and buffers of vectors."""
+        """Begin a function on blocks of rows, with the table of values shared by all poses, and buffers of vectors."""
         program, p = self.program, self.pointer
         self.begin(name, ", ".join(arguments).replace("ptr", f"{p} noalias"), internal=False)
         sizes = {
@@ -182,7 +182,7 @@ class _Drivers(StraightLine):
         self.do("%last = sub i64 %n, 1")
 
     def begin_blocks(self, latch: str) -> None:
-        """Begin the loop over blocks, whose last label is `latch`."""
+        """Begin the loop over blocks; its last label is `latch`."""
         self.do("%some = icmp sgt i64 %n, 0")
         self.do("br i1 %some, label %loop, label %end")
         self.label("loop")
@@ -216,11 +216,11 @@ class _Drivers(StraightLine):
         return self.emit(f"shufflevector {self.vector} {a}, {self.vector} {b}, <{self.lanes} x i32> <{mask}>")
 
     def gather(self, array: str, n: int, block: str = "%block_inputs", offset: str = "0") -> None:
-        """Emit reading n columns of the rows in the lanes, some numbers further on, into vectors of a block."""
+        """Emit reading n columns of the rows in the lanes, from an offset, into vectors of a block."""
         self._copy("gather", array, n, block, offset)
 
     def scatter(self, array: str, n: int, block: str, offset: str = "0") -> None:
-        """Emit writing n vectors of a block to columns of the rows in the lanes, some numbers further on."""
+        """Emit writing n vectors of a block to columns of the rows in the lanes, from an offset."""
         self._copy("scatter", array, n, block, offset)
 
     def _copy(self, direction: str, array: str, n: int, block: str, offset: str) -> None:
@@ -232,7 +232,7 @@ class _Drivers(StraightLine):
             self.do(f"call void @{direction}_{width}({rows}, i64 {n}, {p} {block})")
 
     def copies(self) -> None:
-        """Emit the functions that gather and scatter, as many columns at a time as there are lanes, or one by one.
+        """Emit the functions that gather and scatter, either one column per lane at a time, or one by one.
 
         The last columns may be copied twice.
         """

@@ -1,10 +1,10 @@
-"""Orthogonal elimination on recorded numbers: sparse, with columns chosen while recording, and with doubt recorded.
+"""Sparse orthogonal elimination on recorded numbers, with columns chosen while recording, and with doubt recorded.
 
-The rows of a system are NumPy arrays of dtype object; structural zeros stay zeros. Which column is eliminated next is
-decided once for all poses, by the values at the sample poses: a column that is zero at all of them is dropped, and
-pivots are chosen by medians. What this takes for granted is recorded in a `Doubt`, to be asked at every pose.
+The rows of a system are NumPy arrays of dtype object; structural zeros stay zeros. The order of elimination is decided
+once for all poses, by the values at the sample poses: a column that is zero at all of them is dropped, and pivots are
+chosen by medians. The assumptions are recorded in a `Doubt`, which is checked at every pose.
 
-Quantities are to be scaled so that one is the size of a column well away from zero.
+Quantities must be scaled such that columns well away from zero have lengths of about one.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from pm3dof_pin.typing import Array, Objects
 ZERO = 1e-9
 """Columns shorter than this times the longest at all sample poses are dropped."""
 
-_SHARE = 0.1  # of the best pivot's relative length, which is enough for a pivot that keeps more zeros
+_SHARE = 0.1  # of the best pivot's relative length; sufficient for a pivot that keeps more zeros
 
 PIVOT = 1e-5
-"""Pivots below this leave a rank in doubt."""
+"""Smaller pivots leave a rank in doubt."""
 
 DROPPED = 1e-9
-"""Entries dropped as zero that are larger than this leave a rank in doubt."""
+"""Larger entries dropped as zero leave a rank in doubt."""
 
 
 class Doubt:
-    """The least pivot of choices made while recording, and the largest entry dropped as zero."""
+    """The least pivot chosen while recording, and the largest entry dropped as zero."""
 
     def __init__(self) -> None:
         self.pivot: Scalar = 1.0
@@ -42,13 +42,13 @@ class Doubt:
         self.pivot = minimum(self.pivot, size)
 
     def drop(self, entries: Sequence[Scalar]) -> None:
-        """Record entries taken for zero."""
+        """Record entries assumed to be zero."""
         for entry in entries:
             if not is_zero(entry):
                 self.dropped = maximum(self.dropped, absolute(entry))
 
     def is_none(self, values: Objects) -> Truth:
-        """Return whether nothing is in doubt, and values that depend on the choices are numbers."""
+        """Return whether nothing is in doubt, and values that depend on the choices are not NaN."""
         finite = less(-1.0, total([entry * entry for entry in values.ravel()]))
         return less(PIVOT, self.pivot) & less(self.dropped, DROPPED) & finite
 
@@ -57,10 +57,10 @@ class Doubt:
 class Reflection:
     """An orthogonal symmetric matrix 1 - v g^T on a few indices; or a rotation in a plane."""
 
-    indices: tuple[int, ...]  #: what it acts on; the first is the pivot
-    vector: tuple[Scalar, ...]  #: v; of a rotation, cosine and sine
+    indices: tuple[int, ...]  #: the indices it acts on; the first is the pivot
+    vector: tuple[Scalar, ...]  #: v; for a rotation, cosine and sine
     scaled: tuple[Scalar, ...] | None  #: g, a multiple of v; None for a rotation
-    pivot: Scalar  #: what the pivot's entry becomes
+    pivot: Scalar  #: the pivot's entry afterwards
     size: Scalar  #: its magnitude, the length of the vector
 
     def apply(self, numbers: list[Scalar] | dict[int, Scalar], *, transposed: bool = False) -> None:
@@ -83,16 +83,16 @@ class Reflection:
 class Elimination:
     """A system after the elimination of columns."""
 
-    columns: tuple[int, ...]  #: the eliminated columns, in their order
-    dropped: tuple[int, ...]  #: columns that are zero when the others are eliminated
+    columns: tuple[int, ...]  #: the eliminated columns, in order
+    dropped: tuple[int, ...]  #: columns that are zero once the others are eliminated
     pivot_rows: Objects  #: one row for each eliminated column, upper triangular in them, shape=(r, n)
     rest: Objects  #: the other rows, zero in all these columns, shape=(m - r, n)
-    #: the orthogonal matrices that were applied to the rows, in their order
+    #: the orthogonal matrices applied to the rows, in order
     reflections: tuple[Reflection, ...] = field(repr=False)
     rest_rows: tuple[int, ...]  #: which rows of the system became the rest
 
     def carry(self, columns: Objects) -> tuple[Objects, Objects]:
-        """Apply the reflections to more columns of the system; return their part in the pivot rows and in the rest."""
+        """Apply the reflections to more columns of the system; return their parts in the pivot rows and in the rest."""
         carried = zeros(*columns.shape)
         for c in range(columns.shape[1]):
             numbers = list(columns[:, c])
@@ -103,7 +103,7 @@ class Elimination:
         return carried[pivots], carried[list(self.rest_rows)]
 
     def complement(self) -> Objects:
-        """Return the rows that take the system to its rest, orthonormal, shape=(m - r, m)."""
+        """Return the orthonormal rows that map the system to its rest, shape=(m - r, m)."""
         count = len(self.rest_rows) + len(self.columns)
         rows = zeros(len(self.rest_rows), count)
         for row, place in zip(rows, self.rest_rows, strict=True):
@@ -116,12 +116,12 @@ class Elimination:
 
     @property
     def cost(self) -> int:
-        """Operations that applying the reflections to one more column costs."""
+        """Number of operations to apply the reflections to one more column."""
         return sum(4 * len(r.indices) for r in self.reflections if len(r.indices) > 1)
 
 
 def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Elimination:
-    """Eliminate columns from a system of rows by Householder's reflections; the sparsest first, of equals the last."""
+    """Eliminate columns from a system of rows by Householder reflections: the sparsest first, of equals the last."""
     rows = [list(row) for row in system]
     active = list(range(len(rows)))
     waiting = list(columns)
@@ -176,7 +176,7 @@ def eliminate(system: Objects, columns: Sequence[int], doubt: Doubt) -> Eliminat
 
 
 def reflect(vector_entries: Mapping[int, Scalar]) -> Reflection:
-    """Return the matrix that takes a vector, given by its entries that are not zero, to the index of the largest."""
+    """Return the matrix that maps a vector, given by its nonzero entries, to the index of the largest."""
     sizes = {k: typical(np.abs(samples(entry))) for k, entry in vector_entries.items()}
     indices = tuple(sorted(sizes, key=lambda k: -sizes[k]))
     entries = [vector_entries[k] for k in indices]
@@ -212,7 +212,7 @@ def total(terms: Sequence[Scalar]) -> Scalar:
 
 
 def product(a: Objects, b: Objects) -> Objects:
-    """Return the matrix product; unlike `@` also where an axis is empty."""
+    """Return the matrix product; unlike `@`, also for empty axes."""
     result = zeros(a.shape[0], b.shape[1])
     for i, row in enumerate(a):
         for j in range(b.shape[1]):
@@ -226,7 +226,7 @@ def samples(number: Scalar) -> Array | float:
 
 
 def typical(values: Array | float) -> float:
-    """Return the median over the samples at which a number exists; ProgramError where it exists at none."""
+    """Return the median over the samples at which a number exists; ProgramError if it exists at none."""
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
         raise ProgramError("a number of the program exists at none of its sample poses")
@@ -241,14 +241,14 @@ def zeros(rows: int, columns: int) -> Objects:
 
 
 def identity(size: int) -> Objects:
-    """Return the unit matrix."""
+    """Return the identity matrix."""
     matrix = zeros(size, size)
     np.fill_diagonal(matrix, 1.0)
     return matrix
 
 
 def _lengths(entries: Sequence[Scalar]) -> Array:
-    """Return the length of a vector at every sample pose; one of size 0 where it has no entries."""
+    """Return the length of a vector at every sample pose; an array of size 0 if it has no entries."""
     squares = sum((np.square(samples(entry)) for entry in entries), np.zeros(1))
     lengths: Array = np.sqrt(squares)
     return lengths

@@ -1,11 +1,11 @@
-"""The numbers of a mechanism's geometry: constants and parameters of its programs.
+"""The geometry of a mechanism as constants and parameters of its programs.
 
-An entry that is exactly 0, 1 or -1 is a constant of the program, and work with it vanishes; every other entry is a
-parameter. Which entries are constants is the *pattern*. One program serves all mechanisms of the same structure and
-pattern; a dense pattern, without constants, serves every mechanism of the structure, with errors in whatever place.
+Entries that are exactly 0, 1 or -1 are constants of the program, which saves operations; all others are parameters. The
+*pattern* says which entries are constants. One program serves all mechanisms of the same structure and pattern; a
+dense pattern, without constants, serves all mechanisms of the structure, with errors anywhere.
 
-Entries within 1e-15 of 0, 1 or -1 are taken as such: they are the rounding of cos(pi/2) in angles of a URDF. This
-moves a point a metre away by 1e-15 m.
+Entries within 1e-15 of 0, 1 or -1 are rounded to these: they come from rounding, such as of cos(pi/2) for angles of a
+URDF. This moves a point a metre away by 1e-15 m.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CONSTANTS = (0.0, 1.0, -1.0)
 
 
 def structure(mechanism: Mechanism) -> str:
-    """Describe what programs depend on besides the geometry: joints, their order and types, closures, tool, limits."""
+    """Describe what programs depend on besides geometry: joints, their order and types, closures, tool, limits."""
     model = mechanism.model
     joints = [
         f"{model.names[index]}:{_kind(model.joints[index])}:{model.parents[index]}" for index in range(1, model.njoints)
@@ -46,9 +46,9 @@ def structure(mechanism: Mechanism) -> str:
 
 
 def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float]:
-    """Collect the geometry of a mechanism by name: placements of joints and frames, axes, and limits with a tolerance.
+    """Return the geometry of a mechanism by name: placements of joints and frames, axes, and limits with tolerance.
 
-    Frames are those of the closures and the tool, and others named; numbers are rounded as said above.
+    Frames are those of the closures and the tool, and those given; numbers are rounded as described above.
     """
     model = mechanism.model
     names: list[str] = []
@@ -70,7 +70,7 @@ def numbers(mechanism: Mechanism, frames: Iterable[str] = ()) -> dict[str, float
 
 
 def values(mechanism: Mechanism, names: Sequence[str], others: Mapping[str, float] | None = None) -> Vector:
-    """Collect the values of a program's parameters, its mechanism's geometry and others that are given.
+    """Return the values of a program's parameters, from its mechanism's geometry and the others given.
 
     Raises:
         ProgramError: the mechanism lacks a number.
@@ -83,7 +83,7 @@ def values(mechanism: Mechanism, names: Sequence[str], others: Mapping[str, floa
 
 
 def chosen(found: Mapping[str, float], names: Iterable[str]) -> Vector:
-    """Return the values of a program's parameters, of the :func:`numbers` of a mechanism, shape=(number of names,)."""
+    """Return the values of a program's parameters from a mechanism's :func:`numbers`, shape=(number of names,)."""
     return np.array([found[name] for name in names])
 
 
@@ -106,7 +106,7 @@ class Geometry:
         return self._known[name]
 
     def limit(self, name: str) -> Number:
-        """Return a limit, which is a parameter always."""
+        """Return a limit, which is always a parameter."""
         if name not in self._known:
             self._known[name] = self._graph.parameter(name, self._numbers[name])
         return self._known[name]  # type: ignore[return-value]
@@ -121,13 +121,13 @@ class Geometry:
 
 
 def pattern(mechanism: Mechanism, frames: Iterable[str] = ()) -> str:
-    """Return a hash of which entries are constants, and of which value."""
+    """Return a hash of which entries are constants, and their values."""
     rows = constants(numbers(mechanism, frames))
     return hashlib.sha256(repr(rows).encode()).hexdigest()
 
 
 def constants(found: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Return the pattern of the :func:`numbers` of a mechanism: entries that are constants, with their values."""
+    """Return the pattern of a mechanism's :func:`numbers`: the entries that are constants, with their values."""
     return [
         (name, value)
         for name, value in found.items()
@@ -166,7 +166,7 @@ def _add_joint(names: list[str], entries: list[NDArray[Any]], owner: str, model_
 
 
 def _unbounded_axis(joint: Any) -> NDArray[Any]:
-    """Return the axis, which Pinocchio's bindings show only in the joint's motion subspace."""
+    """Return the axis, which Pinocchio's bindings only expose through the joint's motion subspace."""
     data, q = joint.createData(), np.zeros(joint.idx_q + 2)
     q[joint.idx_q] = 1.0
     joint.calc(data, q)

@@ -1,8 +1,8 @@
-"""Numbers that record what is done with them: an algorithm of one pose, written in plain Python, becomes a program.
+"""Numbers that record operations: a single-pose algorithm, written in plain Python, becomes a program.
 
-Every operation on a `Number` is noted down in its `Graph` instead of done. Work that was noted before is shared,
-constants are folded, and zeros and ones vanish. Folding takes every number as finite: ``x * 0`` is 0 and ``x - x`` is
-0 also where x is NaN at run time. Division is multiplication with a reciprocal.
+Every operation on a `Number` is recorded in its `Graph` instead of executed. Common subexpressions are shared,
+constants are folded, and operations with zeros and ones are simplified. Folding assumes that all numbers are finite:
+``x * 0`` and ``x - x`` are 0 even if x is NaN at run time. Division is multiplication by a reciprocal.
 
 Vectors and matrices are NumPy arrays of dtype object, or lists::
 
@@ -40,7 +40,7 @@ class Graph:
         return len(self._values)
 
     def input(self, name: str, samples: ArrayLike) -> Number:
-        """Add an input, which every pose has its own of, with its values at the sample poses, shape=(s,).
+        """Add an input, one value per pose, with its values at the sample poses, shape=(s,).
 
         Raises:
             InvalidValueError: the name is taken, or the number of samples differs.
@@ -56,7 +56,7 @@ class Graph:
         return number
 
     def parameter(self, name: str, value: float) -> Number:
-        """Add a parameter, which all poses of a call share, by its value at the samples; InvalidValueError if taken."""
+        """Add a parameter, shared by all poses of a call, with its value at the samples; InvalidValueError if taken."""
         self._parameters[name] = number = self._leaf(name)
         self._constant_samples(number, np.float64(value))
         return number
@@ -72,9 +72,9 @@ class Graph:
         return found
 
     def program(self, name: str, outputs: Mapping[str, ArrayLike | Number]) -> Program:
-        """Finish: return what the outputs, arrays or nested lists of numbers by group, need, and nothing else.
+        """Return the program of the outputs, arrays or nested lists of numbers by group, without unused operations.
 
-        All inputs and parameters stay arguments, in the order they were added.
+        All inputs and parameters remain arguments, in the order they were added.
 
         Raises:
             InvalidValueError: an output is not a number of this graph.
@@ -106,7 +106,7 @@ class Graph:
 
     def _leaf(self, name: str) -> Number:
         if name in self._inputs or name in self._parameters:
-            raise InvalidValueError("name", repr(name), "one that is not taken")
+            raise InvalidValueError("name", repr(name), "a name that is not taken")
         return Number(self, "leaf")
 
     def _number(self, value: object) -> Number:
@@ -123,7 +123,7 @@ class Graph:
         self._samples.append(samples)
 
     def _evaluate(self, index: int) -> Any:
-        """Return the samples of a value, computing all those before it that are missing."""
+        """Return the samples of a value, computing missing ones of its predecessors."""
         samples = self._samples
         if index >= len(samples):
             with np.errstate(all="ignore"):
@@ -135,9 +135,9 @@ class Graph:
 
 
 def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_Value]:
-    """Return the lines depth first from the results, so that fewer numbers wait at a time for their use.
+    """Return the lines depth first from the results, so that fewer values are live at a time.
 
-    Of the operands of a line the one that keeps more numbers waiting comes first (R. Sethi and J. Ullman, J. ACM 17,
+    Of the operands of a line, the one that needs more live values comes first (R. Sethi and J. Ullman, J. ACM 17,
     1970).
     """
     waiting: dict[_Value, int] = {}
@@ -152,7 +152,7 @@ def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_V
         if value in opened or not value.operands:
             stack.pop()
             if value.operands:
-                lines[value] = None  # again and again for one that several wait for: the first time counts
+                lines[value] = None  # repeated for shared values: the first time counts
         else:
             opened.add(value)
             stack.extend(sorted(value.operands, key=waiting.__getitem__))
@@ -160,7 +160,7 @@ def _by_first_use(order: Sequence[_Value], results: Sequence[_Value]) -> list[_V
 
 
 class _Value:
-    """A value in a graph; `value` is that of a constant."""
+    """A value in a graph; `value` is set for constants."""
 
     __slots__ = ("graph", "index", "operands", "operation", "value")
 
@@ -188,7 +188,7 @@ class _Value:
 
 
 class Number(_Value):
-    """A recorded number. Arithmetic works among numbers and with floats, alone or in NumPy arrays of dtype object."""
+    """A recorded number. Arithmetic works with numbers and floats, also in NumPy arrays of dtype object."""
 
     __slots__ = ()
 
@@ -239,7 +239,7 @@ class Number(_Value):
         return absolute(self)
 
     def __pow__(self, exponent: int) -> Number:
-        """Return a power with a whole exponent of 1 or more, as a product."""
+        """Return a power with a positive integer exponent, as a product."""
         if not isinstance(exponent, int) or exponent < 1:
             return NotImplemented
         if exponent == 1:
@@ -249,7 +249,7 @@ class Number(_Value):
 
 
 class _Condition(_Value):
-    """A recorded truth value, for `select`; conditions combine by ``&``, ``|`` and ``~``, also with `numpy.bool`."""
+    """A recorded boolean, for `select`; conditions combine by ``&``, ``|`` and ``~``, also with `numpy.bool`."""
 
     __slots__ = ()
     __array_ufunc__ = None
@@ -276,7 +276,7 @@ Truth = _Condition | np.bool_
 
 
 def sin(angle: Scalar) -> Scalar:
-    """Sine of an angle [rad]; share it with `cos` of the same angle, which costs next to nothing then."""
+    """Sine of an angle [rad]; `cos` of the same angle then costs almost nothing."""
     if not isinstance(angle, Number):
         return float(np.sin(angle))
     return _negative(_unary("sin", angle.operands[0])) if angle.operation == "negative" else _unary("sin", angle)
@@ -290,7 +290,7 @@ def cos(angle: Scalar) -> Scalar:
 
 
 def sqrt(a: Scalar) -> Scalar:
-    """Square root; NaN of what is negative."""
+    """Square root; NaN for negative numbers."""
     if not isinstance(a, Number):
         return _folded("sqrt", a)
     return _unary("sqrt", a)
@@ -311,17 +311,17 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
 
 
 def minimum(a: Scalar, b: Scalar) -> Scalar:
-    """Lesser of two numbers; NaN where one of them is."""
+    """Lesser of two numbers; NaN if either is."""
     return a if a is b else _binary("minimum", a, b)
 
 
 def maximum(a: Scalar, b: Scalar) -> Scalar:
-    """Greater of two numbers; NaN where one of them is."""
+    """Greater of two numbers; NaN if either is."""
     return a if a is b else _binary("maximum", a, b)
 
 
 def less(a: Scalar, b: Scalar) -> Truth:
-    """Whether a < b; false where one of them is NaN."""
+    """Whether a < b; false if either is NaN."""
     graph = _graph_of(a, b)
     if graph is None:
         return np.bool_(a < b)  # type: ignore[operator]
@@ -334,7 +334,7 @@ def less(a: Scalar, b: Scalar) -> Truth:
 
 
 def select(condition: Truth, a: Scalar, b: Scalar) -> Scalar:
-    """Return a where the condition is true, else b. Both are computed."""
+    """Return a if the condition is true, else b. Both are computed."""
     if not isinstance(condition, _Condition):
         return a if condition else b
     if condition.operation == "not":
@@ -347,7 +347,7 @@ V = TypeVar("V", Number, _Condition)
 
 
 def _record(kind: type[V], operation: str, *operands: _Value) -> V:
-    """Return the value of this operation: the one that is known, or a new one."""
+    """Return the value of this operation: an existing one, or a new one."""
     graph = operands[0].graph
     key = (operation, *operands)
     found: V | None = graph._known.get(key)
@@ -478,11 +478,11 @@ def _divide(a: Number, b: Number) -> Number:
         return _negative(_divide(a.operands[0], b))
     if b.operation == "negative":
         return _negative(_divide(a, b.operands[0]))
-    if a.value != 1.0:  # one reciprocal serves all that is divided by the same
+    if a.value != 1.0:  # one reciprocal serves all divisions by the same number
         return _multiply(a, _divide(a.graph.constant(1.0), b))
     return _record(Number, "divide", a, b)
 
 
 def is_zero(number: Scalar) -> bool:
-    """Tell whether a number is known to be 0 while recording."""
+    """Return whether a number is known to be 0 while recording."""
     return number.is_zero if isinstance(number, Number) else number == 0.0

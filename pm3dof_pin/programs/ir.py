@@ -1,4 +1,4 @@
-"""A program's straight line as LLVM's text: what all poses share once for a call, the rest on vectors of poses."""
+"""A program's straight line as LLVM IR: shared values once per call, the rest on vectors of poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pm3dof_pin.programs.vector_ir import VectorText
 
 
 class StraightLine(VectorText):
-    """A module with `prepare`, which fills the table of what all poses share, and `line`, for a block."""
+    """A module with `prepare`, which fills the table of shared values, and `line`, for a block of poses."""
 
     def __init__(self, program: Program, lanes: int, opaque_pointers: bool, fused: bool) -> None:
         super().__init__(lanes, opaque_pointers, fused)
@@ -20,17 +20,17 @@ class StraightLine(VectorText):
         self.products = self._products() if fused else {}
         self._fused_products = frozenset(self.products.values())
 
-    # what is computed for every pose, and what is the same for all
+    # values computed for each pose, and values shared by all
 
     def _per_pose(self) -> list[bool]:
-        """Return for every value whether it differs from pose to pose."""
+        """Return for each value whether it differs between poses."""
         differs = [number < len(self.program.inputs) for number in range(self.program.first_line)]
         for _, operands in self.program.lines:
             differs.append(any(differs[number] for number in operands))
         return differs
 
     def _shared(self) -> dict[int, int]:
-        """Return places in the table of values that are the same for all poses and are used by one that is not."""
+        """Return the table indices of shared values that are used by per-pose values."""
         first_constant = len(self.program.inputs) + len(self.program.parameters)
         used = list(self.program.results)
         for number, (_, operands) in enumerate(self.program.lines, start=self.program.first_line):
@@ -43,7 +43,7 @@ class StraightLine(VectorText):
         return places
 
     def _products(self) -> dict[int, int]:
-        """Return for every sum and difference that can be one operation with a product the number of the product."""
+        """Return the product of each sum or difference that can be fused with one, by number."""
         first, lines = self.program.first_line, self.program.lines
         uses = Counter(self.program.results)
         for _, operands in lines:
@@ -59,7 +59,7 @@ class StraightLine(VectorText):
         return products
 
     def straight(self, numbers: Iterable[int], value: Callable[[int], str], keep: Callable[[int, str], None]) -> None:
-        """Emit the lines of ascending numbers, `value` giving the name of each, `keep` being told of every one made."""
+        """Emit the lines of ascending numbers; `value` returns the name of each, `keep` is called for each result."""
         angles: dict[int, tuple[str, str]] = {}
         for number in numbers:
             if number in self._fused_products:
@@ -78,7 +78,7 @@ class StraightLine(VectorText):
     def sum_with_product(
         self, operation: str, operands: tuple[int, ...], product: int, value: Callable[[int], str]
     ) -> str:
-        """Emit a sum or difference with one operand a product, as one operation."""
+        """Emit a sum or difference with a product as one fused operation."""
         x, y = map(value, self.program.lines[product - self.program.first_line][1])
         if operands[0] == product:
             other = value(operands[1])
@@ -113,7 +113,7 @@ class StraightLine(VectorText):
                 return self.emit(f"{operation} {self.truths} {operands[0]}, {operands[1]}")
 
     def prepare(self) -> None:
-        """Emit the function that fills the table of what is the same for all poses."""
+        """Emit the function that fills the table of shared values."""
         program, first = self.program, len(self.program.inputs)
         first_constant = first + len(program.parameters)
         self.begin("prepare", f"{self.pointer} noalias %parameters, {self.pointer} noalias %shared")
@@ -144,12 +144,12 @@ class StraightLine(VectorText):
         self.end()
 
     def is_condition(self, number: int) -> bool:
-        """Tell whether a value is true or false."""
+        """Return whether a value is a boolean."""
         line = number - self.program.first_line
         return line >= 0 and self.program.lines[line][0] in ("less", "and", "or", "not")
 
     def straight_line(self) -> None:
-        """Emit the function that computes a block of poses, one value of all lanes after the other."""
+        """Emit the function that computes a block of poses, one value of all lanes at a time."""
         program, lanes = self.program, self.lanes
         first_constant = len(program.inputs) + len(program.parameters)
         pointers = (f"{self.pointer} noalias %{name}" for name in ("inputs", "shared", "outputs"))

@@ -1,4 +1,4 @@
-"""Programs printed as JavaScript, for pages that compute by themselves."""
+"""Programs printed as JavaScript, for self-contained pages."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _EXPRESSIONS = EXPRESSIONS | {
 def javascript(program: Program, parameters: ArrayLike | None = None) -> str:
     """Print a program as one JavaScript function of arrays of double-precision numbers.
 
-    `function name(x, y)` with the values of its parameters in it, or `function name(x, p, y)` without: inputs x,
+    `function name(x, y)` with built-in parameter values, or `function name(x, p, y)` without: inputs x,
     parameters p, outputs y.
 
     Raises:
-        InvalidValueError: there are not as many values as parameters.
+        InvalidValueError: the number of values is not the number of parameters.
     """
     first = len(program.inputs)
     names = [f"x[{k}]" for k in range(first)]

@@ -1,7 +1,7 @@
 """Joints on recorded numbers: displacement, screws and step of every joint type of Pinocchio's URDF and MJCF readers.
 
-Joints with several degrees of freedom that are nothing but a chain of simple ones (universal, translation, spherical
-ZYX, composite) are taken as that chain.
+Multi-DoF joints that are chains of simple ones (universal, translation, spherical ZYX, composite) are treated as such
+chains.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def cross(a: Sequence[Scalar] | Objects, b: Sequence[Scalar] | Objects) -> Objec
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A placement in the world, translation in m."""
+    """A placement in the world, translation in metres."""
 
     rotation: Objects
     translation: Objects
@@ -67,7 +67,7 @@ class _Joint(Protocol):
     def nv(self) -> int: ...
 
     def displacement(self, q: Objects) -> Placement:
-        """Return the placement of the moving body against the fixed one."""
+        """Return the placement of the moving body relative to the fixed one."""
 
     def screws(self, moving: Placement) -> list[Screw]:
         """Return the columns of the joint Jacobian, from the placement of the moving body in the world."""
@@ -82,7 +82,7 @@ _NO_ROTATION = objects(np.eye(3).tolist())
 
 @dataclass(frozen=True, eq=False)
 class _Revolute:
-    """A joint that turns about an axis, a unit vector."""
+    """A revolute joint about an axis, a unit vector."""
 
     axis: Objects
     nq = 1
@@ -100,7 +100,7 @@ class _Revolute:
 
 @dataclass(frozen=True, eq=False)
 class _Continuous(_Revolute):
-    """A joint that turns about an axis without end: q is the cosine and the sine of its angle."""
+    """A continuous revolute joint: q is the cosine and the sine of its angle."""
 
     nq = 2
 
@@ -113,7 +113,7 @@ class _Continuous(_Revolute):
 
 @dataclass(frozen=True, eq=False)
 class _Prismatic:
-    """A joint that slides along an axis, a unit vector."""
+    """A prismatic joint along an axis, a unit vector."""
 
     axis: Objects
     nq = 1
@@ -160,7 +160,7 @@ class _Spherical:
 
 
 class _FreeFlyer:
-    """No joint at all: q is a position and a quaternion, v the twist in axes of the moving body."""
+    """A free body: q is a position and a quaternion, v the twist in axes of the moving body."""
 
     nq = 7
     nv = 6
@@ -178,7 +178,7 @@ class _FreeFlyer:
 
 
 class _Planar:
-    """A joint in the plane: q is x, y and cosine and sine of the angle, v the twist in axes of the moving body."""
+    """A planar joint: q is x, y and cosine and sine of the angle, v the twist in axes of the moving body."""
 
     nq = 4
     nv = 3
@@ -198,7 +198,7 @@ class _Planar:
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """A simple joint, fixed at a placement, in the chain of one of Pinocchio's; indices are the first ones."""
+    """A simple joint, fixed at a placement, in the chain of a Pinocchio joint; indices are the first ones."""
 
     placement: Placement
     joint: _Joint
@@ -207,7 +207,7 @@ class ChainJoint:
 
 
 def chain(model: pin.Model, index: int, geometry: Geometry) -> Iterator[ChainJoint]:
-    """Yield the chain of simple joints that one of Pinocchio's joints is; ProgramError for unknown types."""
+    """Yield the chain of simple joints of a Pinocchio joint; ProgramError for unsupported types."""
     name = model.names[index]
     first = _placement(geometry, name)
     yield from _links(name, model.joints[index], first, geometry)
@@ -255,7 +255,7 @@ def _simple_joints(name: str, kind: str, geometry: Geometry) -> list[_Joint]:
             return [_Planar()]
         case "FreeFlyer":
             return [_FreeFlyer()]
-    raise ProgramError(f"joint '{name}': there is no program for joints of type {kind}")
+    raise ProgramError(f"joint '{name}': programs do not support joints of type {kind}")
 
 
 def _placement(geometry: Geometry, name: str) -> Placement:
@@ -263,7 +263,7 @@ def _placement(geometry: Geometry, name: str) -> Placement:
 
 
 def _rotation(axis: Objects, c: Scalar, s: Scalar) -> Objects:
-    """Return the rotation about an axis by the angle with this cosine and sine (Rodrigues)."""
+    """Return the rotation about an axis by the angle of this cosine and sine (Rodrigues)."""
     x, y, z = axis
     one = 1.0 - c
     return objects(

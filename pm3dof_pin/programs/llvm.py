@@ -1,4 +1,4 @@
-"""Programs compiled for this processor with LLVM: many poses at once, as many as a vector register has numbers."""
+"""Programs compiled for this processor with LLVM, with as many poses at once as a vector register has numbers."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from pm3dof_pin.typing import Array, Mask
 
 _LOG = logging.getLogger(__name__)
 
-_OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, are not worth a thread
+_OPERATIONS_A_PART = 5_000_000  # fewer, a fifth of a millisecond, do not justify a thread
 
 MANY_POSES = 20_000
-"""Poses, counted over all calls of a program, from which on it is compiled with care.
+"""Number of poses, over all calls of a program, from which it is compiled with full optimisation.
 
-Within one session that pays from about a million poses on; but large batches seldom come alone, and the code is kept.
+Within one session this pays from about a million poses; but large batches seldom come alone, and the code is cached.
 """
 
 
 class Target(NamedTuple):
-    """The processor that is compiled for."""
+    """The target processor."""
 
     name: str
     features: str
     lanes: int
-    fuses: bool  #: whether it has an operation a b + c, rounded once
+    fuses: bool  #: whether it has a fused multiply-add
 
 
 class Iteration(NamedTuple):
-    """What an iteration came to."""
+    """The result of an iteration."""
 
     states: Array  #: shape=(n, size of the state)
-    residuals: Array  #: residual that the last step began with, shape=(n,)
+    residuals: Array  #: residual at the start of the last step, shape=(n,)
     steps: Array  #: number of steps taken, shape=(n,)
 
 
 @cache
 def target() -> Target:
-    """Return this processor, with the number of poses it computes at once; ProgramError if LLVM knows none."""
+    """Return this processor, with the number of poses it computes at once; ProgramError if LLVM does not support it."""
     try:
         binding.initialize_native_target()
         binding.initialize_native_asmprinter()
@@ -62,14 +62,14 @@ def target() -> Target:
 
 
 def compile(program: Program, lanes: int | None = None, careful: bool = True) -> Compiled:
-    """Compile a program for so many poses at once, a power of two (the processor's); ProgramError if LLVM fails."""
+    """Compile for `lanes` poses at once, a power of two, by default the target's; ProgramError on failure."""
     return Compiled(program, object_code(program, lanes or target().lanes, careful))
 
 
 def object_code(program: Program, lanes: int, careful: bool) -> bytes:
     """Return the compiled program as an object file; ProgramError if LLVM does not compile it.
 
-    Without care it takes a quarter of the time, for code a third as fast, with the same results bit for bit.
+    Without `careful` it takes a quarter of the time, for code a third as fast, with bitwise identical results.
     """
     machine = _machine(careful)
     try:
@@ -84,7 +84,7 @@ def object_code(program: Program, lanes: int, careful: bool) -> bytes:
 
 
 def _attributes(lanes: int) -> str:
-    """Return attributes that keep vectors whole, and that leave out a second scheduling, whose time buys nothing."""
+    """Return attributes that keep vectors whole, and omit a second scheduling pass, which has no benefit."""
     width = f'"prefer-vector-width"="{64 * lanes}" "min-legal-vector-width"="{64 * lanes}"'
     return f'{width} "tune-cpu"="icelake-server"' if binding.get_process_triple().startswith("x86_64") else width
 
@@ -110,8 +110,8 @@ class Compiled:
 
         Args:
             program: the program.
-            code: its object code; LLVM crashes over code that is not whole.
-            faster: makes code that takes its place once there are many poses, if `code` was compiled quickly.
+            code: its object code; LLVM crashes on incomplete code.
+            faster: makes code that replaces it after many poses, if `code` was compiled quickly.
 
         Raises:
             ProgramError: it cannot be loaded.
@@ -119,13 +119,13 @@ class Compiled:
         self.program = program
         self._faster = faster
         self._poses = 0
-        self._engines: list[Any] = []  # the first one stays, as another thread may be running it
+        self._engines: list[Any] = []  # the first one is kept, since another thread may be running it
         self._load(code)
 
     def _load(self, code: bytes) -> None:
         program = self.program
         try:
-            # in LLVM's own context: another one may be collected before the engine that needs it
+            # in LLVM's global context: another one may be collected before the engine that needs it
             self._engines.append(binding.create_mcjit_compiler(binding.parse_assembly(""), _machine()))
             self._engines[-1].add_object_file(binding.ObjectFileRef.from_data(code))
             self._engines[-1].finalize_object()
@@ -144,7 +144,7 @@ class Compiled:
             raise ProgramError(f"program '{program.name}': cannot be loaded: {error}") from error
 
     def with_doubt(self, inputs: ArrayLike, parameters: ArrayLike, threads: int | None = None) -> tuple[Array, Mask]:
-        """Evaluate a program whose last output is 1 where nothing is in doubt; return the others, and where it is 1."""
+        """Evaluate a program whose last output is 1 if nothing is in doubt; return the others, and a mask of these."""
         rows = np.asarray(inputs, dtype=np.float64)
         sound = np.empty(len(rows), dtype=bool)
         outputs = self(
@@ -169,11 +169,11 @@ class Compiled:
         """Evaluate the program at many poses.
 
         Args:
-            inputs: shape=(n, number of inputs); rows may stand apart, as in a slice of columns.
+            inputs: shape=(n, number of inputs); rows may be strided, as in a slice of columns.
             parameters: shape=(number of parameters,).
-            out: where results are written, shape=(n, number of outputs); rows may stand apart.
-            threads: number of threads at most; the number of processors by default.
-            then: what each thread does with rows that are finished, given their place and their outputs.
+            out: array for the results, shape=(n, number of outputs); rows may be strided.
+            threads: maximum number of threads; the number of processors by default.
+            then: called by each thread with the range and outputs of rows that are finished.
 
         Returns:
             Outputs, shape=(n, number of outputs); `program.split` names them.
@@ -198,11 +198,11 @@ class Compiled:
     ) -> Iteration:
         """Repeat the program, whose outputs are the next state and a residual, until the residual is small.
 
-        The step that finds a residual of at most `tolerance` is the last one, or the last of `max_steps`. A pose whose
-        residual is NaN stops too. Inputs are the first state, then what stays, shape=(n, number of inputs).
+        The last step is the one that finds a residual of at most `tolerance` or NaN, or the last of `max_steps`. Inputs
+        are the initial state, then the constant inputs, shape=(n, number of inputs).
 
         Raises:
-            InvalidValueError: an array has another shape, or the program's outputs are no state and residual.
+            InvalidValueError: an array has the wrong shape, or the program's outputs are not a state and a residual.
         """
         if not self.program.can_iterate:
             raise InvalidValueError("outputs", self.program.outputs, "a new value of the first inputs, then a residual")
@@ -227,29 +227,28 @@ class Compiled:
         longest: float,
         threads: int | None = None,
     ) -> None:
-        """Iterate along lines, in place: every pose starts from a prediction made of those before it.
+        """Iterate along lines, in place: each pose starts from a prediction by its predecessors.
 
-        The prediction is the last pose plus, for each of the poses before that, a share of the way from it to the last.
+        The prediction is the last pose plus, for each pose before it, a share of the difference from it to the last.
 
-        Only for programs that close loops, :func:`~pm3dof_pin.programs.closing.closing_program`. A pose is NaN, and all
-        after it are, where the residual is not small in the end, the margin is not between bounds, or the jump is too
-        long.
+        Only for programs that close loops, :func:`~pm3dof_pin.programs.closing.closing_program`. A pose and all after
+        it are NaN if the final residual is not small, the margin is out of bounds, or the jump is too long.
 
         Args:
-            lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of every line are known; all but the last
+            lines: q, shape=(n, m, nq), rows of q contiguous. The first poses of each line are known; all but the last
                 of these may be NaN.
             given: the inputs after the state, shape=(n, m, number of them), rows contiguous.
             parameters: shape=(number of parameters,).
-            shares: for each of the poses that are not known, with the pose before the last first; zeros for poses that
-                are not there, shape=(number of poses not known, :data:`~pm3dof_pin.programs.drivers.HISTORY`).
+            shares: for each unknown pose, beginning with the pose before the last; zero for missing poses,
+                shape=(number of unknown poses, :data:`~pm3dof_pin.programs.drivers.HISTORY`).
             tolerance: see :meth:`iterate`.
             max_steps: see :meth:`iterate`.
-            margins: between which the margin must be.
-            longest: jump that is not too long.
-            threads: number of threads at most; the number of processors by default.
+            margins: bounds of the margin.
+            longest: largest permitted jump.
+            threads: maximum number of threads; the number of processors by default.
 
         Raises:
-            InvalidValueError: the program closes no loops, or an array has another shape.
+            InvalidValueError: the program does not close loops, or an array has the wrong shape.
         """
         program = self.program
         if not program.can_march:
@@ -290,7 +289,7 @@ class Compiled:
         length: int = 1,
         then: Callable[[slice, Array], object] | None = None,
     ) -> None:
-        """Call a function on the rows, in parts of them where there are threads; `length` evaluations are a row."""
+        """Call a function on the rows, in parts if there are threads; each row takes `length` evaluations."""
         shared = np.ascontiguousarray(parameters, dtype=np.float64)
         if shared.shape != (len(self.program.parameters),):
             expected = f"shape ({len(self.program.parameters)},)"
@@ -302,7 +301,7 @@ class Compiled:
             try:
                 self._load(faster())
             except ProgramError as error:
-                _LOG.info("program '%s' stays as it was compiled quickly: %s", self.program.name, error)
+                _LOG.info("program '%s' keeps its quickly compiled code: %s", self.program.name, error)
         function = self._functions[name]
         strides = rows.strides[0] // 8, outputs.strides[0] // 8
         first_input, table, first_output = _address(rows), _address(shared), _address(outputs)
@@ -333,7 +332,7 @@ class Compiled:
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return threads that are kept: starting them takes as long as a thousand poses."""
+    """Return a cached thread pool: starting threads takes as long as a thousand poses."""
     return ThreadPoolExecutor(threads)
 
 
@@ -355,7 +354,7 @@ def _address(array: Array) -> int:
 
 
 def _rows(name: str, values: ArrayLike, columns: int) -> Array:
-    """Return an array whose rows are contiguous, without a copy where possible."""
+    """Return an array with contiguous rows, without a copy if possible."""
     rows = np.asarray(values, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != columns:
         raise InvalidValueError(name, f"array of shape {rows.shape}", f"shape (n, {columns})")

@@ -1,9 +1,9 @@
-"""Loop closures on recorded numbers: errors, and the columns of the joints that move them.
+"""Loop closures on recorded numbers: errors, and their derivatives by joint.
 
 Errors are in world axes: for a 3d closure b - a, the vector from frame a's origin to frame b's; for a 6d closure also
 half the sum of a_k x b_k over the frames' axes, which to first order is the rotation vector from a to b. The columns
-are the derivatives of the errors where the loops are closed, and exact to first order near by. Joints below both
-frames are left out: they move a closed loop as a whole.
+are the derivatives of the errors where the loops are closed, and exact to first order nearby. Joints below both frames
+are omitted: they move a closed loop as a whole.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Equations:
 
     error: Objects  #: shape=(m,) [m, rad]
     is_angular: tuple[bool, ...]  #: which entries are angles, shape=(m,)
-    #: derivative of the error by the entries of v that it depends on, each of shape=(m,)
+    #: derivative of the error by the entries of v that it depends on, shape=(m,) each
     columns: Mapping[int, Objects]
-    residual: Scalar  #: the largest entry of the error, and 1 more where a frame is turned by over 90 degrees
+    residual: Scalar  #: the largest entry of the error, plus 1 if a frame is rotated by more than 90 degrees
 
 
 def closure_equations(tree: Tree, index: int) -> Equations:
-    """Return the equations of the loop closure at a position of the mechanism's."""
+    """Return the equations of the mechanism's loop closure of this index."""
     loop = tree.mechanism.closures[index]
     a, b = tree.frame(loop.frame_a), tree.frame(loop.frame_b)
     support_a, support_b = tree.support(loop.frame_a), tree.support(loop.frame_b)
@@ -59,24 +59,24 @@ def closed(tree: Tree) -> Truth:
 
 
 def largest_residual(equations: Iterable[Equations]) -> Scalar:
-    """Return the largest residual of some equations, 0 of none."""
+    """Return the largest residual of the equations, 0 if there are none."""
     residuals = [equation.residual for equation in equations]
     return reduce(maximum, residuals) if residuals else 0.0
 
 
 def _motion(tree: Tree, index: int, point: Objects) -> Objects:
-    """Return the twist [v; omega] that an entry of v gives a point, world axes, shape=(6,)."""
+    """Return the twist [v; omega] of a point at unit rate of an entry of v, world axes, shape=(6,)."""
     screw = tree.screws[index]
     return objects([*screw.velocity(point), *screw.angular])
 
 
 def _rotation_error(a: Objects, b: Objects) -> Objects:
-    """Return to first order the rotation vector that takes rotation a to b, world axes, shape=(3,)."""
+    """Return to first order the rotation vector from rotation a to b, world axes, shape=(3,)."""
     return objects(sum(cross(a[:, k], b[:, k]) for k in range(3)) * 0.5)
 
 
 def _far(a: Objects, b: Objects) -> Scalar:
-    """Return 1 where two rotations differ by over 90 degrees, else 0: there their error may vanish also."""
+    """Return 1 if two rotations differ by more than 90 degrees, where their error may vanish too, else 0."""
     trace = sum(a[:, k] @ b[:, k] for k in range(3))
     return select(less(trace, 1.0), 1.0, 0.0)
 
@@ -91,7 +91,7 @@ def largest(numbers: Objects) -> Scalar:
 
 
 def swing(tree: Tree, index: int) -> tuple[Scalar, Scalar]:
-    """Return square of the sine and cosine of the angle between the z axes of a closure's frames."""
+    """Return the squared sine and the cosine of the angle between the z axes of a closure's frames."""
     loop = tree.mechanism.closures[index]
     za, zb = (tree.frame(name).rotation[:, 2] for name in (loop.frame_a, loop.frame_b))
     normal = cross(za, zb)
@@ -99,10 +99,10 @@ def swing(tree: Tree, index: int) -> tuple[Scalar, Scalar]:
 
 
 def tool_equations(tree: Tree, components: tuple[str, ...], targets: Mapping[str, Scalar]) -> Equations:
-    """Return the equations that put components of the tool's pose at targets, by name.
+    """Return the equations that bring components of the tool's pose to targets, by name.
 
-    With all three of rx, ry, rz the orientation is compared as a whole, which has no singularity in the error; with
-    fewer of them, angle by angle, in R = Rx(rx) Ry(ry) Rz(rz).
+    With all of rx, ry, rz, orientations are compared as a whole, and the error has no singularity; with fewer, angle by
+    angle, in R = Rx(rx) Ry(ry) Rz(rz).
     """
     name = tree.mechanism.tool_frame
     assert name is not None
@@ -149,7 +149,7 @@ def _target_rotation(targets: Mapping[str, Scalar]) -> Objects:
 
 
 def _angle_equation(tool: Placement, component: str, targets: Mapping[str, Scalar]) -> tuple[Scalar, Objects, Scalar]:
-    """Return the error of one angle, its derivative by the angular velocity, and 1 where the angle is over 90 off."""
+    """Return the error of one angle, its derivative by angular velocity, and 1 if the angle is over 90 degrees off."""
     R = tool.rotation
     c, s = cos(targets[component]), sin(targets[component])
     if component == "ry":  # R02 = sin(ry)

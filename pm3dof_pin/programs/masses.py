@@ -1,7 +1,7 @@
 """The masses of a mechanism on recorded numbers: weights, and the mass matrix of the tree of bodies.
 
-The ten numbers of every body that has mass (mass, first moment and inertia in the axes of its joint), and gravity, are
-parameters, so that a payload needs no new program; zeros are constants.
+The ten numbers of every body with mass (mass, first moment and inertia in the axes of its joint) and gravity are
+parameters, so that payloads need no new program; zeros are constants.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ORIGIN = objects([0.0, 0.0, 0.0])
 
 
 def mass_numbers(model: pin.Model) -> dict[str, float]:
-    """Collect gravity and the masses of a model by name."""
+    """Return gravity and the masses of a model by name."""
     found = {f"gravity/{k}": float(entry) for k, entry in enumerate(model.gravity.linear)}
     for index in range(1, model.njoints):
         entries = zip(_ENTRIES, model.inertias[index].toDynamicParameters(), strict=True)
@@ -32,7 +32,7 @@ def mass_numbers(model: pin.Model) -> dict[str, float]:
 
 
 def mass_pattern(model: pin.Model) -> list[str]:
-    """Return which of the :func:`mass_numbers` are constants, since they are zero."""
+    """Return which :func:`mass_numbers` are constants, being zero."""
     return [name for name, value in mass_numbers(model).items() if value == 0.0]
 
 
@@ -55,7 +55,7 @@ class _Body:
 
 
 class Masses:
-    """What the joints of a traced tree carry, by its model, or a copy with payloads."""
+    """The masses on a traced tree, from its model, or a copy with payloads."""
 
     def __init__(self, tree: Tree, model: pin.Model) -> None:
         self._tree = tree

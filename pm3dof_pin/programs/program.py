@@ -1,4 +1,4 @@
-"""Finished straight-line programs: what the graph hands to the printers, and what is kept on disk."""
+"""Finished straight-line programs, as passed from the graph to the printers and cached on disk."""
 
 from __future__ import annotations
 
@@ -46,30 +46,30 @@ OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "not": (1, np.logical_not),
     "select": (3, np.where),
 }
-"""Number of operands and meaning of every operation. `minimum` and `maximum` are NaN where an operand is NaN, and
-the second operand where both are equal; `less` is false where an operand is NaN."""
+"""Number of operands and meaning of each operation. `minimum` and `maximum` are NaN if an operand is NaN, and the
+second operand if both are equal; `less` is false if an operand is NaN."""
 
 _NAMES = tuple(OPERATIONS)
 CODES = {name: code for code, name in enumerate(OPERATIONS)}
-"""Places of the operations in `OPERATIONS`."""
+"""Index of each operation in `OPERATIONS`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A straight line of operations on the numbers of one pose.
+    """A straight-line sequence of operations on the numbers of one pose.
 
-    Values are numbered: first the inputs, then the parameters, the constants, and one value for every line.
+    Values are numbered: the inputs, the parameters, the constants, then one value per line.
     """
 
     name: str  #: name of the printed function, an identifier
-    inputs: tuple[str, ...]  #: names of the inputs, which every pose has its own of
-    parameters: tuple[str, ...]  #: names of the parameters, which all poses of a call share
-    #: name and shape of each group of outputs; results stand one group after the other, each in C order
+    inputs: tuple[str, ...]  #: names of the inputs, one value per pose
+    parameters: tuple[str, ...]  #: names of the parameters, shared by all poses of a call
+    #: name and shape of each group of outputs; results are ordered group by group, each in C order
     outputs: Mapping[str, tuple[int, ...]]
     constants: tuple[float, ...]  #: the constants
-    codes: bytes  #: places in `OPERATIONS` of the operations, one for every line
-    operands: NDArray[np.int32]  #: numbers of their operands, which come before the line, -1 for none, shape=(3, lines)
-    results: tuple[int, ...]  #: numbers of the values that are output, flat
+    codes: bytes  #: index in `OPERATIONS` of each line's operation
+    operands: NDArray[np.int32]  #: numbers of their operands, which precede the line, or -1, shape=(3, lines)
+    results: tuple[int, ...]  #: numbers of the output values, flat
 
     def __len__(self) -> int:
         """Return the number of operations."""
@@ -85,7 +85,7 @@ class Program:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Place of each group among the flat outputs."""
+        """Slice of each group in the flat outputs."""
         places: dict[str, slice] = {}
         first = 0
         for name, shape in self.outputs.items():
@@ -102,12 +102,12 @@ class Program:
 
     @cached_property
     def first_line(self) -> int:
-        """Number of the value that the first line makes."""
+        """Number of the value of the first line."""
         return len(self.inputs) + len(self.parameters) + len(self.constants)
 
     @cached_property
     def content(self) -> bytes:
-        """The program as bytes, the same for equal programs on every machine; `Program.from_bytes` reads them."""
+        """The program as bytes, identical for equal programs on every machine; `Program.from_bytes` reads them."""
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -156,19 +156,19 @@ class Program:
                 codes=codes,
                 operands=np.frombuffer(body[ends[1] : ends[2]], dtype="<i4").reshape(3, -1),
             )
-            program.__dict__["content"] = content  # it need not be made again for the key
+            program.__dict__["content"] = content  # so that the key need not recompute it
             return program
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidValueError("content", f"{content[:20]!r}...", f"a '{FORMAT}'") from error
 
     @property
     def state_size(self) -> int:
-        """Number of outputs before the last one, the residual of an iteration."""
+        """Number of outputs before the last one, which is the residual of an iteration."""
         return len(self.results) - 1
 
     @property
     def can_iterate(self) -> bool:
-        """Whether the outputs can be the next values of the first inputs, and a residual."""
+        """Whether the outputs are new values of the first inputs and a residual."""
         return 1 <= self.state_size <= len(self.inputs)
 
     @property
@@ -177,7 +177,7 @@ class Program:
         return self.can_iterate and tuple(self.outputs) == ("q", "margin", "jump", "residual")
 
     def evaluate(self, inputs: ArrayLike, parameters: ArrayLike = ()) -> Array:
-        """Run the program at n poses with NumPy, operation by operation: slow, and the reference for the printers."""
+        """Run the program at n poses with NumPy, operation by operation: slow; the reference for the printers."""
         rows = np.asarray(inputs, dtype=float)
         values: list[Any] = [*rows.T, *np.asarray(parameters, dtype=float), *map(np.float64, self.constants)]
         with np.errstate(all="ignore"):

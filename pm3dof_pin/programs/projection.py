@@ -1,4 +1,4 @@
-"""Rows turned from the right by orthogonal matrices, on recorded numbers: projections, triangles, ranks."""
+"""Rows times orthogonal matrices, on recorded numbers: projections, triangular forms, ranks."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pm3dof_pin.typing import Objects
 
 
 def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool = False) -> Objects:
-    """Return the part of rows at right angles to independent relations, shape=(m, n - k); (m, n) if restored.
+    """Return the part of rows orthogonal to independent relations, shape=(m, n - k); (m, n) if restored.
 
-    Restored it is in its own numbers instead of in an orthonormal basis of that space.
+    If restored, it is in the original coordinates instead of an orthonormal basis of that space.
     """
     stack = [list(row) for row in (*relations, *rows)]
     left = list(range(relations.shape[1]))
@@ -40,12 +40,12 @@ def projected(relations: Objects, rows: Objects, doubt: Doubt, *, restored: bool
 
 
 def compressed(rows: Objects) -> Objects:
-    """Return rows turned by an orthogonal matrix from the right, such that no more columns than rows are left."""
+    """Return rows times an orthogonal matrix, such that no more columns than rows are left."""
     return triangular(rows) if rows.shape[1] > len(rows) else rows
 
 
 def triangular(rows: Objects) -> Objects:
-    """Return rows turned by an orthogonal matrix from the right into lower triangular ones."""
+    """Return rows times an orthogonal matrix, in lower triangular form."""
     stack = [list(row) for row in rows]
     left, taken = list(range(rows.shape[1])), []
     for i, row in enumerate(stack):
@@ -62,7 +62,7 @@ def triangular(rows: Objects) -> Objects:
 
 
 def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflection:
-    """Apply the reflection that leaves only the largest entry of a row to other rows."""
+    """Apply the reflection that leaves only the largest entry of a row to the other rows."""
     reflection = reflect(entries)
     for row in rows:
         reflection.apply(row)
@@ -70,7 +70,7 @@ def _turn(entries: dict[int, Scalar], rows: Sequence[list[Scalar]]) -> Reflectio
 
 
 def rank(rows: Objects) -> int:
-    """Return the rank at the middle one of the sample poses, of numbers compared with 1."""
+    """Return the rank at the median sample pose, of numbers compared with 1."""
     if not rows.size:
         return 0
     count = max(np.size(samples(entry)) for entry in rows.ravel())

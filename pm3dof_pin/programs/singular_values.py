@@ -14,7 +14,7 @@ _TINY = 1e-300
 
 
 def squared_singular_values(rows: Objects) -> list[Scalar]:
-    """Return the squares of the singular values of rows, the least first, each accurate relative to its own size.
+    """Return the squared singular values of rows in ascending order, each to high relative accuracy.
 
     One-sided Jacobi rotations (J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13, 1992), a fixed number.
     """
@@ -27,7 +27,7 @@ def squared_singular_values(rows: Objects) -> list[Scalar]:
 
 
 def _orthogonal(a: Objects, b: Objects) -> Objects:
-    """Turn two rows into two at right angles."""
+    """Rotate two rows into orthogonal ones."""
     aa, bb, ab = (total(list(x * y)) for x, y in ((a, a), (b, b), (a, b)))
     difference, twice = bb - aa, 2.0 * ab
     size = absolute(difference) + sqrt(difference * difference + twice * twice) + _TINY

@@ -1,14 +1,14 @@
-"""The motion of a frame as a linear function of sources: springs that give, commands, errors of the geometry.
+"""The motion of a frame as a linear function of sources: spring deflections, commands, geometric errors.
 
 Unknowns are the frame's twist x, the rates of passive joints and the sources. The equations are the chain from the
-ground to the frame, x - J v = 0, and the relative velocity of the two frames of every closure, which is zero. The
-velocity of a frame that the same joints carry is written with x instead of these joints: a row operation that keeps the
-chain's joints out of the closures. What then hangs together through passive joints and sources is a *branch*. From
-every branch the passive joints are eliminated by orthogonal transformations, sparsest first; what is left says how it
-holds the frame.
+ground to the frame, x - J v = 0, and zero relative velocity of the two frames of every closure. The velocity of a frame
+that the same joints carry is expressed by x instead of these joints: a row operation that keeps the chain's joints out
+of the closures. Equations then connected through passive joints and sources form a *branch*. From each branch the
+passive joints are eliminated by orthogonal transformations, sparsest first; the remaining equations describe how the
+branch holds the frame.
 
-Lengths are measured in a unit near the mechanism's characteristic length, a power of two, so that numbers that are
-compared with 1 are of that size.
+Lengths are measured in a power of two near the mechanism's characteristic length, so that numbers compared with 1 are
+of that size.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ from pm3dof_pin.typing import Objects
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The screw at unit rate of a joint or source, and which frames of closures and the one examined it moves."""
+    """The screw at unit rate of a joint or source, and which closure frames it moves, and whether the tool frame."""
 
     screw: Screw
     frames: frozenset[str]
 
     @property
     def slides(self) -> bool:
-        """Whether it does not turn anything; its rate then is measured in units of length."""
+        """Whether it is purely translational; its rate is then in units of length."""
         return all(map(is_zero, self.screw.angular))
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, s its sources."""
+    """How one branch holds the frame: twist @ x + motion @ s = 0 and relations @ s = 0, with its sources s."""
 
     sources: tuple[int, ...]  #: numbers of its sources
     twist: Objects  #: shape=(n, 6)
     motion: Objects  #: shape=(n, number of its sources)
     relations: Objects  #: equations among its sources, shape=(k, number of its sources)
-    weighted: Objects  #: motion in other numbers than its sources, see :func:`branches`, shape=(n, w)
+    weighted: Objects  #: motion in other variables than its sources, see :func:`branches`, shape=(n, w)
     weighted_relations: Objects  #: relations in these, shape=(k, w)
 
 
@@ -82,13 +82,13 @@ def branches(
 
     Args:
         tree: the mechanism.
-        frame: the frame whose twist is asked for.
+        frame: the frame whose twist is sought.
         passive: the passive joints' columns.
         sources: the sources' columns.
-        doubt: where to record pivots and what is dropped.
-        joined: numbers of sources that are to be in one branch.
-        weights: from the numbers of a branch's sources and its equations, shape=(m, number of its sources), to these
-            in other numbers, shape=(m, w); sources by themselves decide on ranks, and nothing else.
+        doubt: records pivots and dropped entries.
+        joined: numbers of sources that must be in one branch.
+        weights: function of the numbers of a branch's sources and its equations, shape=(m, number of its sources),
+            that returns the equations in other variables, shape=(m, w); the sources themselves only decide ranks.
     """
     columns = [*passive, *sources]
     twist, rates = _rows(tree, frame, columns)
@@ -106,7 +106,7 @@ def branches(
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A rate that is given and that the frame's twist [v; omega] shows by a row, shape=(6,); a velocity, or angular."""
+    """A given rate, linear or angular, that is a row, shape=(6,), times the frame's twist [v; omega]."""
 
     row: Objects
     is_length: bool
@@ -120,19 +120,19 @@ def response(
     doubt: Doubt,
     readings: Sequence[Reading] = (),
 ) -> Objects:
-    """Record how a frame moves with its sources, the passive joints following; nothing is strained.
+    """Record how a frame moves with its sources, with passive joints following and nothing strained.
 
-    Sources are rates of joints, or of displacements anywhere; readings more rates, as components of the frame's motion;
-    all other joints stand still. Returns the frame's twist [v; omega] at its origin, world axes, for one unit of each
-    source, then of each reading, shape=(6, s).
+    Sources are rates of joints, or of displacements anywhere; readings are further rates, given as components of the
+    frame's motion; all other joints are fixed. Returns the frame's twist [v; omega] at its origin, world axes, for one
+    unit of each source, then of each reading, shape=(6, s).
 
     Raises:
-        ProgramError: the frame can move with all sources at rest, or loops cannot close with a source, at the sample
-            poses.
+        ProgramError: at the sample poses, the frame can move with all sources at rest, or loops cannot close with a
+            source.
     """
     held = branches(tree, frame, passive, sources, doubt)
     if not held and not readings:
-        raise ProgramError(f"'{frame}' is carried by no branch")
+        raise ProgramError(f"no branch carries '{frame}'")
     count = len(sources) + len(readings)
     given = zeros(len(readings), count)
     for k in range(len(readings)):
@@ -163,7 +163,7 @@ def response(
 
 
 def widened(rows: Objects, columns: Sequence[int], count: int) -> Objects:
-    """Return rows over some columns as rows over all, shape=(m, count)."""
+    """Expand rows over some columns to all columns, shape=(m, count)."""
     wide = zeros(len(rows), count)
     wide[:, list(columns)] = rows
     return wide
@@ -204,7 +204,7 @@ def _velocities(columns: Sequence[Column], factors: Iterable[float], point: Obje
 
 
 def _components(rates: Objects, joined: Iterable[Sequence[int]]) -> list[tuple[list[int], list[int]]]:
-    """Return the rows and the columns that hang together."""
+    """Return the connected components, as rows and columns."""
     owner = list(range(rates.shape[0] + rates.shape[1]))
 
     def find(k: int) -> int:
@@ -233,7 +233,7 @@ def _components(rates: Objects, joined: Iterable[Sequence[int]]) -> list[tuple[l
 def _branch(
     passive: Objects, motion: Objects, weighted: Objects, twist: Objects, sources: tuple[int, ...], doubt: Doubt
 ) -> Branch:
-    """Eliminate the passive joints of one branch, and the twist where there are more equations than it enters."""
+    """Eliminate the passive joints of one branch, and the twist if there are more equations than it enters."""
     ports = [i for i, row in enumerate(twist) if not all(map(is_zero, row))]
     count = len(sources)
     selected = zeros(len(motion), len(ports))
@@ -244,7 +244,7 @@ def _branch(
     first = eliminate(passive, range(passive.shape[1]), doubt)
     complement = first.complement()
     held = product(complement, selected)
-    explicit = 2 * len(complement) * filled  # operations that a product with the complement costs
+    explicit = 2 * len(complement) * filled  # cost of a product with the complement
     is_explicit = explicit < first.cost * weighted.shape[1]
     relations = zeros(0, carried.shape[1])
     if len(held) <= len(ports):

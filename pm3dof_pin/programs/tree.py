@@ -18,15 +18,15 @@ from pm3dof_pin.typing import Objects
 class Tree:
     """Placements and screws of a mechanism at q, from Pinocchio's model.
 
-    Inputs `q[0]`, `q[1]`, ... are added to the graph, and the geometry's parameters as they are used.
+    Inputs `q[0]`, `q[1]`, ... are added to the graph, and the geometry's parameters when used.
 
     Args:
         graph: the graph to record in.
         mechanism: the mechanism.
-        samples: closed configurations, shape=(s, nq). About eight near home, but not home alone: a singular one
+        samples: closed configurations, shape=(s, nq): about eight near home, not home alone, since a singular one
             misleads the choice of columns.
-        frames: frames whose placements are wanted, besides those of the closures and the tool.
-        positions: numbers to take for q in place of new inputs, shape=(nq,).
+        frames: frames needed in addition to those of the closures and the tool.
+        positions: numbers to use for q instead of new inputs, shape=(nq,).
         dense: whether every entry of the geometry is a parameter, see :mod:`pm3dof_pin.programs.geometry`.
 
     Attributes:
@@ -35,11 +35,11 @@ class Tree:
         q: the inputs, shape=(nq,).
         geometry: constants and parameters.
         screws: columns of the joint Jacobian, one for each entry of v.
-        links: the chains of simple joints, joint after joint.
+        links: the chains of simple joints, joint by joint.
 
     Raises:
-        ProgramError: the model has a joint of a type for which there is no program.
-        InvalidValueError: samples of another shape.
+        ProgramError: the model has a joint of an unsupported type.
+        InvalidValueError: the samples have the wrong shape.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Tree:
 
     @property
     def slides(self) -> list[int]:
-        """The entries of v that turn nothing, which are measured in lengths."""
+        """The purely translational entries of v, which are measured in lengths."""
         return [k for k, screw in enumerate(self.screws) if all(map(is_zero, screw.angular))]
 
     def body(self, joint: int) -> Placement:
@@ -106,7 +106,7 @@ class Tree:
         return columns
 
     def step(self, velocities: dict[int, Scalar]) -> Objects:
-        """Move q along a tangent vector, of entries by index in v: equal to Pinocchio's `integrate` to first order."""
+        """Move q along a tangent vector, given by index in v: equal to Pinocchio's `integrate` to first order."""
         moved = self.q.copy()
         for link in self.links:
             joint = link.joint

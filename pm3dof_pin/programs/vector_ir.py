@@ -1,8 +1,7 @@
-"""Arithmetic on vectors of poses as LLVM's text: instructions, and the functions of angles made of them.
+"""Arithmetic on vectors of poses as LLVM IR: instructions, and the trigonometric functions made of them.
 
-Only what every LLVM from 14 on reads the same way is used, except for the spelling of pointers. There is no fast-math
-flag, so that every rounding is said by the text, and code compiled quickly gives the same bits as code compiled with
-care.
+Except for pointer types, only syntax common to LLVM 14 and later is used. There are no fast-math flags: the text
+determines every rounding, and quickly compiled and optimised code give identical bits.
 """
 
 from __future__ import annotations
@@ -45,12 +44,12 @@ _ATAN = (
 )
 _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
 _QUARTER_PI = (0.5 * _HALF_PI[0], 0.5 * _HALF_PI[1])
-_ROUND = 1.5 * 2.0**52  # added and taken away again it rounds; the last bits of the sum are the whole number
+_ROUND = 1.5 * 2.0**52  # adding and subtracting it rounds; the last bits of the sum are the integer
 _SIGN = 1 << 63
 
 
 class VectorText:
-    """Text of a module under construction, with vectors of as many numbers as lanes, the poses computed at once."""
+    """Text of a module under construction; vectors have one number per lane, one lane per pose computed at once."""
 
     def __init__(self, lanes: int, opaque_pointers: bool, fused: bool) -> None:
         self.lanes = lanes
@@ -147,7 +146,7 @@ class VectorText:
         return self.emit(f"fneg {self.vector} {a}")
 
     def multiply_add(self, a: str, b: str, c: str) -> str:
-        """Emit a b + c, rounded once if this text is `fused`, where the processor does that in one operation."""
+        """Emit a b + c, rounded once if `fused`, where the processor does that in one operation."""
         if not self.fused:
             return self.add(self.multiply(a, b), c)
         v = self.vector
@@ -158,11 +157,11 @@ class VectorText:
         return self.emit(f"fcmp {relation} {self.vector} {a}, {b}")
 
     def select(self, condition: str, a: str, b: str) -> str:
-        """Emit a choice, lane by lane."""
+        """Emit a selection, lane by lane."""
         return self.emit(f"select {self.truths} {condition}, {self.vector} {a}, {self.vector} {b}")
 
     def call(self, function: str, a: str) -> str:
-        """Emit a function that LLVM knows."""
+        """Emit an LLVM intrinsic function."""
         return self.emit(f"call {self.vector} @llvm.{function}.v{self.lanes}f64({self.vector} {a})")
 
     def bits(self, a: str) -> str:
@@ -179,7 +178,7 @@ class VectorText:
         return self.emit(f"{instruction} {self.integers} {a}, {other}")
 
     def flip_sign(self, a: str, sign: str) -> str:
-        """Change the sign of `a` in lanes in which the highest bit of the integers `sign` is set, their only one."""
+        """Change the sign of `a` in lanes where the highest, and only, bit of the integers `sign` is set."""
         return self.from_bits(self.on_bits("xor", self.bits(a), sign))
 
     def polynomial(self, z: str, coefficients: tuple[float, ...]) -> str:
@@ -190,7 +189,7 @@ class VectorText:
         return value
 
     def sine_and_cosine(self, angle: str) -> tuple[str, str]:
-        """Emit both: reduction to [-pi/4, pi/4] in three parts, two polynomials, exchanged and turned by quadrant."""
+        """Emit both: reduction to [-pi/4, pi/4] in three parts, two polynomials, swapped and negated by quadrant."""
         inside = self.compare("ole", self.call("fabs", angle), self.splat(ANGLE_RANGE))
         x = self.select(inside, angle, self.splat(float("nan")))
         sum_ = self.multiply_add(x, self.splat(2.0 / 3.141592653589793), self.splat(_ROUND))
@@ -239,7 +238,7 @@ class VectorText:
         return self.flip_sign(self.multiply_add(eighths, self.splat(_QUARTER_PI[0]), low), y_sign)
 
     def extreme(self, relation: str, a: str, b: str) -> str:
-        """Emit the lesser ("olt") or greater ("ogt"): NaN where one of them is."""
+        """Emit the lesser ("olt") or greater ("ogt"): NaN if either is."""
         return self.select(self.compare("uno", a, a), a, self.select(self.compare(relation, a, b), a, b))
 
     # functions

@@ -1,4 +1,4 @@
-"""Traced geometry against Pinocchio, to be run before a mechanism's programs are recorded; again only if it changed."""
+"""Comparison of traced geometry with Pinocchio, run before programs are recorded, again only after changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.typing import Array
 
 TOLERANCE = 1e-10
-"""Greatest difference between traced Jacobians and Pinocchio's."""
+"""Largest permitted difference between traced Jacobians and Pinocchio's."""
 
 _RANDOM_POSES = 5
 
@@ -30,10 +30,10 @@ def verify(mechanism: Mechanism, samples: ArrayLike, *, dense: bool = False) -> 
     """Compare traced placements and Jacobians with Pinocchio's.
 
     Frames of the closures and the tool are compared at random configurations, closed or not; the derivatives of the
-    closures' errors at the samples, where the loops are closed.
+    closure errors at the samples, where the loops are closed.
 
     Raises:
-        ProgramError: a difference is over :data:`TOLERANCE`, or a joint has a type for which there is no program.
+        ProgramError: a difference exceeds :data:`TOLERANCE`, or a joint type is not supported.
     """
     closed = np.asarray(samples, dtype=float)
     content = geometry.structure(mechanism), geometry.numbers(mechanism), closed.tolist(), dense
@@ -80,7 +80,7 @@ def _frame(mechanism: Mechanism, name: str, q: Array) -> Array:
 
 
 def _closure(mechanism: Mechanism, index: int, q: Array) -> Array:
-    """Return Pinocchio's rows of a closure, turned from the axes of frame a into those of the world."""
+    """Return Pinocchio's rows of a closure, rotated from the axes of frame a to the world's."""
     configuration = Configuration(mechanism, q)
     rotation = configuration.frame_placement(mechanism.closures[index].frame_a).rotation
     rows = configuration.constraint_jacobian[mechanism.loop_kinematics.rows[index]]
@@ -92,6 +92,6 @@ def _compare(mechanism: Mechanism, name: str, traced: Array, expected: Array) ->
     difference = np.abs(traced - expected).max(initial=0.0)
     if not difference <= TOLERANCE:
         raise ProgramError(
-            f"{mechanism.name}: {name}: traced Jacobian or placement is {difference:.1e} off Pinocchio's, expected at "
-            f"most {TOLERANCE:.0e}"
+            f"{mechanism.name}: {name}: traced Jacobian or placement differs by {difference:.1e} "
+            f"from Pinocchio's, expected at most {TOLERANCE:.0e}"
         )

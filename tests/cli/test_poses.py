@@ -116,10 +116,10 @@ def test_a_file_gives_what_single_poses_give(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "is empty, expected a heading such as theta_x_deg,theta_y_deg,z_e_m"),
+        ("", "is empty, expected a header such as theta_x_deg,theta_y_deg,z_e_m"),
         ("theta_x_deg,theta_y_deg,z_e_mm\n", "column z_e_mm: is unknown"),
         ("theta_x_deg,z_e_m\n", "column theta_y: is missing, expected theta_y_deg or theta_y_rad"),
-        ("theta_x_deg,theta_x_rad,theta_y_deg,z_e_m\n", "column theta_x: stands there twice"),
+        ("theta_x_deg,theta_x_rad,theta_y_deg,z_e_m\n", "column theta_x: appears twice"),
         ("theta_x_deg,theta_y_deg,z_e_m\n1,2,0.5\n1,two,0.5\n", "line 3: theta_y_deg = two: expected a finite"),
         ("theta_x_deg,theta_y_deg,z_e_m\n1,2\n", "line 2: expected 3 entries, not 2"),
     ],

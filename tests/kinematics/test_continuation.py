@@ -297,7 +297,7 @@ def test_joints_of_any_kind_are_walked():
 
 
 def test_a_robot_without_programs_is_solved_all_the_same(caplog):
-    """There is no program for a joint on an ellipsoid: Pinocchio solves, and the log says why."""
+    """Programs do not support joints on ellipsoids: Pinocchio solves, and the log says why."""
     model = pin.Model()
     first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "first")
     last = model.addJoint(first, pin.JointModelEllipsoid(0.1, 0.2, 0.3), pin.SE3.Identity(), "last")
@@ -306,7 +306,7 @@ def test_a_robot_without_programs_is_solved_all_the_same(caplog):
     with caplog.at_level("INFO"):
         poses = robot.forward([[0.1], [0.2]])
     np.testing.assert_array_equal(poses.commands, [[0.1], [0.2]])
-    assert "no program for joints of type Ellipsoid" in caplog.text
+    assert "programs do not support joints of type Ellipsoid" in caplog.text
 
 
 def test_a_robot_without_a_tool_is_solved():

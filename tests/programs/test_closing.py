@@ -136,5 +136,5 @@ def test_verification(robot, monkeypatch):
     placements = geometry.numbers(robot)
     name = next(name for name, value in placements.items() if name.endswith("p0") and abs(value) > 0.01)
     monkeypatch.setattr(geometry, "numbers", lambda *_: placements | {name: placements[name] + 1e-9})
-    with pytest.raises(ProgramError, match="off Pinocchio's"):
+    with pytest.raises(ProgramError, match="from Pinocchio's"):
         verify(robot, samples)
