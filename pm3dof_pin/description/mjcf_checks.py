@@ -42,6 +42,7 @@ _JOINT_NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {
     "range": (ANY, (2,)),
 }
 _SHAPE_NUMBERS: dict[str, tuple[Bounds, tuple[int, ...]]] = {"size": (SIZE, (1, 2, 3))}
+_MOST_FREE = 40  # free joints, of which Pinocchio's reader takes memory with the fourth power: a gigabyte for 50
 _DIRECTIONS = ("quat", "axis", "zaxis")
 _SECTIONS = ("worldbody", "default", "equality", "keyframe", "option")
 
@@ -52,7 +53,7 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
     Raises:
         DescriptionError: an attribute is not a number, not finite, negative where it must not be, or physically
             impossible; a direction is zero; moments of inertia have a wrong sign; a range is not in order; or there are
-            too many joints or nested bodies.
+            too many joints, free bodies or nested bodies.
     """
     for section in (element for tag in _SECTIONS for element in root.findall(tag)):
         for element in section.iter():
@@ -65,6 +66,11 @@ def check_mjcf(root: ElementTree.Element, path: Path) -> None:
     joints = sum(element.tag.endswith("joint") for element in elements)
     if joints > MOST_IN_A_ROW:
         raise DescriptionError(path, "<worldbody>", f"has {joints} joints, expected at most {MOST_IN_A_ROW}")
+    free = sum(element.tag == "freejoint" or element.get("type") == "free" for element in elements)
+    if free > _MOST_FREE:
+        raise DescriptionError(
+            path, "<worldbody>", f"has {free} free bodies, expected at most {_MOST_FREE}: leave out what is no robot"
+        )
     for world in root.findall("worldbody"):
         if _depth(world) > MOST_DEPTH:
             raise DescriptionError(path, "<worldbody>", f"expected bodies at most {MOST_DEPTH} deep")

@@ -180,7 +180,7 @@ class _Loops:
         """Return the velocities that follow one unit of each drive and error, and what the closures cannot follow.
 
         Shapes are (n, nv, drives + errors) and (n, drives + errors). With `tool_at_rest`, SingularConfigurationError is
-        raised where the tool can move while all drives stand still; and where a drive cannot move without others.
+        raised where the tool can move while all drives stand still, or a drive cannot move without others.
         """
         robot, nv = self._robot, self._model.nv
         driven, free = robot.actuated_indices, robot.passive_indices
@@ -211,7 +211,7 @@ class _Loops:
         unit = np.abs(pushed).max(axis=1) + 1.0
         strain = np.abs(strain).max(axis=1) / unit
         bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
-        if bound.size:
+        if tool_at_rest and bound.size:
             raise SingularConfigurationError(
                 f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one, as "
                 "there are more than degrees of freedom, or a pose is singular; held at their commands they strain the "

@@ -29,17 +29,21 @@ def motion_components(configuration: Configuration) -> tuple[ToolComponent, ...]
         InvalidValueError: the loops are not closed.
     """
     dof = DegreesOfFreedom(configuration)
-    seen, count = dof.at_tool, dof.at_tool.rank.rank
+    seen = dof.at_tool
     counting = [TOOL_COMPONENTS.index(name) for name in configuration.mechanism.tool_motions]
     if _turns_within(configuration, dof):
         seen = dof.over(dof.twist[3:])
         counting = [3, 4, 5]
-    from scipy.linalg import qr  # most robots declare their coordinates
+    return tuple(TOOL_COMPONENTS[counting[row]] for row in _most_independent(seen.image))
 
-    # rounded, so that the choice among equally good ones does not depend on the last digits
-    projector = np.round(seen.image @ seen.image.T, _PIVOT_DIGITS)
-    order = qr(projector, mode="r", pivoting=True)[1]
-    return tuple(TOOL_COMPONENTS[k] for k in sorted(counting[row] for row in order[:count]))
+
+def independent_drives(configuration: Configuration) -> list[int]:
+    """Choose the actuated joints, by position, that can move one by one: the most independent ones in scaled numbers.
+
+    All of them, unless there are more than degrees of freedom or the pose is singular. InvalidValueError if the loops
+    are not closed.
+    """
+    return _most_independent(DegreesOfFreedom(configuration).at_actuators.image)
 
 
 def independent_motions(configuration: Configuration, *, components: Sequence[ToolComponent] = ()) -> Matrix:
@@ -94,6 +98,15 @@ def actuation_jacobian(configuration: Configuration) -> Matrix:
     """
     motions = independent_motions(configuration)
     return frozen(motions[configuration.mechanism.actuated_indices])
+
+
+def _most_independent(image: Matrix) -> list[int]:
+    """Return as many rows as there are columns, shape=(rows, columns), that tell most; its columns are orthonormal."""
+    from scipy.linalg import qr  # most robots declare their coordinates
+
+    # rounded, so that the choice among equally good ones does not depend on the last digits
+    projector = np.round(image @ image.T, _PIVOT_DIGITS)
+    return sorted(int(row) for row in qr(projector, mode="r", pivoting=True)[1][: image.shape[1]])
 
 
 def _turns_within(configuration: Configuration, dof: DegreesOfFreedom) -> bool:

@@ -17,12 +17,13 @@ from pm3dof_pin.arrays import finite_array, frozen, real_array, require_choice, 
 from pm3dof_pin.description.coordinates import TOOL_COMPONENTS, Coordinate, tool_coordinates
 from pm3dof_pin.description.robots import find_robot
 from pm3dof_pin.exceptions import ConvergenceError, InvalidValueError, ProgramError, UnreachablePoseError
-from pm3dof_pin.kinematics.actuation import motion_components
+from pm3dof_pin.kinematics.actuation import independent_drives, motion_components
 from pm3dof_pin.kinematics.assembly import CLOSURE_TOLERANCE, assemble
 from pm3dof_pin.kinematics.careful import assemble_at
+from pm3dof_pin.kinematics.coordinate_units import turns_of, units_of
 from pm3dof_pin.kinematics.grid import Grid
 from pm3dof_pin.kinematics.mobility import generic_configuration, instantaneous_mobility
-from pm3dof_pin.kinematics.pose_search import find_poses
+from pm3dof_pin.kinematics.pose_search import Solution, find_poses
 from pm3dof_pin.kinematics.poses import REACH, Poses
 from pm3dof_pin.kinematics.unit_sense import other_unit
 from pm3dof_pin.mechanism.configuration import Configuration
@@ -40,6 +41,7 @@ _logger = logging.getLogger(__name__)
 _GREATEST = 1e12  # magnitude of a coordinate or command; beyond it arithmetic overflows
 _HOME = "home"
 _MANY = 32  # poses that justify a program
+_CONTRADICTION = 1e-6  # of commands of redundant drives [rad, characteristic lengths]
 
 
 class Robot(Mechanism):
@@ -254,7 +256,9 @@ class Robot(Mechanism):
     ) -> Poses:
         """Find the poses at commands, shape=(..., number of commands) [m, rad], as :meth:`solve` at coordinates.
 
-        Commands are counter readings of the drives; a guess selects the assembly mode.
+        Commands are counter readings of the drives; a guess selects the assembly mode. If there are more drives than
+        degrees of freedom, independent ones place the mechanism, and the others must agree within 1e-6 rad or
+        characteristic lengths.
         """
         return self._solutions(self.command_coordinates, "commands", commands, guess, on_failure, engine)
 
@@ -347,15 +351,24 @@ class Robot(Mechanism):
         shape = targets.shape[:-1]
         starts = None if guess is None else self._starts(guess, shape)
         rows = targets.reshape(math.prod(shape), len(coordinates))
-        continuation = self.continuation(coordinates) if engine == "program" else None
+        placing = self._placing_drives if coordinates == self.command_coordinates else list(range(len(coordinates)))
+        independent = tuple(coordinates[k] for k in placing)
+        continuation = self.continuation(independent) if engine == "program" else None
         if continuation is not None and isinstance(values, Grid) and starts is None:
             found = continuation.march(values, threads)
         else:
-            found = find_poses(self, coordinates, rows, starts, continuation)
+            found = find_poses(self, independent, rows[:, placing], starts, continuation)
+        contradictions = None
+        if len(placing) < len(coordinates):
+            contradictions = self._contradictions(found.q, rows)
+            off = np.abs(contradictions / units_of(self, coordinates)).max(axis=1) > _CONTRADICTION
+            found = Solution(np.where(off[:, None], np.nan, found.q))
         failed = np.flatnonzero(np.isnan(found.q[:, :1]).any(axis=-1))  # nq may be 0
         if failed.size and on_failure == "raise":
             index = "" if len(rows) == 1 else f" (the first of {failed.size} of {len(rows)} poses)"
-            raise self._unreachable(coordinates, rows[failed[0]], index)
+            if contradictions is not None and np.isfinite(contradictions[failed[0]]).all():
+                raise self._contradicting(rows[failed[0]], contradictions[failed[0]], index)
+            raise self._unreachable(independent, rows[failed[0], placing], index)
         known: list[Any] = [values if values is None else frozen(values) for values in found]
         return Poses(self, *known).reshape(*shape)
 
@@ -385,6 +398,35 @@ class Robot(Mechanism):
             reason = "the loops close there only beyond a singular pose or in another assembly mode"
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
+
+    @cached_property
+    def _placing_drives(self) -> list[int]:
+        """The drives that place the mechanism: all of them, unless there are more than degrees of freedom."""
+        if self.closures:
+            try:
+                if drives := independent_drives(generic_configuration(self.home)):
+                    return drives
+            except (ConvergenceError, InvalidValueError):
+                pass  # no loops that close: the solvers say so
+        return list(range(len(self.commands)))
+
+    def _contradictions(self, q: Matrix, commands: Matrix) -> Matrix:
+        """Return by how much the commands at q are off those given, shape=(n, number of commands) [m, rad]."""
+        coordinates = self.command_coordinates
+        differences, turns = self.read(coordinates, q) - commands, turns_of(self, coordinates)
+        angles = np.isfinite(turns)
+        differences[:, angles] -= turns[angles] * np.round(differences[:, angles] / turns[angles])
+        return differences
+
+    def _contradicting(self, commands: Vector, off: Vector, which: str) -> UnreachablePoseError:
+        coordinates, placing = self.command_coordinates, self._placing_drives
+        worst = int(np.argmax(np.abs(off / units_of(self, coordinates))))
+        name, unit = coordinates[worst].name, coordinates[worst].unit
+        reason = (
+            f"{', '.join(coordinates[k].name for k in placing)} alone place it, and bring {name} to "
+            f"{commands[worst] + off[worst]:.9g} {unit}, not {commands[worst]:.9g}"
+        )
+        return UnreachablePoseError(f"{self.name}: the commands contradict each other{which}: {reason}", None, reason)
 
     def why_careful(self) -> str | None:
         """Return why poses are solved by Pinocchio, one by one; None if they are solved by programs."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pm3dof_pin.exceptions import UnreachablePoseError
 from pm3dof_pin.kinematics.coordinate_ranges import coordinate_range
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.kinematics.robot import Robot
@@ -40,6 +41,20 @@ def test_motors_follow_the_platform(four_rrr: Robot) -> None:
 
     expected = np.array([motors(pose) - motors(np.zeros(3)) for pose in poses.coordinates])
     np.testing.assert_allclose(poses.commands, (expected + np.pi) % (2.0 * np.pi) - np.pi, atol=1e-9)
+
+
+def test_commands_of_redundant_drives_give_the_pose_back(four_rrr: Robot) -> None:
+    values = np.random.default_rng(4).uniform([-0.1, -0.1, -0.3], [0.1, 0.1, 0.3], (40, 3))
+    commands = four_rrr.solve(values).commands
+    for engine in ("program", "pinocchio"):
+        np.testing.assert_allclose(four_rrr.forward(commands, engine=engine).coordinates, values, atol=1e-9)
+
+
+def test_commands_that_contradict_each_other_are_refused(four_rrr: Robot) -> None:
+    commands = four_rrr.at(four_rrr.home.q).commands + np.array([0.0, 0.0, 0.0, 0.01])
+    assert np.isnan(four_rrr.forward(commands, on_failure="nan").q).all()
+    with pytest.raises(UnreachablePoseError, match=r"the commands contradict each other: (m\d, ){2}m\d alone place it"):
+        four_rrr.forward(commands)
 
 
 @pytest.mark.parametrize("name", ["x", "y"])

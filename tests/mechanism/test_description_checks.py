@@ -192,6 +192,7 @@ def _chain(links: int) -> str:
         ("deep.urdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
         ("deep.srdf", "<robot>" + 200_000 * "<a>", "at most 200 deep"),
         ("deep.xml", "<mujoco><worldbody>" + 200_000 * "<body>", "at most 200 deep"),
+        ("scene.xml", f"<mujoco><worldbody>{41 * '<body><freejoint/></body>'}</worldbody></mujoco>", "at most 40"),
     ],
 )
 def test_depths_are_bounded(tmp_path: Path, name: str, text: str, said: str) -> None:
