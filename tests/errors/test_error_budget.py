@@ -272,7 +272,7 @@ def test_numbers_of_the_file(tmp_path: object, tripod_errors: GeometricErrors) -
     bad = [
         ({"termal": {}}, "termal"),
         ({"drives": {"backlash_m": -1e-6}}, "backlash_m"),
-        ({"vibration": {"tool": {"edges_Hz": [2.0, 1.0], "levels": [1.0]}}}, "growing"),
+        ({"vibration": {"tool": {"edges_Hz": [2.0, 1.0], "levels": [1.0]}}}, "increasing"),
         ({"vibration": {"damping": 1.0}}, "damping"),
         ({"load": {"wrench": [1.0, 2.0]}}, "wrench"),
     ]
