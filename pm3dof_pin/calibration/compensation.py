@@ -1,9 +1,9 @@
-"""Commands that bring a real machine where it is wanted: the error compensation flow, Fig. 8.6 of the chapter.
+"""Commands that take a real machine to wanted poses: the error compensation flow, Fig. 8.6 of the chapter.
 
 Wanted pose -> nominal inverse kinematics -> u -> predicted pseudo-error du(u) -> corrected command -> machine. The
-prediction is a learned du on top of the nominal model, the inverse kinematics of a calibrated model, or both: then
-du is what is left between the calibrated model and the machine. du is a function of the command that is given in the
-end, so the correction is iterated.
+prediction is a learned du on top of the nominal model, the inverse kinematics of a calibrated model, or both; then du
+is what remains between the calibrated model and the machine. du is a function of the command finally given, so the
+correction is iterated.
 """
 
 from __future__ import annotations
@@ -38,46 +38,46 @@ Conditions = Mapping[str, Array | float]
 """Temperatures and loads by the names of the measurements' columns, shape=(n,) or one number each."""
 
 _MAX_ITERATIONS = 30
-_SETTLED = 1e-13  # of the drives' joints, beside the rounding of what their counters show
-_MEETS = 1e-6  # what a nominal machine may miss of a wanted pose [m, tip-weighted]
-_UNLOADINGS = 2  # each leaves of a deflection what it is over the size of the machine
-_CHUNK = 4096  # poses at a time, so that memory does not grow with their number
+_SETTLED = 1e-13  # of the drives' joints, in addition to the rounding of their counters
+_MEETS = 1e-6  # greatest distance of the nominal machine from a wanted pose [m, tip-weighted]
+_UNLOADINGS = 2  # each reduces a deflection by the factor deflection / machine size
+_CHUNK = 4096  # poses at a time, to bound the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Compensated:
-    """Corrected commands. NaN throughout at a pose for which there are none."""
+    """Corrected commands. Everything is NaN at a pose for which there are none."""
 
-    commands: Array  #: what to command, shape=(n, number of commands) [m, rad]
-    nominal_commands: Array  #: what the description alone would command, shape as above [m, rad]
+    commands: Array  #: corrected commands, shape=(n, number of commands) [m, rad]
+    nominal_commands: Array  #: commands by the description alone, shape as above [m, rad]
     deviations: Array  #: predicted pseudo-error of the nominal machine at the nominal commands, shape as above [m, rad]
-    #: tip error to be expected with the corrected commands, root mean square, shape=(n,) [m]: what the calibrated model
-    #: says no command corrects, and the uncertainty of all that is predicted
+    #: expected tip error with the corrected commands, root mean square, shape=(n,) [m]: what no command corrects
+    #: according to the calibrated model, and the uncertainty of everything predicted
     predicted_error: Array
-    error_bound: Array  #: tip error that is not exceeded with the probability :data:`COVERAGE`, shape=(n,) [m]
+    error_bound: Array  #: bound of the tip error, with the probability :data:`COVERAGE`, shape=(n,) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """What is known of a machine, in a form to command it by."""
+    """Knowledge of a machine's errors, in a form that corrects its commands."""
 
     errors: GeometricErrors  #: the geometric parameters, with the robot as described
     #: identified parameters, shape=(number of parameters,) [m, rad]; None for the nominal model
     values: Array | None = None
-    #: theirs; None for the nominal model. With twelve rows more, those of the base and of the tool as the measurements
-    #: define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`
+    #: covariance of the identified parameters; None for the nominal model. With twelve rows more, also of base and tool
+    #: as the measurements define them: see :func:`pm3dof_pin.measuring.nuisances.datum_motions`
     covariance: Array | None = None
     learned: LearnedPart | None = None  #: pseudo-error on top of that model; None for none
     eta: float = TIP_LENGTH  #: weight of the orientation in the tip error [m/rad]
-    #: what was left in the measurements beside all this and beside their noise
+    #: what remains in the measurements, apart from all this and their noise
     scatter: Scatter = field(default_factory=Scatter)
-    #: by spring, how many times stiffer it was found than described, and the standard deviation of the logarithm of
-    #: that; springs not named are as described
+    #: by spring, its identified stiffness over that of the description, and the standard deviation of the ratio's
+    #: logarithm; springs not named are as described
     stiffness: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, found: Identification, eta: float = TIP_LENGTH) -> Compensation:
-        """Return what corrects commands by all that was identified, sure or not."""
+        """Return the compensation by everything that was identified, certain or not."""
         return cls(found.errors, found.values, found.seen_covariance, eta=eta, stiffness=found.stiffness)
 
     @cached_property
@@ -89,19 +89,19 @@ class Compensation:
 
     @property
     def known_covariance(self) -> Array | None:
-        """The covariance without infinite variances: what nothing tells moves the tool by nothing that was seen."""
+        """The covariance without infinite variances: undetermined parameters do not move the tool visibly."""
         if self.covariance is None:
             return None
         return np.where(np.isfinite(self.covariance), self.covariance, 0.0)
 
     @property
     def bears_wrenches(self) -> bool:
-        """Whether columns of wrenches are wrenches that springs give under, not inputs of what is learned."""
+        """Whether wrench columns deflect the springs, rather than being inputs of the learned part."""
         learned = () if self.learned is None else self.learned.inputs.conditions
         return bool(self.errors.robot.springs) and not any(map(is_wrench, learned))
 
     def without_loads(self, measurements: Measurements) -> Measurements:
-        """Return measurements less what their wrenches on the tool do by the springs as identified.
+        """Return measurements without the deflections of the identified springs under their wrenches.
 
         Raises:
             UnreachablePoseError: the loops do not close at a command.
@@ -113,15 +113,15 @@ class Compensation:
         return without_deflections(measurements, poses, self._by_spring(poses, wrenches).sum(axis=1))
 
     def with_usual_conditions(self, given: Conditions) -> dict[str, Array | float]:
-        """Complete conditions by the middle of those measured.
+        """Fill in missing conditions with the middle of the measured range.
 
         Raises:
-            InvalidValueError: a condition of which nothing was learned, and that is no wrench that springs give under.
+            InvalidValueError: a condition that was not learned from, and is not a wrench on the springs.
         """
         usual: dict[str, Array | float] = {} if self.learned is None else {**self.learned.inputs.middle()}
         unknown = set(given) - set(usual)
         for name in sorted(name for name in unknown if not (self.bears_wrenches and is_wrench(name))):
-            known = ", ".join(usual) or "none: no correction depends on any"
+            known = ", ".join(usual) or "none: the correction depends on no condition"
             raise InvalidValueError("condition", name, f"one of {known}")
         return usual | dict(given)
 
@@ -134,20 +134,20 @@ class Compensation:
         with_deviations: bool = True,
         progress: Callable[[int, int], None] | None = None,
     ) -> Compensated:
-        """Return what to command for wanted poses of the tool.
+        """Return the commands for wanted poses of the tool.
 
         Args:
             wanted: a pose of the robot as described, or poses of shape (n,), or homogeneous transforms of the tool,
                 shape=(4, 4) or (n, 4, 4).
-            conditions: temperatures and loads by the names of the measurements' columns.
-            on_failure: "raise", or "nan" for poses that the machine cannot reach, and singular ones.
-            with_deviations: whether to compute the deviations too, which takes a third of the time; NaN otherwise.
-            progress: called with the number of poses done and that of all.
+            conditions: temperatures and loads, named as the measurements' columns.
+            on_failure: "raise", or "nan" for singular poses and poses out of reach.
+            with_deviations: whether to compute the deviations, which takes a third of the time; otherwise NaN.
+            progress: called with the number of poses done and the total.
 
         Raises:
-            UnreachablePoseError: the machine cannot bring its tool there, and `on_failure` is "raise".
-            SingularConfigurationError: the tool can move there while all drives stand still, likewise.
-            ConvergenceError: the correction does not settle.
+            UnreachablePoseError: the machine cannot reach a pose, and `on_failure` is "raise".
+            SingularConfigurationError: the tool can move there with all drives locked, likewise.
+            ConvergenceError: the correction does not converge.
             InvalidValueError: poses of a wrong shape, or a condition is missing.
         """
         if isinstance(wanted, Poses):
@@ -192,7 +192,7 @@ class Compensation:
         *,
         with_deviations: bool,
     ) -> None:
-        """Compensate some rows of nominal poses; those that are singular stay NaN where `on_failure` says so."""
+        """Compensate some rows of nominal poses; singular ones stay NaN if `on_failure` is "nan"."""
         try:
             model = self.model_poses(nominal[rows], on_failure)
             taken, model = rows[model.solved], model[model.solved]
@@ -213,7 +213,7 @@ class Compensation:
         answer.error_bound[taken] = norm_quantiles(left, spread, COVERAGE)
 
     def poses(self, nominal: Poses, conditions: Conditions | None = None) -> Poses:
-        """Predict where the machine is at the commands of nominal poses, under conditions by name.
+        """Predict the machine's poses at the commands of nominal poses, under conditions by name.
 
         Raises:
             UnreachablePoseError: the loops do not close at a command.
@@ -222,7 +222,7 @@ class Compensation:
         return self._deflected(reached, conditions or {})
 
     def corrected(self, nominal: Poses, conditions: Conditions | None = None) -> Array:
-        """Return the commands for wanted poses alone, shape=(n, commands) [m, rad]; see :meth:`compensate`."""
+        """Return only the commands for wanted poses, shape=(n, commands) [m, rad]; see :meth:`compensate`."""
         nearest = self._nearest(nominal, self.model_poses(nominal), conditions or {})
         return self._corrected(nearest.commands, conditions or {})
 
@@ -231,7 +231,7 @@ class Compensation:
         return self._deviations(nominal, self.model_poses(nominal), conditions or {})
 
     def model_poses(self, nominal: Poses, on_failure: OnFailure = "raise") -> Poses:
-        """Return the model's poses, nominal or calibrated, at the commands of nominal ones."""
+        """Return the model's poses, nominal or calibrated, at the commands of nominal poses."""
         if self.values is None:
             return nominal if self.model is nominal.robot else Poses(self.model, nominal.q)
         return self.model.forward(nominal.commands, guess=nominal.q, on_failure=on_failure)
@@ -245,7 +245,7 @@ class Compensation:
         return model.robot.forward(model.commands + self._learned(commands, conditions), guess=model.q)
 
     def _nearest(self, nominal: Poses, model: Poses, conditions: Conditions, on_failure: OnFailure = "raise") -> Poses:
-        """Return the model's poses, unloaded, that come nearest to the nominal ones under the wrenches at work."""
+        """Return the unloaded poses of the model that come nearest to the nominal ones under the given wrenches."""
         wrenches = self._wrenches(conditions, len(nominal))
         if wrenches is None and self.values is None:
             return model
@@ -261,7 +261,7 @@ class Compensation:
         return wrenches_of(conditions, self.errors.robot, count) if self.bears_wrenches else None
 
     def _by_spring(self, poses: Poses, wrenches: Array) -> Array:
-        """Return how far each spring lets wrenches move the tool, shape=(n, springs, 6) [m, rad]."""
+        """Return the tool motion by each spring under the wrenches, shape=(n, springs, 6) [m, rad]."""
         return spring_deflections(Poses(self.model, poses.q), wrenches)
 
     def _deflected(self, poses: Poses, conditions: Conditions) -> Poses:
@@ -291,32 +291,32 @@ class Compensation:
         return nearest_poses(nominal, seen, self.eta).commands - nominal.commands
 
     def _left_over(self, nominal: Poses, nearest: Poses, conditions: Conditions) -> tuple[Array, Array]:
-        """Return the tip-weighted error with the corrected commands, its mean and covariance, (n, 6) and (n, 6, 6)."""
+        """Return mean and covariance of the tip-weighted error with corrected commands, (n, 6) and (n, 6, 6)."""
         reached = self._deflected(nearest, conditions)
         left = pose_difference(nominal.transforms, reached.transforms) * tip_weights(self.eta)
         control = weighted_control(nearest, self.eta)
         return left, self.covariances(nearest, conditions) + self.scatter.covariances(control)
 
     def effects(self, poses: Poses) -> Array:
-        """Return how what `covariance` is of moves the tool of the model, tip-weighted, shape=(n, 6, its rows)."""
+        """Return the tip-weighted tool motion by the parameters of `covariance`, shape=(n, 6, its rows)."""
         effects = sensitivities(self.errors, poses, self.values).errors
         if self.covariance is not None and len(self.covariance) > len(self.errors):
             effects = np.concatenate([effects, datum_motions(poses)], axis=2)
         return np.asarray(effects * tip_weights(self.eta)[:, None])
 
     def standard_effects(self, poses: Poses) -> Array:
-        """Return the same for parameters a standard deviation off in each independent direction.
+        """Return :meth:`effects` for a standard deviation in each independent direction of the parameters.
 
-        Without any direction for a method that learns: how that errs at one pose and at another is not known.
+        No directions for a learning method: its error correlations between poses are unknown.
         """
         if self.learned is not None or self.known_covariance is None:
             return np.zeros((len(poses), 6, 0))
         return self.effects(poses) @ covariance_root(self.known_covariance)
 
     def rms_interval(self, wanted: Poses) -> tuple[float, float] | None:
-        """Return between which the tip error with corrected commands is [m], root mean square over poses, unloaded.
+        """Return an interval of the tip error with corrected commands [m], root mean square over poses, unloaded.
 
-        With the probability :data:`COVERAGE`; None for a method that learns. See
+        Its probability is :data:`COVERAGE`; None for a learning method. See
         :mod:`pm3dof_pin.calibration.rms_interval`.
         """
         if self.learned is not None:
@@ -326,7 +326,7 @@ class Compensation:
         return rms_interval(left, self.standard_effects(nearest), self.scatter, weighted_control(nearest, self.eta))
 
     def covariances(self, poses: Poses, conditions: Conditions | None = None) -> Array:
-        """Return how uncertain predicted poses are, beside the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
+        """Return the covariance of predicted poses, without the scatter: tip-weighted, shape=(n, 6, 6) [m^2]."""
         weights, given = tip_weights(self.eta), conditions or {}
         total = np.zeros((len(poses), 6, 6))
         if self.values is not None and self.known_covariance is not None:

@@ -1,9 +1,9 @@
-"""What known wrenches add to the model of measurements: deflections, with the stiffness of springs as unknowns.
+"""Deflections under known wrenches in the measurement model, with the springs' stiffness as unknowns.
 
-Under a wrench w on the tool the machine stands at exp(C(q, k) w) T(q), T being where its joints and errors bring it.
-The unknowns are ln k of each spring, beside the geometry: d(C w) / d ln k_j = -C_j w. What geometry changes of C is of
-the second order, a deflection times an error over the size of the machine, and is left out of the derivatives; the
-deflections themselves are those of the displaced machine.
+Under a wrench w on the tool, the machine is at exp(C(q, k) w) T(q), where T follows from its joints and errors. The
+unknowns are ln k of each spring, in addition to the geometry: d(C w) / d ln k_j = -C_j w. The change of C with the
+geometry is of second order (deflection times error over machine size) and left out of the derivatives; the deflections
+themselves are those of the displaced machine.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from pm3dof_pin.measuring.wrenches import wrenches_of
 from pm3dof_pin.typing import Array, Engine
 
 STIFFNESS_SIGMA = 0.3
-"""Standard deviation of ln k before any measurement: a stiffness that is computed, not measured, is good to a third."""
+"""Prior standard deviation of ln k: a computed stiffness is accurate to about a third."""
 
-_PROGRAM_FROM = 20  # poses, which are evaluated at every step
+_PROGRAM_FROM = 20  # number of poses, all evaluated at every step
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ class ElasticTerm:
 
     @classmethod
     def of(cls, robot: Robot, measurements: Measurements) -> ElasticTerm:
-        """Make the term of measurements; without wrenches, or for a robot without springs, it adds nothing."""
+        """Make the term for measurements; without wrenches or springs it is zero."""
         return cls.under(robot, wrenches_of(measurements.conditions, robot, len(measurements)))
 
     @classmethod
     def under(cls, robot: Robot, wrenches: Array | None) -> ElasticTerm:
-        """Make the term of wrenches on the tool, world axes, shape=(n, 6) [N, N m]; empty for None or no springs."""
+        """Make the term for wrenches on the tool, world axes, shape=(n, 6) [N, N m]; zero without any or springs."""
         if wrenches is None or not wrenches.any() or not robot.springs:
             return cls()
         return cls(tuple(str(entry["name"]) for entry in robot.springs), wrenches)
@@ -53,7 +53,7 @@ class ElasticTerm:
 
     @property
     def sigmas(self) -> Array:
-        """Standard deviation of the unknowns before any measurement, shape=(springs,)."""
+        """Prior standard deviation of the unknowns, shape=(springs,)."""
         return np.full(len(self.springs), STIFFNESS_SIGMA)
 
     def with_parameters(self, errors: GeometricErrors) -> tuple[tuple[str, ...], Array]:
@@ -63,7 +63,7 @@ class ElasticTerm:
     def deflected(self, poses: Poses, logarithms: Array) -> tuple[Poses, Array]:
         """Return poses with the tool displaced, and its motion by each unknown, shape=(n, 6, springs) [m, rad].
 
-        The unknowns are ln of how many times stiffer each spring is than described, shape=(springs,).
+        The unknowns are the logarithms of each spring's stiffness over that of the description, shape=(springs,).
         """
         derivatives = self.derivatives(poses, logarithms)
         if self.wrenches is None:

@@ -1,12 +1,12 @@
-"""Gaussian processes for joint deviations, with the noise of each measurement known; of many poses, sparse ones.
+"""Gaussian processes for joint deviations with known measurement noise; sparse ones for many poses.
 
 C. Rasmussen and C. Williams, Gaussian Processes for Machine Learning (2006), chapters 2 and 5. For the deviation of
 drive i, with scaled inputs x,
 
     k(x, x') = c^2 (1 + x.x') + s^2 exp(-sum_j (x_j - x_j')^2 / (2 l_j^2)) + o^2 exp(-(x_i - x_i')^2 / (2 m^2))
 
-The first term is what most geometric errors do, the second bends it, the third is what a screw or a guideway does to
-its own drive. The amplitudes are chosen by marginal likelihood: where there is nothing to learn they fall to nothing.
+The first term models most geometric errors, the second bends it, the third models the screw or guideway of drive i.
+The amplitudes are chosen by marginal likelihood; they fall to zero if there is nothing to learn.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from pm3dof_pin.typing import Array, Indices
 
 _LEAST_AMPLITUDE = 1e-4  # of the deviations' scale
 _MOST_AMPLITUDE = 30.0
-# Logarithms of the scales are held near these, with standard deviation _SCALE_SPREAD: the ranges are -1 .. 1.
+# Prior medians of the scales, whose logarithms have standard deviation _SCALE_SPREAD; inputs are in -1 .. 1.
 _SMOOTH_SCALE, _OWN_SCALE = 2.5, 0.25
 _SCALE_SPREAD = 0.4
 _STARTS = ((0.5, 0.5, 0.1), (0.05, 0.05, 0.3))  # c, s, o over the deviations' scale
 _JITTER = 1e-10
 EXACT_UP_TO = 300
-"""Measurements of more poses are summed up by inducing points, and the time grows in proportion to them."""
+"""Above this number of poses, inducing points represent them, and the time grows linearly."""
 _INDUCING = 200
-_FORETOLD = 0.9  # of the squares of deviations may be missed at most by predictions from the others
+_FORETOLD = 0.9  # greatest fraction of the squared deviations not predicted by the others
 _SPARSE_JITTER = 1e-9
-_UNSEEN_SCALE = 1e-6  # [m, rad], of a drive that no measurement shows: its deviations are 0
+_UNSEEN_SCALE = 1e-6  # [m, rad], for a drive that no measurement shows: its deviations are 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class GaussianProcess(LearnedModel):
 
     inputs: Array  #: of the measurements, shape=(n, number of inputs)
     targets: Array  #: their du, shape=(n, number of commands) [m, rad]
-    noise: Array  #: variance of each du, shape=(n, number of commands) [m^2, rad^2]
+    noise: Array  #: noise variance of each du, shape=(n, number of commands) [m^2, rad^2]
     #: of c, s, o, excess noise [m, rad], l_1 ... l_k, m, for each drive, shape=(number of commands, k + 5)
     logarithms: Array
 
@@ -60,7 +60,7 @@ class GaussianProcess(LearnedModel):
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, noise: Array) -> GaussianProcess:
-        """Choose the kernels by marginal likelihood, of deviations du and their noise variance, shape=(n, commands).
+        """Choose the kernels by marginal likelihood, given deviations du and their noise variance, shape=(n, commands).
 
         Raises:
             ConvergenceError: no kernel was found.
@@ -74,16 +74,16 @@ class GaussianProcess(LearnedModel):
 
     @staticmethod
     def typical_covariance(first: Array, second: Array, drive: int) -> Array:
-        """Return what a drive's deviations at scaled inputs have in common beforehand, shape=(n, m).
+        """Return the prior covariance of a drive's deviations at scaled inputs, shape=(n, m).
 
-        The kernel at the amplitudes and scales that fitting starts from, in units of the deviations' own variance.
+        This is the kernel with the initial amplitudes and scales of the fit, in units of the deviations' variance.
         """
         scales = [*[_SMOOTH_SCALE] * first.shape[1], _OWN_SCALE]
         return _kernel_between(first, second, drive, np.log([*_STARTS[0], 1.0, *scales]))
 
     @staticmethod
     def typical_variance(inputs: Array) -> Array:
-        """Return the diagonal of :meth:`typical_covariance` of inputs and themselves, shape=(n,)."""
+        """Return the diagonal of :meth:`typical_covariance` at the same inputs, shape=(n,)."""
         return _own_variance(inputs, np.log(_STARTS[0]))
 
     def deviations(self, inputs: Array) -> Array:
@@ -119,7 +119,7 @@ class _Exact:
 
 
 class _Sparse(_Exact):
-    """The process of one drive, given many measurements by way of few inducing points.
+    """The process of one drive, given many measurements through a few inducing points.
 
     The measurements are independent of each other given the process at the inducing points (E. Snelson and
     Z. Ghahramani, Sparse Gaussian processes using pseudo-inputs, 2006), which are spread over the inputs.
@@ -150,7 +150,7 @@ class _Sparse(_Exact):
 
 
 def _spread(inputs: Array) -> Indices:
-    """Return all rows of few inputs, or of many the inducing points: each the farthest from those before it."""
+    """Return all rows if they are few, otherwise the inducing points: each the farthest from those before it."""
     if len(inputs) <= EXACT_UP_TO:
         return np.arange(len(inputs))
     chosen = [int(np.argmin(np.sum((inputs - inputs.mean(axis=0)) ** 2, axis=1)))]
@@ -162,7 +162,7 @@ def _spread(inputs: Array) -> Indices:
 
 
 class _Kernel:
-    """The kernel over one set of inputs, with derivatives by the logarithms."""
+    """The kernel over one set of inputs, with derivatives with respect to the logarithms."""
 
     def __init__(self, inputs: Array, drive: int) -> None:
         self._products = 1.0 + inputs @ inputs.T
@@ -180,7 +180,7 @@ class _Kernel:
         return c**2 * self._products, s**2 * smooth, o**2 * own
 
     def slopes(self, inner: Array, parts: tuple[Array, Array, Array], logarithms: Array) -> Array:
-        """Return the sums of `inner` times the derivatives by all logarithms but the noise's, in their order."""
+        """Return the sums of `inner` times the derivatives by all logarithms except the noise's, in order."""
         linear, smooth, own = (inner * part for part in parts)
         squared = np.exp(2.0 * logarithms[4:])
         by_scales = np.tensordot(smooth, self._squares, 2) / squared[:-1]
@@ -248,12 +248,12 @@ def _most_likely(kernel: _Kernel, deviations: Array, noise: Array) -> Array:
     if best is None:
         raise ConvergenceError("choosing the kernel of a Gaussian process", least, "in likelihood", 0)
     if not _foretells(kernel, best, deviations, noise):
-        best[:3] = floor  # no deviation is learned rather than one that others do not bear out
+        best[:3] = floor  # learn nothing rather than a deviation that the others do not support
     return np.asarray(best)
 
 
 def _foretells(kernel: _Kernel, logarithms: Array, deviations: Array, noise: Array) -> bool:
-    """Tell whether each deviation is foretold by the others, on the whole, better than by none.
+    """Tell whether predicting each deviation from the others beats predicting zero, overall.
 
     Leaving one out at a time, in closed form (Rasmussen and Williams, 2006, eq. 5.12), weighted by their noise.
     """

@@ -1,8 +1,8 @@
-"""What measurements say about the parameters: the scaled regressor, its rank, and what stays unknown.
+"""Identifiability of the parameters from measurements: the scaled regressor, its rank, and what remains unknown.
 
 A row of the regressor is a measured coordinate in units of its noise, a column a parameter in units of its tolerance:
-R = diag(1/sigma) S diag(tolerance). A singular value s of R then compares: along its direction a measurement is worth s
-times what the tolerance says. Directions without any effect are reported as combinations of parameters; none is fixed
+R = diag(1/sigma) S diag(tolerance). A singular value s of R is then a ratio: along its direction, a measurement tells s
+times as much as the tolerance. Directions without any effect are reported as combinations of parameters; none is fixed
 silently.
 """
 
@@ -31,9 +31,9 @@ from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array
 
 REGRESSOR_TOLERANCE = 1e-11
-"""Singular values of the scaled regressor below this times the greatest count as zero."""
+"""Singular values of the scaled regressor below this fraction of the greatest are treated as zero."""
 
-_SHOWN = 0.05  # parts of a direction smaller than this, of its greatest, are left out of its name
+_SHOWN = 0.05  # components smaller than this fraction of a direction's greatest are left out of its name
 _ZERO = 1e-9
 
 
@@ -43,10 +43,10 @@ def stacked_regressor(
     instrument: Instrument | None = None,
     elastic: ElasticTerm | None = None,
 ) -> tuple[Array, Array, Nuisances]:
-    """Return the scaled regressor, unknown spring stiffness after the parameters; nuisance rows; the nuisances.
+    """Return the scaled regressor (spring stiffness after the parameters), the nuisance rows and the nuisances.
 
-    The nuisance parameters are in their scales, their rows of shape=(n, rows of a pose, k). `elastic` has the known
-    wrenches at these poses.
+    The nuisance rows, shape=(n, rows of a pose, k), are in units of the nuisance parameters' scales. `elastic` holds
+    the known wrenches at these poses.
     """
     measurements = Measurements.of_poses(poses.commands, poses.transforms, instrument)
     if instrument is not None and instrument.encoders:
@@ -69,7 +69,7 @@ def stacked_regressor(
 
 
 def _with_encoders(measurements: Measurements, poses: Poses, instrument: Instrument) -> Measurements:
-    """Return the rows of poses with the readings of the instrument's encoders, in the first row of each pose."""
+    """Add the readings of the instrument's encoders to the first row of each pose."""
     for joint in instrument.encoders:
         encoder_column(poses.robot, joint)
     joints: dict[str, str] = {joint: poses.robot.single_joint(joint).unit for joint in instrument.encoders}
@@ -99,7 +99,7 @@ class ObservabilityIndices:
         """
         s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
         if not s.size or not np.all(s > 0.0):
-            expected = "positive numbers: those of identifiable combinations"
+            expected = "positive numbers, of identifiable combinations only"
             raise InvalidValueError("singular_values", s.tolist(), expected)
         return cls(
             O1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
@@ -112,18 +112,18 @@ class ObservabilityIndices:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What a set of measurements can say."""
+    """Which parameters a set of measurements can identify."""
 
     names: tuple[str, ...]  #: the parameters
     poses: int  #: number of poses
     decision: RankDecision  #: rank of the scaled regressor and how it was decided
-    #: right singular vectors as columns, in units of the tolerances, the best known first, shape=(number of parameters,
+    #: right singular vectors as columns, in units of the tolerances, best known first, shape=(number of parameters,
     #: number of parameters)
     directions: Array
-    #: names of as many parameters as the rank, chosen by QR with pivoting, that explain all measurements
+    #: base parameters: as many as the rank, chosen by pivoted QR, that explain all measurements
     base: tuple[str, ...]
-    #: for each of the other parameters, by how much the base parameters stand in for one unit of it [m, rad a m, rad];
-    #: what it does cannot be told from what they do
+    #: for each other parameter, the combination of base parameters with the same effect as one unit of it [m, rad a m,
+    #: rad]; the two cannot be distinguished
     relations: dict[str, dict[str, float]]
 
     @property
@@ -133,12 +133,12 @@ class Identifiability:
 
     @cached_property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Directions that no measurement shows: combinations of parameters in units of their tolerances, in words."""
+        """Names of unobservable directions: combinations of parameters in units of their tolerances."""
         return tuple(_direction_name(self.names, column) for column in _sparse(self.directions[:, self.rank :]).T)
 
     @property
     def better_than_tolerance(self) -> int:
-        """Number of combinations of which the measurements say more than the tolerances do."""
+        """Number of combinations that the measurements determine better than the tolerances."""
         return int(np.sum(self.decision.singular_values > 1.0))
 
     @property
@@ -150,7 +150,7 @@ class Identifiability:
 def identifiability(
     names: tuple[str, ...], tolerances: Array, regressor: ArrayLike, nuisances: ArrayLike | None = None
 ) -> Identifiability:
-    """Judge what a :func:`stacked_regressor` identifies; what nuisances can stand for counts as not seen.
+    """Analyse what a :func:`stacked_regressor` identifies; effects that nuisances can explain count as unobserved.
 
     The columns of the regressor, shape=(n, rows of a pose, parameters), are in units of the parameters' tolerances.
 
@@ -162,7 +162,7 @@ def identifiability(
         expected = f"finite numbers of shape (n, rows, {len(names)})"
         raise InvalidValueError("regressor", f"an array of shape {blocks.shape}", expected)
     matrix = _beside(blocks, nuisances)
-    # the triangle has the same singular values and right vectors, and is small
+    # the triangular factor has the same singular values and right vectors, and is small
     triangle = np.asarray(np.linalg.qr(matrix, mode="r")) if len(matrix) > len(names) else matrix
     _, values, right = np.linalg.svd(triangle)
     decision = RankDecision.of(values, REGRESSOR_TOLERANCE * values.max(initial=0.0))
@@ -189,16 +189,16 @@ def _rank_growth(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> ND
 
 
 def minimum_poses(regressor: ArrayLike, nuisances: ArrayLike | None = None) -> int:
-    """Return the least number of poses in general position that identify all that these identify together.
+    """Return the least number of poses in general position that identify as much as all of these.
 
-    Of such poses any will do: counted are the first ones, until they have the rank of all.
+    Any such poses will do, so the first ones are counted until they have the full rank.
     """
     growth = _rank_growth(regressor, nuisances)
     return int(np.argmax(growth == growth[-1])) + 1
 
 
 def _direction_name(names: Sequence[str], direction: Array) -> str:
-    """Return a combination of parameters in words, such as "platform_x_joint.rx" or "a.tx - 0.5 b.tx"."""
+    """Name a combination of parameters, such as "platform_x_joint.rx" or "a.tx - 0.5 b.tx"."""
     scaled = direction / direction[np.argmax(np.abs(direction))]
     terms = []
     for k in np.argsort(-np.abs(scaled), kind="stable"):
@@ -211,7 +211,7 @@ def _direction_name(names: Sequence[str], direction: Array) -> str:
 
 
 def _beside(blocks: Array, nuisances: ArrayLike | None) -> Array:
-    """Return what is left of the rows of a regressor beside those that nuisances can stand for, shape=(n rows, k)."""
+    """Return the rows of a regressor with the effects of nuisances projected out, shape=(n rows, k)."""
     matrix = blocks.reshape(-1, blocks.shape[2])
     others = np.asarray([] if nuisances is None else nuisances, dtype=float)
     if not others.size:

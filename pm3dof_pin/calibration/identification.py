@@ -1,11 +1,11 @@
-"""Geometric parameters out of measurements: weighted, robust, regularised nonlinear least squares.
+"""Geometric parameters from measurements: weighted, robust, regularised nonlinear least squares.
 
-Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2 + |y / sigma|^2, with r_k what measurement k lacks of the
-closed-loop forward kinematics, in units of its noise, p the machine's parameters and y those of the measuring itself
+Minimised is sum_k rho(|r_k|^2) + |p / (k tolerance)|^2 + |y / sigma|^2, with r_k the residual of measurement k to the
+closed-loop forward kinematics, in units of its noise, p the machine's parameters and y those of the measurement set-up
 (:mod:`pm3dof_pin.measuring.nuisances`): the instrument's frame, offsets of targets, drift. Gauss-Newton on the exact
 Jacobians of :mod:`pm3dof_pin.errors.sensitivity`; in each step the robust linear problem
-(:mod:`pm3dof_pin.calibration.linearisation`) is solved to its end. Once the steps are small they keep to the minimum
-found, lest few rows with outliers make them change for ever between two.
+(:mod:`pm3dof_pin.calibration.linearisation`) is solved to convergence. Once the steps are small they stay at the
+minimum found, so that a few outlying rows cannot make them alternate between two.
 """
 
 from __future__ import annotations
@@ -28,65 +28,65 @@ from pm3dof_pin.measuring.nuisances import Nuisances
 from pm3dof_pin.typing import Array, Indices
 
 PRIOR = 3.0
-"""k: standard deviation of the parameters before the measurements, in units of their tolerances."""
+"""k: prior standard deviation of the parameters, in units of their tolerances."""
 
 PRIOR_DOMINATED = 0.9
-"""A parameter whose standard deviation stays above this part of what it was before is dominated by the prior."""
+"""A parameter whose standard deviation stays above this fraction of the prior's is dominated by the prior."""
 
 _MAX_STEPS = 50
-_SMALL_STEP = 1e-6  # what a step changes of the residuals, in units of their sigma
-_STUCK = 1e-4  # a step that rounding alone keeps from falling further
-_NEAR = 1.0  # sigma that a step changes of the residuals, from which on the minimum is kept
-_BELIEVED = 4.0  # parameters off by their tolerance, as which the tolerances count
+_SMALL_STEP = 1e-6  # change of the residuals by a step, in units of their sigma
+_STUCK = 1e-4  # the same, for a step that only rounding keeps from shrinking further
+_NEAR = 1.0  # the same, below which the minimum is kept
+_BELIEVED = 4.0  # number of parameters off by their tolerance that the tolerances count as
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What measurements say about the parameters."""
+    """Parameters identified from measurements, with their uncertainty."""
 
     errors: GeometricErrors  #: the parameters
     values: Array  #: p, shape=(number of parameters,) [m, rad]
-    nuisances: Nuisances  #: what the measurements depend on besides
-    #: y, shape=(number of nuisance parameters,) [m, rad]; 0 for a frame, which has become part of the registration of
+    nuisances: Nuisances  #: other parameters of the measurements
+    #: y, shape=(number of nuisance parameters,) [m, rad]; 0 for a frame, which becomes part of the registration of
     #: `measurements`
     nuisance_values: Array
-    #: of p, the logarithms of stiffness and y together, given noise and prior; the noise is what the residuals show
-    #: where that is more than the sigmas say, the prior a standard error of k wider
+    #: joint covariance of p, the logarithms of stiffness and y, given noise and prior. The noise is that of the
+    #: residuals if larger than the sigmas say; the prior is one standard error of k wider
     joint_covariance: Array
-    #: standard deviation of each parameter as one of the machine's parts, shape=(number of parameters,) [m, rad]. More
-    #: than the covariance says, by what a smooth effect of something else, hidden in the noise, would shift it: that
-    #: makes parameters wrong, but not the poses that they predict
+    #: standard deviation of each parameter as a property of the machine's parts, shape=(number of parameters,) [m,
+    #: rad]. Larger than in the covariance, by the shift from smooth unmodelled effects hidden in the noise: they
+    #: falsify parameters, but not the poses predicted from these
     sigmas: Array
-    prior: float  #: k, standard deviation before the measurements in units of the tolerances; infinite for none
+    prior: float  #: k, prior standard deviation in units of the tolerances; infinite for none
     prior_error: float  #: relative standard error of k
-    measurements: Measurements  #: what was measured, in the axes of the base as identified
-    settled: Measurements  #: the same without what the nuisance parameters explain
-    poses: Poses  #: the calibrated machine's at the commands
+    measurements: Measurements  #: the measurements, in the axes of the identified base
+    settled: Measurements  #: the same, minus the effects of the nuisance parameters
+    poses: Poses  #: of the calibrated machine at the commands
     residuals: Array  #: settled measurements minus calibrated machine, shape=(n, rows) [m, rad]
-    weights: Array  #: what robust weighting left of each measurement, 0 to 1, shape=(n,)
-    #: the same over the variance of each coordinate's noise, on average as for good ones, shape=(n, rows)
+    weights: Array  #: robust weight of each measurement, 0 to 1, shape=(n,)
+    #: the weights over the variance of each coordinate's noise, scaled to good measurements on average, shape=(n, rows)
     certainties: Array
-    #: how many times larger than the sigmas say the residuals scatter, alike for all coordinates of a kind, at least 1,
+    #: ratio of the residuals' scatter to the sigmas, the same for all coordinates of a kind, at least 1,
     #: shape=(rows,)
     noise_factors: Array
-    outliers: tuple[int, ...]  #: rows whose residual is no noise
-    #: derivatives of what is seen by all of these, in units of the tolerances and of the noise, shape=(n, rows,
-    #: parameters)
+    outliers: tuple[int, ...]  #: rows whose residual is not noise
+    #: derivatives of the measured coordinates by all these parameters, in units of tolerances and noise, shape=(n,
+    #: rows, parameters)
     rows: Array
     steps: int  #: Gauss-Newton steps taken
-    elastic: ElasticTerm  #: the deflections under known wrenches; without unknowns where there were none
-    stiffness_logarithms: Array  #: ln of how many times stiffer each spring is than described, shape=(springs,)
+    elastic: ElasticTerm  #: the deflections under known wrenches; without unknowns if there are none
+    stiffness_logarithms: Array  #: ln of each spring's stiffness over that of the description, shape=(springs,)
 
     @classmethod
     def of(cls, problem: Linearisation, fit: RobustFit, loss: Loss, prior_error: float, steps: int) -> Identification:
-        """Return what a fit says, given the problem linearised at its solution; arguments as for :func:`identify`."""
+        """Return the results of a fit of a problem linearised at the solution; arguments as for :func:`identify`."""
         errors, factors = problem.errors, problem.kinds @ fit.noise_factors
         ends = np.cumsum([len(errors), len(problem.elastic.names)])
         values, logarithms, measuring = np.split(fit.x * problem.units, ends)
         certainties = problem.certainties(fit, loss)
         covariance = problem.covariance(certainties, prior_error)
         hidden = problem.hidden_shifts(certainties, factors, covariance)
-        # of many parameters the worst has to be within its bounds too: twice the error of k
+        # the worst of many parameters must be within its bounds too: twice the error of k
         variances = np.diag(problem.covariance(certainties, 2.0 * prior_error))[: len(errors)]
         return cls(
             errors=errors,
@@ -118,7 +118,7 @@ class Identification:
 
     @property
     def stiffness(self) -> dict[str, tuple[float, float]]:
-        """How many times stiffer each spring is than described, and the standard deviation of its logarithm."""
+        """Each spring's stiffness over that of the description, and the standard deviation of the ratio's logarithm."""
         pairs = zip(np.exp(self.stiffness_logarithms).tolist(), self.stiffness_sigmas.tolist(), strict=True)
         return dict(zip(self.elastic.springs, pairs, strict=True))
 
@@ -140,7 +140,7 @@ class Identification:
 
     @property
     def seen_map(self) -> Array:
-        """What all parameters do to p, then to base and tool as nuisances define them, shape=(p + 12, parameters)."""
+        """Map of all parameters to p, then to base and tool as nuisances define them, shape=(p + 12, parameters)."""
         count = len(self.errors)
         chosen = np.zeros((count + 12, len(self.joint_covariance)))
         chosen[:count, :count] = np.eye(count)
@@ -149,7 +149,7 @@ class Identification:
 
     @property
     def _known_covariance(self) -> Array:
-        """The joint covariance without the infinite variances: what nothing tells moves nothing that was seen."""
+        """The joint covariance without infinite variances: undetermined parameters move nothing that was seen."""
         return np.where(np.isfinite(self.joint_covariance), self.joint_covariance, 0.0)
 
     @property
@@ -164,7 +164,7 @@ class Identification:
 
     @property
     def shrinkage(self) -> Array:
-        """How uncertain each parameter is, as a part of what it was before the measurements, shape=(parameters,)."""
+        """Standard deviation of each parameter relative to the prior's, shape=(parameters,)."""
         after = np.sqrt(np.diag(self.covariance))
         if np.isinf(self.prior):
             return np.asarray(np.isinf(after), dtype=float)
@@ -182,7 +182,7 @@ class Identification:
 
     @property
     def noise_factor(self) -> float:
-        """How many times larger than the sigmas say the residuals scatter, over all coordinates measured."""
+        """Ratio of the residuals' scatter to the sigmas, over all coordinates measured."""
         return float(np.sqrt(np.average(self.noise_factors**2, weights=self.measurements.seen.sum(axis=0))))
 
     @property
@@ -192,9 +192,9 @@ class Identification:
 
     @cached_property
     def expected_squares(self) -> Array:
-        """Squares of the normalised residuals to be expected by the sigmas and what parameters absorb, shape=(n, rows).
+        """Expected squares of the normalised residuals, reduced by what parameters absorb, shape=(n, rows).
 
-        0 for what was not measured.
+        0 for coordinates that were not measured.
         """
         units = np.concatenate([self.errors.tolerances, self.elastic.sigmas, self.nuisances.scales])
         known = self._known_covariance / np.outer(units, units)
@@ -203,28 +203,28 @@ class Identification:
 
     @property
     def trusted(self) -> Indices:
-        """The rows that are no outliers."""
+        """The rows that are not outliers."""
         return np.setdiff1d(np.arange(len(self.measurements)), self.outliers)
 
     @property
     def outlier_lines(self) -> tuple[int, ...]:
-        """Lines of the file that are outliers."""
+        """Lines of the file with outliers."""
         return tuple(self.measurements.lines[row] for row in self.outliers)
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """Rank of the data beside nuisance parameters of which nothing is known beforehand, and what it leaves open."""
+        """Rank of the data given nuisance parameters without priors, and the combinations it leaves open."""
         names, scales = self.elastic.with_parameters(self.errors)
         return identifiability(names, scales, *np.split(self.rows, [len(names)], axis=2))
 
     @cached_property
     def prior_dominated(self) -> tuple[str, ...]:
-        """Parameters about which the measurements say next to nothing by themselves: the prior's value stands."""
+        """Parameters that the measurements hardly determine, so that they keep the prior's value."""
         dominated = self.shrinkage >= PRIOR_DOMINATED
         return tuple(name for name, flag in zip(self.errors.names, dominated, strict=True) if flag)
 
     def settle(self, measurements: Measurements) -> Measurements:
-        """Return other measurements of the session in this base, without what the nuisance parameters explain."""
+        """Return other measurements of the session in this base, minus the effects of the nuisance parameters."""
         if measurements.registration is not None and self.measurements.registration is not None:
             measurements = measurements.registered_as(self.measurements.registration)
         poses = _poses_at(
@@ -235,12 +235,12 @@ class Identification:
 
 
 def prior_from_data(found: Identification) -> tuple[float, float]:
-    """Return how many tolerances k parameters are off in the mean, as the measurements have it, and its relative error.
+    """Return the most likely k, the parameters' typical error in units of tolerances, and its relative error.
 
-    The k under which the measurements are most likely (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g with x
-    the parameters in tolerances, identified with a generous prior, and g the effective number of them that the data
-    determine. The tolerances' own word, k = 1, counts as much as some of these. At most that of the identification. The
-    relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
+    k maximises the likelihood of the measurements (D. MacKay, Neural Computation 4, 1992): k^2 = |x|^2 / g, with x the
+    parameters in tolerances, identified with a generous prior, and g the effective number of them that the data
+    determine. The tolerances' own value, k = 1, counts as much as some of these. k is at most that of the
+    identification. The relative standard error of a standard deviation from so many is 1 / sqrt(2 (g + some)).
     """
     count = len(found.errors)
     measuring = found.rows[:, :, count:]
@@ -253,7 +253,7 @@ def prior_from_data(found: Identification) -> tuple[float, float]:
     values = np.maximum(values, 0.0)
     most = found.prior if np.isfinite(found.prior) else PRIOR
     k, effective = most, 0.0
-    # the least-squares solution along each axis, from that with the prior
+    # the least-squares solution along each axis, from the one with the prior
     start = axes.T @ (found.values / found.errors.tolerances)
     pulled = start * (values + (0.0 if np.isinf(found.prior) else 1.0 / found.prior**2))
     for _ in range(_MAX_STEPS):
@@ -280,17 +280,17 @@ def identify(
     Args:
         measurements: poses, positions or points.
         errors: the parameters, with their tolerances.
-        prior: k, how many tolerances a parameter may be expected to be off. Infinite for no prior: then what cannot be
-            told stays at its nominal value, and its deviation is infinite.
+        prior: k, how many tolerances a parameter may be expected to be off. If infinite, there is no prior: what is not
+            identifiable stays at its nominal value, and its deviation is infinite.
         prior_error: relative standard error of k.
         loss: "squares", "huber", or "tukey" after Huber's.
-        nuisances: what the measurements depend on besides; by default what they say themselves.
-        start: the identification from others of the same measurements, in the same axes, to be quicker.
+        nuisances: other parameters of the measurements; by default those that they imply.
+        start: an earlier identification from part of the same measurements, in the same axes, as a faster start.
 
     Raises:
         InvalidValueError: there are no measurements or no parameters, or the prior is not positive.
-        ConvergenceError: the parameters did not settle, or the loops do not close with them.
-        SingularConfigurationError: at a command the tool can move while all drives stand still.
+        ConvergenceError: the parameters did not converge, or the loops do not close with them.
+        SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     if not len(measurements) or not len(errors):
         problem = f"{len(measurements)} measurements, {len(errors)} parameters"
@@ -313,7 +313,7 @@ def identify(
         length = float(np.abs(linear.rows @ (fit.x - x)).max())
         x = fit.x
         if frame.size:
-            # the frame found becomes part of the registration, so that it never is more than a small motion
+            # the frame found becomes part of the registration, so that it remains a small motion
             measurements = measurements.in_moved_base(x[frame] * linear.units[frame])
             x[frame] = 0.0
         poses = _poses_at(errors.apply(x[:count] * errors.tolerances), measurements, poses.q)
@@ -322,12 +322,12 @@ def identify(
             return Identification.of(linear, fit, loss, prior_error, step)
         previous = length
     raise ConvergenceError(
-        "identification", length, "sigmas", _MAX_STEPS, "a prior helps, unless the measurements are of another machine"
+        "identification", length, "sigmas", _MAX_STEPS, "use a prior; check that they are of this machine"
     )
 
 
 def _poses_at(robot: Robot, measurements: Measurements, guess: Array | None = None) -> Poses:
-    """Return the robot's poses at the commands of the rows, each different one solved once."""
+    """Return the robot's poses at the commands of the rows, solving each distinct command once."""
     numbers = measurements.pose_numbers
     _, first = np.unique(numbers, return_index=True)
     solved = robot.forward(measurements.commands[first], guess=None if guess is None else guess[first])

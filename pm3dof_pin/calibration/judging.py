@@ -1,4 +1,4 @@
-"""How good a calibration is on measurements that it was not shown."""
+"""Accuracy of a calibration on measurements that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from pm3dof_pin.typing import Array, Indices, Mask
 logger = logging.getLogger(__name__)
 
 _FOLDS = 5
-_MOVED = 0.01  # [m, rad]: further than errors of a machine move its base
-_FLOOR_SEEN = 1e-3  # of whole poses no direction is unseen, but near a singular pose none of use can be tiny
+_MOVED = 0.01  # [m, rad]: farther than a machine's errors move its base
+_FLOOR_SEEN = 1e-3  # full poses show all directions, but near a singular pose a useful one can be tiny
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors of measured poses, one for each visit, as far as the measurements show them. Outliers are left out.
+    """Errors of measured poses, one per visit, as far as the measurements show them, without outliers.
 
     Attributes:
-        rows: which measurements were judged by, shape=(n,).
+        rows: the measurements used, shape=(n,).
         before: tip error of the machine as described, shape=(visits,) [m].
         after: tip error with the corrected commands, the measurements' noise included, shape=(visits,) [m].
         floor: tip error with the best commands, the measurements' noise included, shape=(visits,) [m].
-        noise: tip error that the measurements' noise amounts to, root mean square, shape=(visits,) [m].
-        excess: by how much the corrected commands are to be expected to miss the best ones, root mean square over the
-            drives' joints, shape=(visits,) [m, rad]: by what is uncertain about parameters and learned parts, seen or
-            not, and by the scatter beyond that. What is seen of it has more noise than there is excess. NaN where a
-            method without parameters, which say how uncertain that is, does not see all motions of the drives.
-        excess_interval: the root mean square of that over visits, of this machine, is between these with the
-            probability of 95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a method that learns, near
-            singular poses, and from the noise factor :data:`~pm3dof_pin.calibration.calibrate.SMOOTH` on.
-        scatter: what the corrected machine misses beyond what is known to be uncertain.
-        within: part of the visits at which what is left stays below the bound of :data:`COVERAGE`.
+        noise: tip error due to the measurements' noise, root mean square, shape=(visits,) [m].
+        excess: expected difference between the corrected commands and the best ones, root mean square over the
+            drives' joints, shape=(visits,) [m, rad]: from the uncertainty of parameters and learned parts, seen or not,
+            and from the further scatter. Observing it would add more noise than there is excess. NaN for a method
+            without parameters, which would tell the uncertainty, if not all motions of the drives are seen.
+        excess_interval: interval of this machine's root mean square of that over the visits, with a probability of
+            95 %, see :mod:`pm3dof_pin.calibration.rms_interval`; None for a learning method, near singular poses, and
+            from the noise factor :data:`~pm3dof_pin.calibration.calibrate.SMOOTH` on.
+        scatter: errors of the corrected machine beyond the known uncertainty.
+        within: fraction of the visits at which the remaining error is below the bound of :data:`COVERAGE`.
         energies: E of (8.15), E_xyz + eta E_orientation, of `before`, `after` and `floor`, shape=(3, visits) [m].
     """
 
@@ -63,10 +63,10 @@ class HeldOut:
 
 
 def held_out_errors(calibration: Calibration) -> HeldOut:
-    """Judge a calibration by cross-validation: the same method, shown four fifths of the poses at a time.
+    """Judge a calibration by cross-validation: the same method, fitted to four fifths of the poses at a time.
 
-    Measurements at the same commands, of several targets or repeated, are hidden together. The instrument's frame and
-    the targets' offsets are those that the others tell.
+    Measurements at the same commands, of several targets or repeated, are held out together. The instrument's frame and
+    the targets' offsets come from the remaining measurements.
 
     Raises:
         InvalidValueError: too few poses.
@@ -102,9 +102,9 @@ def held_out_errors(calibration: Calibration) -> HeldOut:
 
 
 def validated_errors(calibration: Calibration, measurements: Measurements) -> HeldOut:
-    """Judge a calibration by other measurements, in the base's axes or from an instrument with a frame of its own.
+    """Judge a calibration by other measurements, in base axes or from an instrument with its own frame.
 
-    That is the one identified, or where it plainly stands elsewhere, one that is found from them alone.
+    The frame is the identified one, or if the instrument has clearly moved, one found from these alone.
     """
     settled = calibration.identification.settle(_of_their_own_station(calibration, measurements))
     compensation = calibration.compensation
@@ -114,7 +114,7 @@ def validated_errors(calibration: Calibration, measurements: Measurements) -> He
 
 
 def _of_their_own_station(calibration: Calibration, measurements: Measurements) -> Measurements:
-    """Return measurements of an instrument that has been moved in the base that the calibrated machine gives them."""
+    """Return measurements of an instrument that was moved, in the base located by the calibrated machine."""
     first, second = calibration.measurements.registration, measurements.registration
     if first is None or second is None or not measurements.seen.all():
         return measurements
@@ -125,8 +125,8 @@ def _of_their_own_station(calibration: Calibration, measurements: Measurements) 
     reached = compensation.poses(compensation.errors.robot.forward(measurements.commands), measurements.conditions)
     found = measurements.registered_at(reached, compensation.eta)
     logger.warning(
-        "the validation was measured from another station, %.3g m away: the base is found from it alone, and what "
-        "moves everything alike is not judged",
+        "the validation was measured from another station, %.3g m away: its base is located separately, and errors |"
+        "common to all poses are not judged",
         float(np.linalg.norm(difference[:3])),
     )
     return replace(measurements.in_axes(found), registration=None)
@@ -134,17 +134,17 @@ def _of_their_own_station(calibration: Calibration, measurements: Measurements) 
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """What each visit is judged by, shape=(visits, ...) each.
+    """Quantities by which each visit is judged, shape=(visits, ...) each.
 
     Attributes:
         sizes: before, after, floor, noise, E of the first three, shape=(visits, 7).
-        missed: what predicted poses miss, tip-weighted, shape=(visits, 6) [m].
-        covariances: what is known to be uncertain of that, shape=(visits, 6, 6) [m^2].
-        shown: the directions that are shown, shape=(visits, 6, 6).
+        missed: errors of the predicted poses, tip-weighted, shape=(visits, 6) [m].
+        covariances: their known covariance, shape=(visits, 6, 6) [m^2].
+        shown: projections on the directions that are shown, shape=(visits, 6, 6).
         control: tip-weighted motion by the drives' joints, shape=(visits, 6, drives).
-        uncertain: of poses that the calibration from all measurements predicts, shape=(visits, 6, 6) [m^2].
-        effects: what that moves for parameters a standard deviation off, in all independent directions, shape=(visits,
-            6, directions) [m]; without any for a method that learns.
+        uncertain: covariance of poses predicted by the calibration from all measurements, shape=(visits, 6, 6) [m^2].
+        effects: tool motion by a standard deviation in each independent direction of the parameters, shape=(visits,
+            6, directions) [m]; no directions for a learning method.
     """
 
     sizes: Array
@@ -163,7 +163,7 @@ class _Scores:
         return cls(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
     def that_show_the_tool(self) -> _Scores:
-        """Return those of visits at which something of the tool was seen; all of them if it never was."""
+        """Return the visits that show something of the tool; all of them if none does."""
         seen = np.asarray(self.shown.any(axis=(1, 2)))
         return self[seen] if seen.any() else self
 
@@ -195,7 +195,7 @@ def _scores_of(compensation: Compensation, measurements: Measurements, final: Co
 
 
 def _together(calibration: Calibration, rows: Indices, scores: _Scores, scatter: Scatter, sure: Scatter) -> HeldOut:
-    """Return errors with the scatter that bounds allow for, and the excess with that of which there is no doubt."""
+    """Combine the errors, with `scatter` for the bounds and the certain part of it, `sure`, for the excess."""
     before, after, floor, noise, *energies = scores.sizes.T
     gains, left = control_inverse(scores.control), sure.covariances(scores.control)
     excess = np.sqrt(np.einsum("nij,njk,nik->n", gains, scores.uncertain + left, gains) / gains.shape[1])

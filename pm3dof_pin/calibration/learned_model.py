@@ -1,4 +1,4 @@
-"""What every learned model does: deviations of the commands as functions of scaled inputs, and their uncertainty."""
+"""Interface of the learned models: deviations of the commands as functions of scaled inputs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pm3dof_pin.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class LearnedModel(ABC):
-    """Deviations of the commands as functions of scaled inputs; its fields are arrays."""
+    """Deviations of the commands as functions of scaled inputs; the fields are arrays."""
 
-    kind: ClassVar[str]  #: what it is, in files
+    kind: ClassVar[str]  #: its name in files
 
     @abstractmethod
     def deviations(self, inputs: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What is learned from measurements: deviations of the commands as functions of commands, temperatures and loads."""
+"""The learned part: deviations of the commands as functions of commands, temperatures and loads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAME = 1e-9
 
 
 def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array, seed: int) -> LearnedModel:
-    """Learn deviations du with the variances of their noise, shape=(n, commands), by "nn" or "gp" in a method's name.
+    """Learn deviations du with their noise variances, shape=(n, commands), by "nn" or "gp" as named in `method`.
 
     Raises:
         ConvergenceError: see :meth:`GaussianProcess.fit`.
@@ -35,13 +35,13 @@ def fitted_model(method: str, inputs: Array, deviations: Array, variances: Array
 class InputScale:
     """Inputs of a learned model: the commands, then temperatures and loads, each scaled to about -1 .. 1."""
 
-    conditions: tuple[str, ...]  #: names of the columns used beside the commands
+    conditions: tuple[str, ...]  #: names of the columns used besides the commands
     centre: Array  #: shape=(number of inputs,)
     half_range: Array  #: shape=(number of inputs,)
 
     @classmethod
     def of(cls, robot: Robot, measurements: Measurements) -> InputScale:
-        """Scale commands by the joints' limits, conditions by what was measured; constant conditions are left out."""
+        """Scale commands by joint limits, conditions by their measured range; constant conditions are left out."""
         lower, upper = coordinate_ranges(robot, robot.command_coordinates)
         varied = {name: values for name, values in measurements.conditions.items() if np.ptp(values) > 0.0}
         least = np.array([*lower, *(values.min() for values in varied.values())])
@@ -50,7 +50,7 @@ class InputScale:
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
-        """Least and greatest value measured of each condition, by name."""
+        """Least and greatest measured value of each condition, by name."""
         first = len(self.centre) - len(self.conditions)
         pairs = zip(self.centre[first:].tolist(), self.half_range[first:].tolist(), strict=True)
         return {name: (c - half, c + half) for name, (c, half) in zip(self.conditions, pairs, strict=True)}
@@ -60,7 +60,7 @@ class InputScale:
         return {name: 0.5 * (least + most) for name, (least, most) in self.ranges.items()}
 
     def beyond(self, conditions: Mapping[str, Array | float]) -> dict[str, tuple[float, float]]:
-        """Return the range measured of each condition of which a value is outside it, by name."""
+        """Return the measured range of each condition that has a value outside it, by name."""
         found = {}
         for name, (least, most) in self.ranges.items():
             slack = _SAME * (most - least)
@@ -84,14 +84,14 @@ class InputScale:
 
 @dataclass(frozen=True, eq=False)
 class LearnedPart:
-    """A learned model with the scale of its inputs."""
+    """A learned model and the scale of its inputs."""
 
     model: LearnedModel
     inputs: InputScale
 
     @classmethod
     def from_data(cls, model: Mapping[str, Any], inputs: InputScale) -> LearnedPart:
-        """Put inputs and the model that :meth:`LearnedModel.as_data` was called on together."""
+        """Combine inputs and a model from :meth:`LearnedModel.as_data`."""
         kinds = {kind.kind: kind for kind in (GaussianProcess, NeuralNetwork)}
         return cls(kinds[model["kind"]].from_data(model), inputs)
 

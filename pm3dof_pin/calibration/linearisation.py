@@ -1,9 +1,9 @@
-"""Measurements as linear functions of all parameters, about where these are, and the robust fit of such a problem.
+"""Measurements linearised in all parameters, and the robust fit of the linear problem.
 
-Holland and Welsch's reweighting (1977): first with Huber's weights, which have one minimum, then from there with
-Tukey's, which leave gross outliers no say. Their scales are those of Huber's fit (V. Yohai's MM-estimates, 1987), so
-that each reweighting lowers one sum. Positions, angles and encoders have each a scale of their own: drives that miss
-move some robots' tools along and turn none of them.
+Reweighting after Holland and Welsch (1977): first with Huber's weights, which have one minimum, then from there with
+Tukey's, which ignore gross outliers. Their scales are those of Huber's fit (V. Yohai's MM-estimates, 1987), so that
+each reweighting lowers the same sum. Positions, angles and encoders each have their own scale: on some robots, drive
+errors shift the tool and do not turn it.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from pm3dof_pin.typing import Array, Indices, Mask
 Loss = Literal["squares", "huber", "tukey"]
 
 UNKNOWN = 1e3
-"""Standard deviation beforehand, in a parameter's scale, that says nothing."""
+"""Prior standard deviation, in a parameter's scale, that is uninformative."""
 
-_DAMPING = 1e-4  # (1 / 100 tolerances)^2: further than that no linearisation reaches, should nothing else hold a step
+_DAMPING = 1e-4  # (1 / 100 tolerances)^2: no linearisation is valid beyond that, if nothing else limits a step
 _REWEIGHTINGS = 200
 _SETTLED = 1e-6  # change of weights
-_HUBER = 0.95  # part of good measurements with full weight
+_HUBER = 0.95  # fraction of good measurements with full weight
 _TUKEY = 4.685 / 1.96  # cut of Tukey's weights over Huber's bend, as for one dimension
-_FALSE_ALARM = 0.01  # probability that a set of good measurements has an outlier named
+_FALSE_ALARM = 0.01  # probability of naming an outlier in a set of good measurements
 _LEAST_FREEDOM = 0.2  # of the measurements
-_SMOOTH = 2.0  # times the noise: effects that grow over the workspace to as much do not stand out of it
-_LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities that a mean is taken over
+_SMOOTH = 2.0  # times the noise: smooth effects of this size over the workspace do not stand out from it
+_LEVELS: Array = np.linspace(1.0 / 128.0, 127.0 / 128.0, 64)  # probabilities to average over
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +55,19 @@ class RobustFit:
 class Linearisation:
     """Residuals as linear functions of all parameters: p, the logarithms of stiffness, nuisance parameters.
 
-    Parameters are counted in their scales, residuals in the sigmas of the measurements.
+    Parameters are in units of their scales, residuals in units of the measurements' sigmas.
     """
 
     measurements: Measurements
-    settled: Measurements  #: without what the nuisance parameters explain
+    settled: Measurements  #: measurements minus the effects of the nuisance parameters
     errors: GeometricErrors
     elastic: ElasticTerm
     nuisances: Nuisances
-    prior: float  #: standard deviation of p beforehand, in its scales; infinite for none
-    poses: Poses  #: the machine's, for each row
+    prior: float  #: prior standard deviation of p, in its scales; infinite for none
+    poses: Poses  #: of the machine, for each row
     start: Array  #: the parameters there, shape=(parameters,)
-    residuals: Array  #: what is measured minus what the machine does, shape=(n, rows) [m, rad]
-    rows: Array  #: derivatives of what is seen by the parameters, scaled, shape=(n, rows, parameters)
+    residuals: Array  #: measurements minus the machine's prediction, shape=(n, rows) [m, rad]
+    rows: Array  #: derivatives of the measured coordinates by the parameters, scaled, shape=(n, rows, parameters)
 
     @classmethod
     def at(
@@ -80,7 +80,7 @@ class Linearisation:
         poses: Poses,
         start: Array,
     ) -> Linearisation:
-        """Linearise measurements about parameters `start`, and the machine's poses there."""
+        """Linearise measurements about the parameters `start`, given the machine's poses there."""
         units = np.concatenate([errors.tolerances, elastic.sigmas, nuisances.scales])
         ends = np.cumsum([len(errors), len(elastic.names)])
         values, logarithms, measuring = np.split(start * units, ends)
@@ -99,7 +99,7 @@ class Linearisation:
         return cls(measurements, settled, errors, elastic, nuisances, prior, poses, start, residuals, rows)
 
     def __getitem__(self, rows: Indices | Mask) -> Linearisation:
-        """Return the problem of some rows."""
+        """Return the problem restricted to some rows."""
         parts = {name: getattr(self, name)[rows] for name in ("measurements", "settled", "poses", "residuals", "rows")}
         return replace(self, **parts)
 
@@ -110,20 +110,20 @@ class Linearisation:
 
     @cached_property
     def sigmas(self) -> Array:
-        """Standard deviations of the parameters beforehand, in their scales, shape=(parameters,)."""
+        """Prior standard deviations of the parameters, in their scales, shape=(parameters,)."""
         machine = np.full(len(self.errors), self.prior), np.ones(len(self.elastic.names))
         return np.concatenate([*machine, self.nuisances.sigmas])
 
     @cached_property
     def kinds(self) -> Array:
-        """Which columns of residuals are positions, which angles, and which each encoder's, shape=(rows, kinds)."""
+        """Masks of the residual columns by kind: positions, angles, and each encoder, shape=(rows, kinds)."""
         tool = np.repeat(np.arange(self.measurements.tool_columns // 3), 3)
         labels = np.concatenate([tool, len(tool) + np.arange(len(self.measurements.joints))])
         return np.asarray(labels[:, None] == np.unique(labels), dtype=float)
 
     @cached_property
     def dimensions(self) -> Array:
-        """How many coordinates of each kind were measured, shape=(n, kinds)."""
+        """Number of measured coordinates of each kind, shape=(n, kinds)."""
         return np.asarray(self.measurements.seen @ self.kinds)
 
     def left_over(self, x: Array) -> Array:
@@ -135,7 +135,7 @@ class Linearisation:
         return np.asarray(self.residuals / self.measurements.sigmas + self.rows @ self.start)
 
     def robust(self, loss: Loss, start: RobustFit | None) -> RobustFit:
-        """Solve it by reweighting, from the start or from a fit nearby, whose scale then stands."""
+        """Solve the problem by reweighting, from scratch or from a nearby fit, whose scale is then kept."""
         weights, factors = np.ones(len(self.rows)), np.ones(self.kinds.shape[1])
         if start is not None:
             weights, factors = start.weights, start.noise_factors
@@ -158,7 +158,7 @@ class Linearisation:
         return np.asarray(self.left_over(x) ** 2 @ self.kinds)
 
     def noise_factors(self, squares: Array) -> Array:
-        """Return how much residuals scatter beyond their sigmas, at least 1; the median is deaf to outliers."""
+        """Return the ratio of the residuals' scatter to their sigmas, at least 1; the median ignores outliers."""
         factors = np.ones(len(self._used))
         for kind, (used, own) in enumerate(zip(self._used, self.dimensions.T, strict=True)):
             if (seen := own > 0).any():
@@ -168,20 +168,20 @@ class Linearisation:
         return factors
 
     def certainties(self, fit: RobustFit, loss: Loss) -> Array:
-        """Return a fit's weights over the variance of the noise, on average as for good rows, shape=(n, rows)."""
+        """Return a fit's weights over the noise variance, scaled to good rows on average, shape=(n, rows)."""
         usual = _usual_weights(self.dimensions.sum(axis=1), loss)
         return np.asarray((fit.weights / usual)[:, None] / (self.kinds @ fit.noise_factors) ** 2)
 
     def outliers(self, fit: RobustFit) -> Indices:
-        """Return the rows whose residuals are no noise, shape=(k,)."""
+        """Return the rows whose residuals are not noise, shape=(k,)."""
         bound = _chi_square_quantile(1.0 - _FALSE_ALARM / len(self.rows), self.dimensions.sum(axis=1))
         return np.flatnonzero(self.squares(fit.x) @ fit.noise_factors**-2.0 > bound)
 
     def covariance(self, certainties: Array, prior_error: float) -> Array:
-        """Return the covariance of all parameters; infinite for those that a singular information leaves open.
+        """Return the covariance of all parameters; infinite for those that a singular information leaves undetermined.
 
-        With the information I and the knowledge L beforehand it is C = (I + L)^-1 = C I C + C L C, the second what
-        nobody has measured; the prior's error is that of the parameters' part of it.
+        With the information I of the measurements and L of the prior, it is C = (I + L)^-1 = C I C + C L C. The second
+        term is what was not measured; the prior's error affects the parameters' part of it.
         """
         scaled = (np.sqrt(certainties)[:, :, None] * self.rows).reshape(-1, len(self.units))
         information = scaled.T @ scaled
@@ -191,7 +191,7 @@ class Linearisation:
             unmeasured = covariance[:, : len(self.errors)] / self.prior
             wider = (1.0 + prior_error) ** 2 - 1.0
             return np.asarray((covariance + wider * unmeasured @ unmeasured.T) * unit)
-        # of a frame nothing is known beforehand either, but it is always seen beside a machine that is known
+        # a frame has no prior either, but it is always seen together with a known machine
         known_before = np.where(self.sigmas < UNKNOWN, 1.0 / self.sigmas**2, 0.0)
         values, axes = np.linalg.eigh(information + np.diag(known_before))
         known = values > (REGRESSOR_TOLERANCE**2 + np.finfo(float).eps) * 10.0 * values.max(initial=0.0)
@@ -201,10 +201,10 @@ class Linearisation:
         return np.asarray(covariance)
 
     def hidden_shifts(self, certainties: Array, factors: Array, covariance: Array) -> Array:
-        """Return what shifts parameters and no residual shows, root sum of squares, shape=(number of parameters,).
+        """Return the shift of parameters by effects that no residual shows, root sum of squares, shape=(parameters,).
 
-        A coordinate of what is measured, of each target, may be off by :data:`_SMOOTH` times its noise, alike
-        everywhere or in proportion to a command (one standard deviation over the measured ones).
+        Each measured coordinate, of each target, may be off by :data:`_SMOOTH` times its noise, either constantly or in
+        proportion to a command (one standard deviation over the measured ones).
         """
         commands = self.measurements.commands
         spread = commands.std(axis=0)
@@ -222,7 +222,7 @@ class Linearisation:
 
     @cached_property
     def _used(self) -> Array:
-        """How many degrees of freedom the parameters take from each kind of coordinate."""
+        """Degrees of freedom that the parameters use up in each kind of coordinate."""
         sigmas = np.minimum(self.sigmas, UNKNOWN)
         if np.isinf(self.prior):
             u, s, _ = np.linalg.svd((self.rows * sigmas).reshape(-1, len(sigmas)), full_matrices=False)
@@ -233,7 +233,7 @@ class Linearisation:
 
     def _solve(self, weights: Array, factors: Array) -> Array:
         if np.isfinite(self.prior):
-            # with a prior the normal equations are well conditioned, and many times quicker to weight again
+            # with a prior the normal equations are well conditioned, and much faster to reweight
             shares = weights[:, None] / factors**2
             information = np.tensordot(shares, self._blocks, 2) + np.diag(1.0 / self.sigmas**2)
             return np.asarray(scipy.linalg.solve(information, np.einsum("nk,njk->j", shares, self._pulls)))
@@ -256,7 +256,7 @@ class Linearisation:
 
 
 def tool_motions_by_drives(poses: Poses, commands: Array | None = None) -> Array:
-    """Return the tool's motion by each drive's joint, in the direction its counter counts, shape=(n, 6, commands)."""
+    """Return the tool's motion by each drive's joint, positive as its counter, shape=(n, 6, commands)."""
     by_commands = command_jacobians(poses) if commands is None else commands
     return np.asarray(by_commands * np.abs(command_scales(poses)))
 
@@ -272,7 +272,7 @@ def _weights(squares: Array, dimensions: Indices, loss: str) -> Array:
 
 
 def _usual_weights(dimensions: Indices, loss: str) -> Array:
-    """Return the weights that good measurements have on average: all of their information is worth as much more."""
+    """Return the average weights of good measurements, by which their information is divided."""
     kinds, which = np.unique(dimensions, return_inverse=True)
     usual = [
         np.mean(_weights(_chi_square_quantile(_LEVELS, kind), np.full(_LEVELS.shape, kind), loss)) for kind in kinds

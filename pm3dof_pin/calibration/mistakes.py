@@ -1,7 +1,7 @@
-"""The usual mistakes in files of measurements, each with the file as it would be without it.
+"""The usual mistakes in files of measurements, each with the corrected measurements.
 
-Simple ones come first: what one word or one number repairs, then what takes a few numbers that are fitted (a frame, a
-tool point, the zero of a drive). Columns that do not fit where all others do: :mod:`.wrong_columns`.
+Simple ones come first: those that one word or number repairs, then those with a few fitted numbers (a frame, a tool
+point, the zero of a drive). For columns that do not fit when all others do, see :mod:`.wrong_columns`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.measuring.registration import fitted_sphere, register
 from pm3dof_pin.typing import Array, Indices, Mask
 
-_MANY_DRIVES = 4  # more are not permuted in every way
+_MANY_DRIVES = 4  # with more, not every permutation is tried
 SHIFTS = 20
-"""Rows that poses may stand away from their commands."""
+"""Numbers of rows by which poses may be shifted from their commands."""
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 25.4e-3, "feet": 0.3048}
 _SAME = 1e-9
-_ANOTHER = 3e-3  # scale or [rad] is none of the machine's errors
+_ANOTHER = 3e-3  # a scale or angle [rad] above this is not an error of the machine
 _LEAST_LEAD = 1e-4  # of all drives alike
-_BESIDE = 3.0  # widths of a drive's range
-_STEPS = 3  # times those of one descent
-_FAR = 2.0  # times the median: rows that count less
-_FEWEST = 4  # touches by which a fixed point is found, poses before and after a change
+_BESIDE = 3.0  # times the width of a drive's range
+_STEPS = 3  # times the steps of one descent
+_FAR = 2.0  # times the median: rows beyond it get less weight
+_FEWEST = 4  # touches to find a fixed point, poses before and after a change
 _QUATERNION = "wxyz"
 
 
@@ -43,15 +43,15 @@ class Mistake:
 
     text: str  #: the mistake, in words
     without: Measurements  #: the measurements without it
-    #: poses of the robot as described at their commands; None where these are others than in the file
+    #: poses of the robot as described at their commands; None if the commands differ from those in the file
     nominal: Poses | None
-    free: bool = False  #: whether the base has to be found anew
+    free: bool = False  #: whether the base must be located again
 
 
 def near_their_ranges(commands: Array, robot: Robot) -> Mask:
-    """Tell which commands are in the drives' ranges or not many times their widths beside them, shape=(n,).
+    """Tell which commands are in the drives' ranges, or not more than a few range widths outside, shape=(n,).
 
-    A way to others is long, and they are no explanation of anything.
+    Others take long to reach, and explain nothing.
     """
     lower, upper = np.array([robot.range_of(command) for command in robot.command_coordinates]).T
     beside = _BESIDE * (upper - lower)
@@ -59,9 +59,9 @@ def near_their_ranges(commands: Array, robot: Robot) -> Mask:
 
 
 def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
-    """Give the usual mistakes in rows, by kind, simple kinds first, against nominal poses.
+    """Yield the usual mistakes, grouped by kind, simple kinds first, relative to nominal poses.
 
-    Within a kind none is simpler than another. eta weighs the orientation [m/rad].
+    Mistakes of one kind are equally simple. eta weighs the orientation [m/rad].
     """
     yield _of_units(measurements, nominal)
     if measurements.registration is None:
@@ -75,7 +75,7 @@ def usual_mistakes(measurements: Measurements, nominal: Poses, eta: float) -> It
     yield from _of_distances(measurements, nominal)
     yield from _of_counters(measurements, nominal, eta)
     if measurements.registration is None:
-        text = "the instrument's frame is not that of the base: --own-frame finds the base in it"
+        text = "the measurements are in the instrument's own frame, not the base's: use --own-frame"
         yield [Mistake(text, measurements, nominal, free=True)]
         yield _of_scale(measurements, nominal, free=True)
     yield from _of_the_tool(measurements, nominal, eta)
@@ -90,12 +90,12 @@ def _of_units(measurements: Measurements, nominal: Poses, *, free: bool = False)
 
 
 def _of_command_units(measurements: Measurements) -> Iterator[Mistake]:
-    """Units that make commands too large are told by the limits of the joints; here those that make them too small."""
+    """Yield units that make commands too small; those that make them too large break the joint limits."""
     for heading, unit, factor in (("degrees", "radians", 180.0 / np.pi), ("millimetres", "metres", 1e3)):
         without = replace(measurements, commands=factor * measurements.commands)
-        yield Mistake(f"the commands are in {unit} under a heading that says {heading}", without, None)
+        yield Mistake(f"the commands are in {unit}, but the header says {heading}", without, None)
     every = replace(without, positions=1e3 * measurements.positions, points=1e3 * measurements.points)
-    yield Mistake("all lengths are in metres under a heading that says millimetres", every, None)
+    yield Mistake("all lengths are in metres, but the header says millimetres", every, None)
 
 
 def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
@@ -103,7 +103,7 @@ def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
     drives, home = range(len(robot.commands)), robot.home.commands
 
     def changed(order: tuple[int, ...], turned: tuple[int, ...]) -> Measurements:
-        # column k of the file holds what drive order[k] showed
+        # column k of the file holds the counter of drive order[k]
         commands = np.empty_like(measurements.commands)
         commands[:, list(order)] = measurements.commands
         commands[:, turned] = 2.0 * home[list(turned)] - commands[:, turned]
@@ -114,9 +114,9 @@ def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
     for chosen in sets if len(drives) <= _MANY_DRIVES else [*((k,) for k in drives), every]:
         names = ", ".join(f"u{k + 1}" for k in chosen)
         without = changed(every, tuple(chosen))
-        yield Mistake(f"the sign of {names} is that of the other direction", without, None)
+        yield Mistake(f"the sign of {names} is reversed", without, None)
     without = replace(measurements, commands=-measurements.commands)
-    yield Mistake("the sign of all commands is that of the other direction", without, None)
+    yield Mistake("the sign of all commands is reversed", without, None)
     for order in itertools.permutations(drives) if len(drives) <= _MANY_DRIVES else _orders(len(drives)):
         if order == every:
             continue
@@ -125,7 +125,7 @@ def _of_drives(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Give likely permutations of many columns: two exchanged, all moved round, backwards."""
+    """Yield likely permutations of many columns: two exchanged, cyclic, reversed."""
     for first, second in itertools.combinations(range(count), 2):
         order = list(range(count))
         order[first], order[second] = second, first
@@ -143,15 +143,15 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
 
     for size in range(1, min(SHIFTS, count - 1) + 1):
         for shift in (size, -size):
-            text = f"the poses stand {rows_apart(shift)} their commands"
+            text = f"the poses are {rows_apart(shift)} their commands"
             yield Mistake(text, *taken(np.roll(np.arange(count), shift)))
-    yield Mistake("the poses stand in the reverse order of their commands", *taken(np.arange(count)[::-1]))
+    yield Mistake("the poses are in the reverse order of their commands", *taken(np.arange(count)[::-1]))
     nearest = _nearest_rows(measurements, nominal)
     if np.array_equal(np.sort(nearest), np.arange(count)):
-        yield Mistake("the poses stand in another order than their commands", *taken(nearest))
+        yield Mistake("the poses are in a different order than their commands", *taken(nearest))
     step = int(measurements.target_numbers.max()) + 1  # rows of a visit
     for shift in (step, -step):
-        # commands that were not read again in time: of some rows those of a neighbour
+        # stale commands: some rows hold those of a neighbouring row
         neighbour = np.clip(np.arange(count) - shift, 0, count - 1)
         late, poses = taken(neighbour)
         stale = late.tip_misfits(poses) < measurements.tip_misfits(nominal)
@@ -159,17 +159,17 @@ def _of_row_order(measurements: Measurements, nominal: Poses) -> Iterator[Mistak
         moved = np.flatnonzero(mixed != np.arange(count))
         if moved.size:
             first = f"from line {measurements.lines[moved[0]]} on the" if np.ptp(moved) > 0.5 * moved.size else "the"
-            text = f"{first} poses of {moved.size} rows stand {rows_apart(shift)} their commands: stale commands"
+            text = f"{first} poses of {moved.size} rows are {rows_apart(shift)} their commands: stale commands"
             yield Mistake(text, *taken(mixed))
 
 
 def rows_apart(shift: int) -> str:
-    """Say how many rows below, or above for a negative number, something stands."""
+    """Say how many rows below (positive) or above (negative) something is."""
     return f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'below' if shift > 0 else 'above'}"
 
 
 def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:
-    """Return for each row the row at whose commands the robot as described is nearest to what was seen."""
+    """Return, for each row, the row at whose commands the robot as described is nearest to the measurement."""
     expected = measurements.points_on(nominal)
     seen = measurements.positions
     squares = np.sum((seen[:, None] - expected) ** 2, axis=2)
@@ -181,7 +181,7 @@ def _nearest_rows(measurements: Measurements, nominal: Poses) -> Indices:
 
 
 def _of_axes(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]:
-    """Axes swapped or mirrored: in the positions alone, in whole poses, as a frame of the other hand."""
+    """Yield axes swapped or mirrored: in the positions alone, or in whole poses as a left-handed frame."""
     rotations = measurements.rotations
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -207,10 +207,10 @@ def _of_quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mist
     if measurements.rotations is None:
         return
     inverse = np.swapaxes(measurements.rotations, 1, 2)
-    text = "the orientations are inverse, of the base in the tool's axes"
+    text = "the orientations are inverse: of the base in the tool's axes"
     yield Mistake(text, replace(measurements, rotations=inverse), nominal)
     positions = -np.einsum("nij,nj->ni", inverse, measurements.positions)
-    text = "the poses are inverse, those of the base in the tool's axes"
+    text = "the poses are inverse: of the base in the tool's axes"
     yield Mistake(text, replace(measurements, positions=positions, rotations=inverse), nominal)
     numbers = quaternion(measurements.rotations)
     for order in itertools.permutations(range(4)):
@@ -218,12 +218,12 @@ def _of_quaternions(measurements: Measurements, nominal: Poses) -> Iterator[Mist
             if order == (0, 1, 2, 3) and min(signs) > 0.0:
                 continue
             read = rotation_of_quaternion(np.array([1.0, *signs]) * numbers[:, np.argsort(order)])
-            text = f"the quaternions hold their numbers in the order {', '.join(_QUATERNION[k] for k in order)}"
+            text = f"the quaternions are in the order {', '.join(_QUATERNION[k] for k in order)}"
             if order == (0, 1, 2, 3):
                 names = ", ".join(f"q{_QUATERNION[k + 1]}" for k in range(3) if signs[k] < 0.0)
-                text = f"the sign of {names} in the quaternions is the other one"
+                text = f"the sign of {names} in the quaternions is reversed"
             elif min(signs) < 0.0:
-                text += ", some with the other sign"
+                text += ", some with reversed signs"
             yield Mistake(text, replace(measurements, rotations=read), nominal)
 
 
@@ -233,7 +233,7 @@ def _of_the_tool(measurements: Measurements, nominal: Poses, eta: float) -> Iter
         moved = measurements.with_points(measurements.points + shift)
         shift = shift + explained_by(moved, nominal, eta, datum_motions(nominal)[:, :, 6:9])
     shifted = measurements.with_points(measurements.points + shift)
-    text = f"the point seen is about ({_in_millimetres(shift)}) mm from where it is said to be, in the tool's axes"
+    text = f"the point seen is about ({_in_millimetres(shift)}) mm from where the file has it, in the tool's axes"
     yield [Mistake(text, shifted, nominal)]
     yield _of_targets(measurements, nominal)
     if measurements.rotations is not None:
@@ -243,8 +243,8 @@ def _of_the_tool(measurements: Measurements, nominal: Poses, eta: float) -> Iter
         if np.linalg.norm(turn - np.eye(3)) < _ANOTHER:
             return
         turned = replace(measurements, rotations=measurements.rotations @ turn.T)
-        yield [Mistake("the tool's axes are other ones", turned, nominal)]
-        text = "the tool's axes are other ones, and the point seen is elsewhere"
+        yield [Mistake("the tool's axes are different", turned, nominal)]
+        text = "the tool's axes are different, and the point seen is elsewhere"
         yield [Mistake(text, replace(shifted, rotations=turned.rotations), nominal)]
 
 
@@ -255,13 +255,13 @@ def _of_targets(measurements: Measurements, nominal: Poses) -> Iterator[Mistake]
     points = measurements.points[np.unique(numbers, return_index=True)[1]]
     for order in itertools.permutations(range(len(points))) if len(points) <= _MANY_DRIVES else ():
         if order != tuple(range(len(points))):
-            text = f"the targets are exchanged: the first ones are numbers {', '.join(str(k + 1) for k in order)}"
+            text = f"the targets are exchanged: the first are really numbers {', '.join(str(k + 1) for k in order)}"
             yield Mistake(text, measurements.with_points(points[list(order)][numbers]), nominal)
-    yield Mistake("the targets' points have the other sign", measurements.with_points(-measurements.points), nominal)
+    yield Mistake("the targets' points have reversed signs", measurements.with_points(-measurements.points), nominal)
     off = np.einsum("nji,nj->ni", nominal.rotations, measurements.positions - measurements.points_on(nominal))
     shifts = np.array([np.median(off[numbers == k], axis=0) for k in range(len(points))])
     words = ", ".join(f"target {k + 1} ({_in_millimetres(points[k] + shifts[k])})" for k in range(len(points)))
-    text = f"the targets are not where the file has them, but about here [mm]: {words}"
+    text = f"the targets are not where the file has them, but at about [mm]: {words}"
     yield Mistake(text, measurements.with_points(measurements.points + shifts[numbers]), nominal)
 
 
@@ -271,22 +271,22 @@ def _of_scale(measurements: Measurements, nominal: Poses, *, free: bool = False)
     sizes = [np.median(np.linalg.norm(points, axis=1)) for points in (expected, seen)]
     for right, found in (spreads,) if free else (spreads, sizes):
         if min(right, found) > 0.0 and abs(found / right - 1.0) > _ANOTHER:
-            text = f"the positions have another scale: {found / right:.6g} times what they should be"
+            text = f"the positions have the wrong scale: {found / right:.6g} times what they should be"
             text += ", and are not in the base's frame" if free else ""
             yield Mistake(text, replace(measurements, positions=seen * right / found), nominal, free)
     if measurements.rotations is None and not free:
         shift = np.median(expected - seen, axis=0)
-        text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away"
+        text = f"the positions are relative to another origin, ({_in_millimetres(shift)}) mm away"
         yield Mistake(text, replace(measurements, positions=seen + shift), nominal)
 
 
 def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
-    """Give another origin or other axes of the positions where orientations fit."""
+    """Yield another origin or other axes of the positions, if orientations fit."""
     if measurements.rotations is None:
         return
     expected, seen = measurements.points_on(nominal), measurements.positions
     shift = np.median(expected - seen, axis=0)
-    text = f"the positions are from another origin, ({_in_millimetres(shift)}) mm away, the orientations are not"
+    text = f"the positions, not the orientations, are relative to another origin, ({_in_millimetres(shift)}) mm away"
     yield [Mistake(text, replace(measurements, positions=seen + shift), nominal)]
     with contextlib.suppress(InvalidValueError):  # positions on a line
         moved = register(seen, expected).positions(seen)
@@ -295,7 +295,7 @@ def _of_positions(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
 
 
 def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterable[Mistake]]:
-    """Units of distances, what all of them are too long, and where they are from."""
+    """Yield mistakes of distances: their unit, a common offset, a scale, or their fixed points."""
     distances, origins, partners = measurements.distances, measurements.origins, measurements.partners
     if distances is None or origins is None or partners is None:
         return
@@ -322,14 +322,14 @@ def _of_distances(measurements: Measurements, nominal: Poses) -> Iterator[Iterab
     if len(places):
         found = [centres[fixed][(origins[fixed] == place).all(axis=1)][0] for place in places[:2]]
         centre_words = "), (".join(map(_in_millimetres, found))
-        text = f"the fixed points are not where the file has them but at ({centre_words}) mm"
+        text = f"the fixed points are not where the file has them, but at ({centre_words}) mm"
         yield [Mistake(text, measurements.with_origins(centres), nominal)]
 
 
 def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: Array) -> Array:
-    """Return how much of some motions of the tool, shape=(n, 6, k), explains what was seen: robust least squares.
+    """Fit amounts of given tool motions, shape=(n, 6, k), to the measurements by robust least squares.
 
-    The base may stand anywhere where measurements are those of an instrument with a frame of its own.
+    The base may be anywhere if the instrument has a frame of its own.
     """
     count, columns = motions.shape[2], measurements.tool_columns
     if measurements.registration is not None:
@@ -344,11 +344,11 @@ def explained_by(measurements: Measurements, poses: Poses, eta: float, motions: 
 
 
 def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
-    """Zero or lead of one drive, then the zeros of all: numbers that are fitted to all rows together."""
+    """Yield the zero or lead of one drive, then of all drives, fitted to all rows together."""
     commands, count = measurements.commands, measurements.commands.shape[1]
 
     def without(changes: Array) -> tuple[Array, Measurements] | None:
-        """Return how much of some changes of the commands, shape=(n, drives, k), to take, and without them."""
+        """Fit amounts of given command changes, shape=(n, drives, k); return them and the corrected measurements."""
         poses, found = nominal, np.zeros(changes.shape[2])
         with contextlib.suppress(PM3DofError, np.linalg.LinAlgError):
             for _ in range(_STEPS):
@@ -382,15 +382,15 @@ def _of_counters(measurements: Measurements, nominal: Poses, eta: float) -> Iter
 
 
 def of_a_change(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Mistake]:
-    """Give changes of the set-up in the middle of a file: of the instrument's place, or of the point seen."""
+    """Yield changes of the set-up in the middle of a file: of the instrument's place, or of the point seen."""
     seen = measurements.seen[:, : measurements.tool_columns] * tip_weights(eta)[: measurements.tool_columns]
     datum = datum_motions(nominal)
     for what, motions in (
-        ("the instrument, or the base, stands elsewhere", datum[:, :, :6]),
+        ("the instrument or the base has moved", datum[:, :, :6]),
         ("the point seen is elsewhere on the tool", datum[:, :, 6:9]),
     ):
         rows = measurements.derivatives(nominal, motions)[:, : seen.shape[1]] * seen[:, :, None]
-        # over the first rows up to each, and over all others
+        # over the rows up to each, and over all later ones
         sums = np.cumsum(np.swapaxes(rows, 1, 2) @ rows, axis=0)
         inverses = np.linalg.pinv(np.stack([sums, sums[-1] - sums]), rcond=1e-9, hermitian=True)
         moved, change, first = measurements, np.zeros(motions.shape[2]), 0

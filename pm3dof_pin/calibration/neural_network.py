@@ -1,7 +1,7 @@
 """Neural networks for joint deviations, as the chapter proposes.
 
-A few small networks of one hidden layer, whose mean is taken. How smooth they have to be, and whether they are any
-good, is decided by cross-validation: what does not beat no correction by more than one standard error is not used.
+The mean of a few small networks with one hidden layer. Cross-validation chooses their smoothness and decides
+whether they are used: they must beat no correction by more than one standard error.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MEMBERS = 5
 _FOLDS = 5
 _DECAYS = (1e-3, 1e-2, 1e-1, 1.0)
 _MAX_STEPS = 400
-_SLOPE = 1e-4  # of the cost, at which training ends
+_SLOPE = 1e-4  # gradient of the cost at which training ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,14 +34,14 @@ class NeuralNetwork(LearnedModel):
     hidden_biases: Array  #: b1, shape=(networks, hidden)
     output_weights: Array  #: W2, shape=(networks, hidden, number of commands)
     output_biases: Array  #: b2, shape=(networks, number of commands)
-    scale: Array  #: of each deviation, shape=(number of commands,) [m, rad]
-    #: what of the networks' answer is used, shape=(number of commands,); 0 where they are no better than no correction
+    scale: Array  #: scale of each deviation, shape=(number of commands,) [m, rad]
+    #: fraction of the networks' answer that is used, shape=(number of commands,); 0 if no better than no correction
     part: Array
     sigmas: Array  #: error in cross-validation, measurement noise included, shape=(number of commands,) [m, rad]
 
     @classmethod
     def fit(cls, inputs: Array, deviations: Array, seed: int) -> NeuralNetwork:
-        """Train networks from deviations du, shape=(n, commands) [m, rad], with a seed of weights and folds."""
+        """Train networks on deviations du, shape=(n, commands) [m, rad], with a seed for weights and folds."""
         scale = np.sqrt(np.mean(deviations**2, axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
         targets = deviations / scale
@@ -73,7 +73,7 @@ def _answer(inputs: Array, weights: _Weights) -> Array:
 
 
 def _cross_validated(inputs: Array, targets: Array, folds: NDArray[np.int_], decay: float, seed: int) -> Array:
-    """Return what networks say of the measurements that they were not shown, shape=(n, number of commands)."""
+    """Return the networks' predictions of held-out measurements, shape=(n, number of commands)."""
     predicted = np.zeros_like(targets)
     for fold in range(int(folds.max()) + 1):
         shown = folds != fold
@@ -83,7 +83,7 @@ def _cross_validated(inputs: Array, targets: Array, folds: NDArray[np.int_], dec
 
 
 def _worthwhile_part(targets: Array, predicted: Array) -> Array:
-    """Return what part of a prediction lessens the error most, 0 unless it does by more than a standard error."""
+    """Return the fraction of a prediction that reduces the error most; 0 unless by more than a standard error."""
     squares = np.sum(predicted**2, axis=0)
     part = np.clip(np.sum(targets * predicted, axis=0) / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
     gains = targets**2 - (targets - part * predicted) ** 2
@@ -92,11 +92,11 @@ def _worthwhile_part(targets: Array, predicted: Array) -> Array:
 
 
 def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
-    """Minimise the squared errors and `decay` times the squared weights, from where Glorot and Bengio (2010) start."""
+    """Minimise squared errors plus `decay` times squared weights, initialised after Glorot and Bengio (2010)."""
     shapes = (inputs.shape[1], _HIDDEN), (_HIDDEN,), (_HIDDEN, targets.shape[1]), (targets.shape[1],)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = [(slice(end - math.prod(shape), end), shape) for end, shape in zip(ends, shapes, strict=True)]
-    weighed = np.repeat([decay, 0.0, decay, 0.0], np.diff(ends, prepend=0))  # biases are free
+    weighed = np.repeat([decay, 0.0, decay, 0.0], np.diff(ends, prepend=0))  # no decay of biases
     ones = np.ones(len(inputs))
 
     def split(numbers: Array) -> list[Array]:
@@ -114,7 +114,7 @@ def _train(inputs: Array, targets: Array, decay: float, seed: int) -> _Weights:
 
     bounds = [math.sqrt(6.0 / sum(shapes[layer])) for layer in (0, 0, 2, 2)]
     start = np.random.default_rng(seed).uniform(-1.0, 1.0, ends[-1]) * np.repeat(bounds, np.diff(ends, prepend=0))
-    # stopping early only leaves the network smoother; cross-validation judges it as it is
+    # stopping early only makes the network smoother, and cross-validation judges the result
     found = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_STEPS, "gtol": _SLOPE})
     hidden, hidden_bias, output, output_bias = split(found.x)
     return hidden, hidden_bias, output, output_bias

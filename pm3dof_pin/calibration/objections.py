@@ -1,4 +1,4 @@
-"""What speaks against a calibration: that it would not be true of the machine, or would make it worse."""
+"""Objections to a calibration: it would not be true of the machine, or would make it worse."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from pm3dof_pin.measuring.measurements import Measurements
 logger = logging.getLogger(__name__)
 
 STRAIN = 2.0
-"""Identified parameters beyond this, root mean square in units of their standard deviations before the measurements,
-are not those of a machine that the tolerances are about."""
+"""Identified parameters beyond this, root mean square in units of their prior standard deviations, do not belong to a
+machine within the given tolerances."""
 
 _LOUD = 3.0  # noise factor
-_NOISY = 1.5  # the same, from which on a change in the middle is looked for
-_COARSE = 3.0  # sigmas of a position: what is rounded to more adds to the noise
+_NOISY = 1.5  # the same, from which a change in the middle is searched for
+_COARSE = 3.0  # sigmas of a position: coarser rounding adds to the noise
 _SAME_DIGIT = 1e-6
-_QUIET = 0.3  # of the noise
-_ENOUGH = 10.0  # degrees of freedom, by whose residuals that can be told
-_MANY_OUTLIERS = 0.4  # of the rows
+_QUIET = 0.3  # fraction of the noise
+_ENOUGH = 10.0  # degrees of freedom in the residuals, needed to tell
+_MANY_OUTLIERS = 0.4  # fraction of the rows
 _MISPLACED = 8.0  # standard deviations of a target or tool point
 _EXACT = 1e-10  # [m]
 _OTHER = 6.0  # tolerances
-_POSES = 50  # at which tolerances are judged
+_POSES = 50  # number of poses for judging tolerances
 
 
 def calibrate_and_object(
@@ -51,13 +51,13 @@ def calibrate_and_object(
     options: Options,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[Calibration, HeldOut | None, list[str]]:
-    """Calibrate a machine and judge the result: return it with its cross-validation and what speaks against it.
+    """Calibrate a machine and judge the result: return it with its cross-validation and the objections to it.
 
-    The last of what speaks against it is the likeliest cause, if one of the usual mistakes explains it.
-    `progress` is called with the number of steps done and that of all.
+    The last objection is the most likely cause, if one of the usual mistakes explains it.
+    `progress` is called with the number of steps done and the total.
 
     Raises:
-        CalibrationRefusedError: nothing comes of these measurements.
+        CalibrationRefusedError: these measurements cannot give a calibration.
     """
     try:
         calibration = calibrate(measurements, errors, options)
@@ -78,7 +78,7 @@ def calibrate_and_object(
 
 
 def _warn_of_noise(calibration: Calibration) -> bool:
-    """Say where residuals are not those of the noise that the measurements are said to have, and why that may be.
+    """Warn if residuals do not match the measurements' stated noise, and say why that may be.
 
     Returns:
         Whether a change in the middle of the measurements explains it.
@@ -101,20 +101,20 @@ def _warn_of_noise(calibration: Calibration) -> bool:
 
 
 def _rounded(measurements: Measurements) -> str:
-    """Say which numbers are rounded by more than the noise; "" if none are."""
+    """Name the numbers that are rounded by more than the noise; "" if none are."""
     seen = measurements.sigmas[:, :3][measurements.seen[:, :3]]
     words = ""
     for name, numbers in (("commands", measurements.commands), ("positions", measurements.positions)):
         for step in 10.0 ** -np.arange(2, 6):
             digits = numbers / step
             if seen.size and step > _COARSE * np.median(seen) and np.abs(digits - np.round(digits)).max() < _SAME_DIGIT:
-                words += f"{name} without digits below {1e3 * step:g} mm or mrad, "
+                words += f"{name} rounded to {1e3 * step:g} mm or mrad, "
                 break
     return words
 
 
 def _noise_in_words(calibration: Calibration) -> str:
-    """Say by how much residuals are larger or smaller than the noise; nothing if they are about as large."""
+    """Say how much larger or smaller than the noise the residuals are; "" if about as large."""
     found = calibration.identification
     if found.noise_factor > _LOUD:
         return f"residuals are {found.noise_factor:.3g} times the noise"
@@ -124,12 +124,12 @@ def _noise_in_words(calibration: Calibration) -> str:
         freedom = float(expected[:, columns].sum())
         size = float(np.sqrt(np.nansum(squares[:, columns]) / max(freedom, _ENOUGH)))
         if freedom > _ENOUGH and size < _QUIET:
-            return f"residuals of {name} are {size:.2g} times the noise: their sigmas are in another unit, or too large"
+            return f"residuals of {name} are {size:.2g} times the noise: their sigmas are in another unit or too large"
     return ""
 
 
 def _warn_of_other_parts(calibration: Calibration, measurements: Measurements, *, changed: bool) -> None:
-    """Say which parameters are so far off that it is no matter of tolerances, and which mistake would explain them."""
+    """Warn of parameters too far off for their tolerances, and name the mistake that would explain them."""
     found = calibration.compensation
     if found.values is None:
         return
@@ -142,72 +142,72 @@ def _warn_of_other_parts(calibration: Calibration, measurements: Measurements, *
         cause = ["most likely that change"] if changed else []
         cause = cause or _likeliest(measurements, found.errors, calibration.options.eta, 1.0)
         logger.warning(
-            "far from the description: %s: another part, or a mistake? %s",
+            "far from the description: %s. Another part, or a mistake? %s",
             ", ".join(parts),
-            (cause or ["none of the usual ones explains it"])[0].capitalize(),
+            (cause or ["none of the usual mistakes explains it"])[0].capitalize(),
         )
 
 
 def objections(calibration: Calibration, held_out: HeldOut | None) -> list[str]:
-    """Return what speaks against a calibration and its cross-validation, a sentence each; [] if nothing does."""
+    """Return the objections to a calibration and its cross-validation, one sentence each; [] if there are none."""
     found, errors = calibration.identification, calibration.compensation.errors
     reasons = []
     poses = int(found.measurements.pose_numbers.max()) + 1
     if poses < 2:
-        reasons.append("one pose is measured, which says nothing of others")
+        reasons.append("only one pose was measured, which tells nothing about others")
     if calibration.options.identifies and (problem := _too_few(found)):
         reasons.append(problem)
     if len(found.outliers) > _MANY_OUTLIERS * len(found.measurements):
-        reasons.append(f"{len(found.outliers)} of {len(found.measurements)} rows are outliers to what the others say")
+        reasons.append(f"{len(found.outliers)} of {len(found.measurements)} rows are outliers relative to the others")
     off = np.abs(found.nuisance_values) / (found.nuisances.scales * found.nuisances.sigmas)
     points = np.concatenate([found.nuisances.columns("targets"), found.nuisances.columns("tool_point")])
     if points.size and off[points].max() > _MISPLACED:
         worst = points[off[points].argmax()]
         reasons.append(
             f"{found.nuisances.names[worst]} is {1e3 * found.nuisance_values[worst]:.3g} mm from where the file "
-            f"has it, {off[worst]:.3g} times as far as it is known"
+            f"has it, {off[worst]:.3g} standard deviations"
         )
     left = _misfit(calibration)
     prior = found.prior if np.isfinite(found.prior) else PRIOR
     expected = _possible_error(errors, found.measurements, calibration.options.eta, max(prior, 1.0))
     if left > expected:
         reasons.append(
-            f"what the parameters leave of the measurements, {1e3 * left:.3g} mm (median), is more than the machine "
-            f"could be off, {1e3 * expected:.3g} mm; noise factor {found.noise_factor:.3g}"
+            f"the residuals left by the parameters, {1e3 * left:.3g} mm (median), are larger than the machine could be "
+            f"off, {1e3 * expected:.3g} mm; noise factor {found.noise_factor:.3g}"
         )
     elif (size := strain(calibration)) > STRAIN:
         reasons.append(
-            f"the parameters that fit best are {size * prior:.3g} tolerances (root mean square) from the description: "
+            f"the best-fitting parameters are {size * prior:.3g} tolerances (root mean square) from the description: "
             "another machine, or another frame"
         )
     if (chance := calibration.chance_of_harm) > 1.0 - COVERAGE:
         why = _noise_in_words(calibration) or (
-            "too much of the tool's motion was not seen; measure whole poses, or targets off the tool point"
+            "too much of the tool's motion was not seen; measure full poses, or targets away from the tool point"
         )
         reasons.append(
-            f"with a probability of {100.0 * chance:.0f} % the corrected commands are worse than none: {why}"
+            f"with {100.0 * chance:.0f} % probability the corrected commands are worse than uncorrected ones: {why}"
         )
     if not found.measurements.shows_poses:
         reasons.append(
-            "no row shows the tool at a pose: encoders, or distances between two poses, do not tell whether corrected "
-            "commands improve on none"
+            "no row shows the pose of the tool: encoders, or distances between two poses, cannot tell whether "
+            "corrected commands are better than uncorrected ones"
         )
     elif held_out is not None and not held_out.before.max() > _EXACT:
-        reasons.append("the machine is where the description has it to the last digit: poses planned, not measured")
+        reasons.append("the poses match the description to the last digit: they were planned, not measured")
     elif held_out is not None:
         before, after = (float(np.sqrt(np.mean(values**2))) for values in (held_out.before, held_out.after))
         if after >= before:
             noise = _noise_in_words(calibration)
             noise = f"; {noise}" if noise and not any(noise in reason for reason in reasons) else ""
             reasons.append(
-                f"on poses it was not shown the corrected commands do not improve on none: {1e6 * after:.1f} µm after, "
-                f"{1e6 * before:.1f} µm before{noise}"
+                "on held-out poses the corrected commands are no better than uncorrected ones: "
+                f"{1e6 * after:.1f} µm after, {1e6 * before:.1f} µm before{noise}"
             )
     return reasons
 
 
 def _too_few(found: Identification) -> str:
-    """Say that measurements are too few to contradict what is identified from them; nothing if they are not."""
+    """Say that the measurements are too few to contradict what is identified from them; "" if they are not."""
     measured = found.measurements
     rows = np.unique(np.column_stack([measured.pose_numbers, measured.target_numbers]), axis=0, return_index=True)[1]
     equations = int(measured.seen[rows].sum())
@@ -215,21 +215,21 @@ def _too_few(found: Identification) -> str:
     if equations > determined:
         return ""
     unknowns = found.rows.shape[2]
-    counts = f"{len(measured)} rows give {equations} equations for {unknowns} unknowns, of which they tell {determined}"
-    return f"{counts}: none is left over"
+    counts = f"{len(measured)} rows give {equations} equations for {unknowns} unknowns and determine {determined}"
+    return f"{counts}: no redundancy remains to check the result"
 
 
 def _misfit(calibration: Calibration) -> float:
-    """Return the tip error that the identified parameters leave of the measurements, median over the visits [m]."""
+    """Return the tip error that the identified parameters leave, median over the visits [m]."""
     found = calibration.identification
     seen = seen_errors(found.settled, found.poses[found.settled.first_rows], calibration.options.eta)
     return float(np.median(np.linalg.norm(seen.errors, axis=1)))
 
 
 def strain(calibration: Calibration) -> float:
-    """Return how far the parameters are from the description, in units of their standard deviations beforehand.
+    """Return how far the parameters are from the description, in units of their prior standard deviations.
 
-    Root mean square over the combinations that the measurements tell.
+    Root mean square over the combinations that the measurements determine.
     """
     found = calibration.identification
     if not np.isfinite(found.prior):
@@ -240,7 +240,7 @@ def strain(calibration: Calibration) -> float:
 
 
 def _likeliest(measurements: Measurements, errors: GeometricErrors, eta: float, tolerances: float = PRIOR) -> list[str]:
-    """Return the likeliest of the usual mistakes in words, of a machine so many tolerances off; [] for none."""
+    """Describe the most likely of the usual mistakes, given a machine this many tolerances off; [] for none."""
     try:
         usual = _possible_error(errors, measurements, eta, 1.0)
         cause = likely_cause(measurements, errors.robot, eta, least=tolerances * usual, alike=usual)
@@ -250,6 +250,6 @@ def _likeliest(measurements: Measurements, errors: GeometricErrors, eta: float, 
 
 
 def _possible_error(errors: GeometricErrors, measurements: Measurements, eta: float, prior: float) -> float:
-    """Return the tip error of a machine that is so many tolerances off, median over measured poses [m]."""
+    """Return the tip error of a machine this many tolerances off, median over measured poses [m]."""
     sample = errors.robot.forward(measurements.visits.commands[:_POSES])
     return prior * float(np.median(error_map(errors, sample, eta=eta).tip_rms))

@@ -1,20 +1,20 @@
-"""Which poses to measure: for parameters, for what is learned, in the least sensitive region (the chapter's rule).
+"""Choice of poses to measure: for parameters, for learning, or in the least sensitive region (the chapter's rule).
 
-With the scaled regressor blocks A_j of the poses j measured, and parameters known beforehand to k times their
-tolerances,
+With the scaled regressor blocks A_j of the measured poses j, and parameters with prior standard deviations of k
+times their tolerances,
 
     M = 1 / k^2 + sum_j A_j^T A_j
 
 is the information in units of the tolerances, regular for any number of poses, and M^-1 the covariance afterwards.
-k = 3 unless told otherwise: machines are found out of tolerance, and a plan should rest on what is measured. D-optimal
-poses make det M greatest (V. Fedorov, Theory of Optimal Experiments, 1972, here with a prior); tip-optimal ones make
-the predicted tip error over test poses least, the mean of tr(B M^-1 B^T) with B the tip's motion by the parameters.
+k = 3 by default: machines are found out of tolerance, and a plan should rely on measurements. D-optimal poses
+maximise det M (V. Fedorov, Theory of Optimal Experiments, 1972, here with a prior); tip-optimal ones minimise the
+predicted tip error over test poses, the mean of tr(B M^-1 B^T), with B the tip's motion by the parameters.
 
-A correction that is learned, without parameters, wants other poses: it knows what is near to what it was shown.
-Space-filling poses are as far from each other as can be, one after the other (T. Gonzalez, 1985); those of least
-process variance make the variance that a Gaussian process has left over the test poses least, one after the other
-(J. Sacks et al., Design and analysis of computer experiments, 1989). Which strategy serves which method was found on
-simulated machines: docs/calibration_theory.md.
+A learned correction without parameters needs other poses, because it only knows what is near its data.
+Space-filling poses are as far from each other as possible, chosen greedily (T. Gonzalez, 1985); those of least process
+variance greedily minimise the remaining variance of a Gaussian process over the test poses (J. Sacks et al., Design
+and analysis of computer experiments, 1989). Which strategy suits which method was found on simulated machines:
+docs/calibration_theory.md.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ STRATEGY_OF_METHOD: dict[Method, Strategy] = {
     "lm+nn": "process-variance",
     "lm+gp": "process-variance",
 }
-"""The strategy that each method of calibration is planned with."""
+"""The strategy for each calibration method."""
 
 MIN_DISTANCE = 0.05
-"""Least distance between two poses of a plan: root mean square of their commands' differences over the ranges."""
+"""Least distance between two poses of a plan: rms of their command differences divided by the ranges."""
 
-_PROCESS_NOISE = 0.05  # of a measured deviation, standard deviation over that of the deviations
+_PROCESS_NOISE = 0.05  # standard deviation of a measured deviation's noise, over that of the deviations
 _MAX_PASSES = 50
 _LEAST_GAIN = 1e-9
 _SHUFFLES = 20
@@ -74,29 +74,29 @@ _SHUFFLES = 20
 class Plan:
     """Poses to be measured."""
 
-    strategy: Strategy  #: how they were chosen
-    indices: Indices  #: which of the candidates they are, shape=(n,)
+    strategy: Strategy  #: strategy by which they were chosen
+    indices: Indices  #: their indices among the candidates, shape=(n,)
     poses: Poses  #: the poses, of the robot as described
-    #: tip error that is left after calibration with them, root mean square over the test poses, as far as the
-    #: parameters describe the machine [m]
+    #: remaining tip error after calibration with them, root mean square over the test poses, as far as the parameters
+    #: describe the machine [m]
     predicted_tip_rms: float
     identifiability: Identifiability  #: what they identify
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedPoses:
-    """Candidates, or test poses, and what a machine's errors do there."""
+    """Candidates or test poses, and the effects of a machine's errors there."""
 
     map: ErrorMap  #: the error map over them
     #: tip-weighted motion of the tool by each unknown of the machine at one tolerance, shape=(n, 6, unknowns) [m]
     effects: Array
-    #: commands, their ranges being -1 .. 1, then components of the wrenches that vary, over their greatest, shape=(n,
-    #: commands + k)
+    #: commands scaled to -1 .. 1 over their ranges, then the varying wrench components over their greatest value,
+    #: shape=(n, commands + k)
     inputs: Array
 
     @classmethod
     def under(cls, sensitivity_map: ErrorMap, wrenches: Array | None) -> PlannedPoses:
-        """Put poses and wrenches on the tool, shape=(m, 6), together, these in turn where they are fewer or more."""
+        """Pair poses with wrenches on the tool, shape=(m, 6), cycling through the wrenches if m differs."""
         poses, weights = sensitivity_map.poses, tip_weights(sensitivity_map.eta)[:, None]
         robot, errors = poses.robot, sensitivity_map.errors
         own = None if wrenches is None else np.resize(wrenches, (len(poses), 6))
@@ -112,7 +112,7 @@ class PlannedPoses:
 
 
 class PlanningProblem:
-    """Candidates for measurements, and the poses at which the machine is to be accurate afterwards.
+    """Candidates for measurements, and the poses at which the machine must be accurate afterwards.
 
     Example:
         >>> import numpy as np
@@ -131,23 +131,23 @@ class PlanningProblem:
         eta: weight of the orientation in the tip error [m/rad].
         min_distance: see :data:`MIN_DISTANCE`.
         prior: see :data:`~pm3dof_pin.calibration.identification.PRIOR`.
-        wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them
-            the stiffness of the springs is unknown too, and the tip error predicted is that under such wrenches.
-        sources: all sources of error, which tell where the machine is least sensitive; by default its geometry does.
+        wrenches: known wrenches on the tool at each candidate, world axes, shape=(candidates, 6) [N, N m]; with them,
+            the stiffness of the springs is unknown too, and the predicted tip error is that under such wrenches.
+        sources: all sources of error, which determine where the machine is least sensitive; by default its geometry.
 
     Attributes:
         prior: see the argument.
         instrument: what is measured.
         unknowns: names of the parameters, and of the logarithms of the springs' stiffness where wrenches are given.
         tolerances: of the unknowns, shape=(unknowns,).
-        sigmas: standard deviation of the unknowns before any measurement, in tolerances, shape=(unknowns,).
+        sigmas: prior standard deviation of the unknowns, in tolerances, shape=(unknowns,).
         regressor: what each candidate measures, scaled, shape=(candidates, rows of a pose, unknowns).
-        measured: the candidates, with what errors do there.
+        measured: the candidates, with the effects of errors there.
         tested: the test poses, likewise.
 
     Raises:
         InvalidValueError: the loops cannot close with an error, the distance is negative, or the prior is not positive.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+        SingularConfigurationError: at some pose the tool can move with all drives locked.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class PlanningProblem:
         if not (np.isfinite(prior) and prior > 0.0):
             raise InvalidValueError("prior", prior, "a positive multiple of the tolerances")
         if not min_distance >= 0.0:
-            raise InvalidValueError("min_distance", min_distance, "a distance that is not negative")
+            raise InvalidValueError("min_distance", min_distance, "a non-negative distance")
         self.errors, self.candidates, self._sources = errors, candidates, sources
         self.instrument = instrument or Instrument()
         elastic = ElasticTerm.under(errors.robot, wrenches)
@@ -180,7 +180,7 @@ class PlanningProblem:
         candidate_map = error_map(errors, candidates, eta=eta)
         tests = candidate_map if test_poses is None else error_map(errors, test_poses, eta=eta)
         self.measured, self.tested = (PlannedPoses.under(each, wrenches) for each in (candidate_map, tests))
-        # base and tool are where the measurements have them
+        # base and tool are as the measurements define them
         datum = datum_motions(tests.poses) @ (self.nuisances.datum_map() * self.nuisances.scales)
         effects = np.concatenate([self.tested.effects, datum * tip_weights(eta)[:, None]], axis=2)
         effects = effects.reshape(-1, self._rows.shape[2])
@@ -194,7 +194,7 @@ class PlanningProblem:
 
     @cached_property
     def least_sensitive(self) -> Mask:
-        """Which candidates are in the region least sensitive to errors, shape=(candidates,)."""
+        """Mask of the candidates in the region least sensitive to errors, shape=(candidates,)."""
         if self._sources is None:
             return self.measured.map.least_sensitive()
         budget = error_budget(self._sources, self.candidates, eta=self.measured.map.eta)
@@ -207,10 +207,10 @@ class PlanningProblem:
             count: number of poses.
             strategy: one of :data:`STRATEGIES`.
             generator: source of the random numbers.
-            restarts: starts of the optimal strategies, the best of which is taken.
+            restarts: number of starts of the optimal strategies; the best result is taken.
 
         Raises:
-            InvalidValueError: an unknown strategy, or so many candidates far enough from each other do not exist.
+            InvalidValueError: an unknown strategy, or too few candidates far enough from each other.
         """
         chosen = self._chosen(count, strategy, generator, restarts)
         return Plan(
@@ -222,7 +222,7 @@ class PlanningProblem:
         )
 
     def information(self, indices: ArrayLike) -> Array:
-        """Return M of some candidates, in units of the tolerances, shape=(parameters and nuisances, same)."""
+        """Return M for some candidates, in units of the tolerances, shape=(parameters and nuisances, same)."""
         rows = self._rows[np.asarray(indices, dtype=np.intp)].reshape(-1, self._rows.shape[2])
         return np.asarray(self._prior + rows.T @ rows)
 
@@ -232,11 +232,11 @@ class PlanningProblem:
         return dict(zip(self.unknowns, (spread * self.tolerances).tolist(), strict=True))
 
     def predicted_tip_rms(self, indices: ArrayLike) -> float:
-        """Return the tip error that is left after measuring some candidates, over the test poses [m].
+        """Return the remaining tip error after measuring some candidates, over the test poses [m].
 
-        Without any it is that of a machine of which nothing but the prior is known.
+        Without any, it is that of a machine known only by the prior.
         """
-        # without any, base and tool are given
+        # without any measurement, base and tool are given
         known = slice(None) if np.size(indices) else slice(len(self.unknowns))
         return float(np.sqrt(np.trace(np.linalg.solve(self.information(indices), self._tip)[known, known])))
 
@@ -265,13 +265,13 @@ class PlanningProblem:
         return np.sort(chooser[strategy]())
 
     def _near(self, index: int) -> NDArray[np.bool_]:
-        """Tell which candidates are too near to one, itself among them, shape=(number of candidates,)."""
+        """Tell which candidates are too near to the given one, including itself, shape=(number of candidates,)."""
         near: NDArray[np.bool_] = np.sum((self._places - self._places[index]) ** 2, axis=1) < self._min_distance**2
         near[index] = True
         return near
 
     def _spread(self, allowed: Indices, count: int, generator: np.random.Generator) -> Indices:
-        """Draw candidates that keep their distance; InvalidValueError if so many are not found."""
+        """Draw candidates that keep their distance; raise InvalidValueError if too few are found."""
         most = 0
         for _ in range(_SHUFFLES):
             chosen: list[int] = []
@@ -288,7 +288,7 @@ class PlanningProblem:
         raise InvalidValueError("count", count, expected)
 
     def _space_filling(self, count: int, generator: np.random.Generator) -> Indices:
-        """Take the candidate that is farthest from those taken, and again, from one at random."""
+        """Repeatedly take the candidate farthest from those taken, starting from a random one."""
         chosen = [int(generator.integers(len(self.candidates)))]
         distances = np.full(len(self.candidates), np.inf)
         while len(chosen) < count:
@@ -298,7 +298,7 @@ class PlanningProblem:
         return np.array(chosen, dtype=np.intp)
 
     def _least_process_variance(self, count: int) -> Indices:
-        """Take the candidate that lessens the variance of a Gaussian process over the test poses most, and again."""
+        """Repeatedly take the candidate that most reduces a Gaussian process's variance over the test poses."""
         drives = range(self.candidates.commands.shape[1])
         inputs, tests = (poses.inputs[:, : len(drives)] for poses in (self.measured, self.tested))
         across = [GaussianProcess.typical_covariance(inputs, tests, drive) for drive in drives]
@@ -336,9 +336,9 @@ class PlanningProblem:
     def _optimal(
         self, count: int, generator: np.random.Generator, restarts: int, *criteria: _Determinant | _TipVariance
     ) -> Indices:
-        """Exchange poses for better ones until none is, from several random starts, and return the best.
+        """Exchange poses for better ones until none is found, from several random starts, and return the best.
 
-        The last criterion counts. Earlier ones only lead to better starts for the next.
+        The last criterion decides; earlier ones only provide better starts.
         """
         best, best_value = np.empty(0, dtype=np.intp), -np.inf
         everything = np.arange(len(self.candidates))
@@ -374,9 +374,9 @@ class PlanningProblem:
 
 
 def order_with_references(poses: Poses, every: int, seed: int) -> Indices:
-    """Return an order of poses in which drift and scatter show: at random, one pose again and again between the others.
+    """Return an order of poses that reveals drift and scatter: random, with one pose repeated between the others.
 
-    At random, time goes with no coordinate; the pose that comes again, `every` so many others, is the one amid these.
+    Random order decorrelates time from the coordinates; the central pose is repeated after `every` others.
     """
     commands = poses.commands
     spread = np.maximum(np.ptp(commands, axis=0), np.finfo(float).tiny)
@@ -395,7 +395,7 @@ class _Determinant:
         return float(np.linalg.slogdet(information)[1])
 
     def gains(self, information: Array, blocks: Array) -> Array:
-        """What each block would add: log det(1 + A M^-1 A^T)."""
+        """Gain by each block: log det(1 + A M^-1 A^T)."""
         return np.asarray(np.linalg.slogdet(_inner(_through_root(information, blocks)[1]))[1])
 
 
@@ -409,7 +409,7 @@ class _TipVariance:
         return -float(np.trace(np.linalg.solve(information, self._tip)))
 
     def gains(self, information: Array, blocks: Array) -> Array:
-        """What each block would take away: tr((1 + A M^-1 A^T)^-1 A M^-1 Q M^-1 A^T)."""
+        """Reduction by each block: tr((1 + A M^-1 A^T)^-1 A M^-1 Q M^-1 A^T)."""
         root, seen = _through_root(information, blocks)
         weighted = seen @ (root.T @ self._tip @ root)
         inner = _inner(seen)

@@ -1,13 +1,13 @@
 """The pseudo-error source: all errors of a machine as deviations of its commands, Fig. 8.5 of the chapter.
 
-At command u the machine stands where a model of it stands at u + du. du is found by inverting the model's kinematics
-at the pose measured, as far as the measurements show it (:mod:`pm3dof_pin.errors.command_correction`). All rows of a
-visit, such as those of three targets, are one pose: with residuals r, their derivatives A by the tool's motion and
-their noise S,
+At command u the machine is where its model is at u + du. du is found by inverting the model's kinematics at the
+measured pose, as far as the measurements show it (:mod:`pm3dof_pin.errors.command_correction`). All rows of a visit,
+such as those of three targets, form one pose: with residuals r, their derivatives A by the tool's motion and their
+noise S,
 
     information L = A^T S^-1 A,      pose error e = L^+ A^T S^-1 r,
 
-which has as many of six components as the rows show.
+which has those of the six components that the rows show.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 SEEN = 0.02
-"""Directions with a relative gain below this are treated as unobservable: deviations along them stay 0. On the tripod
-positions of the tool point alone show its height only; both tilts turn it on the spot. Near a singular pose an arm has
-such directions even where whole poses are measured."""
+"""Directions with a relative gain below this are treated as unobservable: deviations along them stay 0. On the
+tripod, positions of the tool point alone show only its height; both tilts rotate it on the spot. Near a singular pose,
+an arm has such directions even if full poses are measured."""
 
-_SHOWN = 1e-4  # of the best seen direction of a pose: one that is 100 times as noisy counts as not shown
+_SHOWN = 1e-4  # relative to the best-seen direction of a pose: one with 100 times the noise counts as unseen
 
 
 @dataclass(frozen=True, eq=False)
 class _SeenErrors:
-    """Errors of poses against a model, as far as measurements show them, in tip-weighted components."""
+    """Tip-weighted errors of poses relative to a model, as far as measurements show them."""
 
     errors: Array  #: e, 0 along directions that are not shown, shape=(visits, 6) [m]
     covariances: Array  #: of e, from the measurements' noise, shape=(visits, 6, 6) [m^2]
@@ -41,9 +41,9 @@ class _SeenErrors:
 
 
 def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGTH) -> _SeenErrors:
-    """Put the rows of each visit together, against the model's poses; eta weighs the orientation [m/rad].
+    """Combine the rows of each visit, relative to the model's poses; eta weighs the orientation [m/rad].
 
-    Errors are infinite at poses that are no numbers, as after steps of many turns.
+    Errors are infinite at poses that are not finite, as after steps of many turns.
     """
     visits, count = measurements.visit_numbers, len(poses)
     at_rows, weights = poses[visits], tip_weights(eta)
@@ -68,18 +68,18 @@ def seen_errors(measurements: Measurements, poses: Poses, eta: float = TIP_LENGT
 
 @dataclass(frozen=True, eq=False)
 class _PseudoErrors:
-    """Pseudo-errors found from measurements against a model of the machine, one for each visit."""
+    """Pseudo-errors from measurements relative to a model of the machine, one per visit."""
 
     deviations: Array  #: du, shape=(visits, number of commands) [m, rad]
     covariances: Array  #: of du, from the measurements' noise, shape=(visits, number of commands, same)
-    at_commands: _SeenErrors  #: what is seen of the tip-weighted error of the model at the commands
-    left: Array  #: of that at the deviated commands: what no command corrects, shape=(visits, 6) [m]
-    control: Array  #: tip-weighted motion of what is seen by the drives' joints, shape=(visits, 6, number of commands)
+    at_commands: _SeenErrors  #: seen part of the model's tip-weighted error at the commands
+    left: Array  #: the same at the deviated commands: what no command corrects, shape=(visits, 6) [m]
+    control: Array  #: tip-weighted motion of the seen part by the drives' joints, shape=(visits, 6, number of commands)
     seen: _SeenErrors  #: errors at the deviated commands with their noise
 
     @property
     def before(self) -> Array:
-        """What is seen of the tip-weighted error of the model at the commands, shape=(visits, 6) [m]."""
+        """Seen part of the model's tip-weighted error at the commands, shape=(visits, 6) [m]."""
         return self.at_commands.errors
 
     @property
@@ -104,7 +104,7 @@ def pseudo_errors(
     """
     scales = command_scales(model)
 
-    @cache  # every pose that a step leads to is asked for again
+    @cache  # poses after a step are requested again
     def errors_at(poses: Poses) -> _SeenErrors:
         return seen_errors(measurements, poses, eta)
 
@@ -114,7 +114,7 @@ def pseudo_errors(
     def control(poses: Poses, found: _SeenErrors) -> Array:
         whole = weighted_control(poses, eta)
         shown = found.shown @ whole
-        # drives that move what is seen by next to nothing, such as a delta robot's the orientation, do not explain it
+        # drives that hardly move the seen part, such as a delta robot's its orientation, do not explain it
         shown[np.linalg.norm(shown, axis=(1, 2)) <= seen * np.linalg.norm(whole, axis=(1, 2))] = 0.0
         return np.asarray(shown)
 

@@ -1,15 +1,15 @@
-"""What a calibration by a method with planned poses is worth: rehearsed on machines within the tolerances.
+"""Expected accuracy of a calibration method with planned poses, from simulated machines within the tolerances.
 
-A machine is drawn: errors p within the tolerances, among them those of the springs' stiffness where the plan loads the
-tool, and drives that wave along their travel, which no parameter describes. To first order its pose errors, beside the
-deflections that are known, are e = S p + C w, tip-weighted, and the deviations of the commands that undo most of them
-du = -(W C)^+ W e. The method is shown those of the planned poses, with the instrument's noise, and judged by what its
-answer leaves over test poses (base and tool are taken to be where the instrument has them),
+A machine is drawn: errors p within the tolerances (including those of the springs' stiffness if the plan loads the
+tool), and periodic drive errors, which no parameter describes. To first order its pose errors, apart from known
+deflections, are e = S p + C w, tip-weighted, and the command deviations that undo most of them are du = -(W C)^+ W e.
+The method is given those of the planned poses, with the instrument's noise, and evaluated by the error that its answer
+leaves over test poses (base and tool are taken to be where the instrument has them),
 
     excess = rms |W C (du found - du)|,
 
-the tip error beyond that of the best possible commands. Test poses are under wrenches such as the plan has. What the
-first order lacks and temperatures are not rehearsed: a machine is hardly better than this, and may be worse.
+the tip error beyond that of the best possible commands. Test poses are under wrenches like those of the plan.
+Second-order effects and temperatures are not simulated: a real machine is hardly better than this, and may be worse.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from pm3dof_pin.typing import Array, Indices
 
 MACHINES = 3
 WAVES = 0.05
-"""Size of the drives' waves, of the rms deviation that the tolerances lead to."""
+"""Amplitude of the drives' waves relative to the rms deviation due to the tolerances."""
 
-_PERIODS = (0.1, 0.6)  # of the waves, of the range of a command
+_PERIODS = (0.1, 0.6)  # of the waves, relative to the range of a command
 
 
 class Rehearsal:
     """Machines within the tolerances of a planning problem, to try plans and methods on.
 
     Raises:
-        InvalidValueError: the instrument does not see whole poses, or there is no machine.
+        InvalidValueError: the instrument does not see full poses, or `machines` is zero.
     """
 
     def __init__(self, problem: PlanningProblem, generator: np.random.Generator, machines: int = MACHINES) -> None:
         if problem.instrument.measured != "pose" or problem.instrument.targets:
-            raise InvalidValueError("instrument", problem.instrument.measured, "one that sees whole poses")
+            raise InvalidValueError("instrument", problem.instrument.measured, "one that measures full poses")
         if machines < 1:
             raise InvalidValueError("machines", machines, "at least 1")
         self.problem = problem
@@ -54,10 +54,10 @@ class Rehearsal:
         self._machines = [self._draw(generator) for _ in range(machines)]
 
     def excess(self, chosen: Sequence[int] | Indices, method: Method, seed: int = 0) -> float:
-        """Return the tip error beyond the best commands' after calibrating at candidates, rms over all [m].
+        """Return the excess tip error over the best commands after calibrating at candidates, rms over all [m].
 
         Raises:
-            InvalidValueError: fewer poses than anything is learned from.
+            InvalidValueError: too few poses to learn from.
         """
         indices = np.asarray(chosen, dtype=np.intp)
         if method != "lm" and len(indices) < LEAST_POSES:
@@ -70,7 +70,7 @@ class Rehearsal:
         return float(np.sqrt(np.mean(squares)))
 
     def _draw(self, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Draw a machine: what is measured at all candidates, and the best deviations at the tests."""
+        """Draw a machine: its measurements at all candidates, and the best deviations at the test poses."""
         errors = generator.standard_normal(len(self.problem.unknowns))
         sides = ((self.problem.measured, self._control), (self.problem.tested, self._test_control))
         measured, tested = (np.einsum("nij,j->ni", poses.effects, errors) for poses, _ in sides)
@@ -85,7 +85,7 @@ class Rehearsal:
         return measured, _undone(self._test_control, tested)
 
     def _answer(self, indices: Indices, method: Method, measured: Array, seed: int) -> Array:
-        """Return the deviations of the commands that the method finds for the test poses."""
+        """Return the command deviations that the method finds for the test poses."""
         problem, control = self.problem, self._control[indices]
         found = np.zeros((len(self._test_control), control.shape[2]))
         if "lm" in method:
@@ -102,5 +102,5 @@ class Rehearsal:
 
 
 def _undone(control: Array, errors: Array) -> Array:
-    """Return the deviations of the commands that undo most of tip-weighted errors, shape=(n, number of commands)."""
+    """Return the command deviations that undo most of the tip-weighted errors, shape=(n, number of commands)."""
     return np.asarray(-np.einsum("nij,nj->ni", control_inverse(control), errors))

@@ -1,4 +1,4 @@
-"""What repeated poses tell: how well a machine comes back; accuracy and repeatability as in ISO 9283."""
+"""Repeatability from repeated poses; accuracy and repeatability as in ISO 9283."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from pm3dof_pin.errors.pose_error import tip_weights
 from pm3dof_pin.measuring.nuisances import datum_motions
 from pm3dof_pin.typing import Array, Indices
 
-_LEAST_VISITS = 3  # of a pose, for a table of its own
-_SURE = 1e-3  # probability that drift or hysteresis is named where there is none
+_LEAST_VISITS = 3  # of a pose, for a row in the table
+_SURE = 1e-3  # probability of reporting drift or hysteresis if there is none
 
 
 @dataclass(frozen=True, eq=False)
 class Repeatability:
     """Scatter of repeated visits."""
 
-    #: tip error by which the machine misses its own mean, without the measurements' noise, root mean square [m]
+    #: tip error relative to the machine's own mean, without the measurements' noise, root mean square [m]
     tip_sigma: float
-    freedom: int  #: visits beyond the first of their pose
+    freedom: int  #: repeated visits, without the first of each pose
     poses: Indices  #: numbers of the poses visited three times or more, shape=(k,)
-    visits: Indices  #: how often each was, shape=(k,)
+    visits: Indices  #: number of visits of each, shape=(k,)
     accuracy: Array  #: AP of each, distance of the mean position from the commanded one, shape=(k,) [m]
-    #: RP of each, mean distance from that mean and three standard deviations of it, shape=(k,) [m]
+    #: RP of each, mean distance from that mean plus three standard deviations of it, shape=(k,) [m]
     repeatability: Array
 
     @classmethod
     def of(cls, calibration: Calibration) -> Repeatability | None:
-        """Judge how a machine repeats itself; None if no pose was visited twice.
+        """Compute the repeatability of a machine; None if no pose was visited twice.
 
-        Drift and hysteresis that were identified are taken out first for the scatter, and left in for the table.
+        Identified drift and hysteresis are removed for the scatter, but not for the table.
         """
         found, eta = calibration.identification, calibration.options.eta
         measured, settled = found.measurements[found.trusted], found.settled[found.trusted]
@@ -66,13 +66,13 @@ class Systematic:
     """Drift or hysteresis."""
 
     kind: str  #: "drift" or "hysteresis"
-    tip: float  #: how far it moves the tool, tip-weighted, root mean square over the measured poses [m]
+    tip: float  #: tool motion due to it, tip-weighted, root mean square over the measured poses [m]
     tip_sigma: float  #: standard deviation of that by the parameters' covariance [m]
-    sure: bool  #: whether it is more than chance
+    sure: bool  #: whether it is significant
 
     @classmethod
     def all_of(cls, calibration: Calibration) -> list[Systematic]:
-        """Return what times and directions of approach tell; nothing where there are none."""
+        """Return the effects found from times and directions of approach; none without such data."""
         found = calibration.identification
         drives, weights = tool_motions_by_drives(found.poses), tip_weights(calibration.options.eta)
         answers = []
@@ -86,7 +86,7 @@ class Systematic:
             effects = np.concatenate([base, drives], axis=2) * weights[:, None]
             tip = float(np.sqrt(np.mean(np.sum((effects @ values) ** 2, axis=1))))
             sigma = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", effects, covariance, effects))))
-            # what was learned beyond the knowledge beforehand, of as many parameters as were determined
+            # information gained beyond the prior, for as many parameters as were determined
             scales = (found.nuisances.scales * found.nuisances.sigmas)[columns]
             gained = np.linalg.pinv(covariance) - np.diag(scales**-2.0)
             determined = max(1.0, len(columns) - float(np.sum(np.diag(covariance) / scales**2)))

@@ -1,10 +1,10 @@
-"""A calibration as a folder: summary, measurements, calibrated robot, compensation. Read again without any of it run.
+"""A calibration as a folder: summary, measurements, calibrated robot, compensation. Reading it runs no code.
 
-    calibration.yaml     what was done and found, with units in the names
-    compensation.json    what commands are corrected by
-    measurements.csv     what it was made from
+    calibration.yaml     method and results, with units in the names
+    compensation.json    data for correcting commands
+    measurements.csv     the measurements used
     nominal/             the robot as described: URDF, closures, error parameters
-    calibrated/          the same with the parameters identified, for any other program (methods with "lm")
+    calibrated/          the same with the identified parameters, for other programs (methods with "lm")
     report.html          written by :mod:`pm3dof_pin.figures.calibration_report`
 
 The same measurements, method and seed give the same bytes.
@@ -44,7 +44,7 @@ REPORT = "report.html"
 _ISO_9283 = ("pose", "visits", "accuracy_AP_m", "repeatability_RP_m")
 _GREATEST = 1e12
 _GREATEST_ERROR = 1.0  # of a geometric parameter [m, rad]
-_GREATEST_LENGTH = 1e4  # that weighs a turn [m/rad]
+_GREATEST_LENGTH = 1e4  # that weighs a rotation [m/rad]
 _ROUNDING = 1e-6
 _MOST_DEPTH = 12
 _FORMAT = 1
@@ -62,13 +62,13 @@ def write_calibration(
     judgement: Verdict | None = None,
     errors_file: Path | None = None,
 ) -> Path:
-    """Write a calibration of a robot, by name or path, in place of an older one, whole or not at all.
+    """Write a calibration of a robot, given by name or path, atomically, replacing an older one.
 
-    What speaks for and against it goes with it: errors held out or of other measurements, a report, objections, the
-    verdict; and the file of error parameters that was taken in place of the robot's own. Returns the folder.
+    Held-out errors or those of other measurements, the report, objections and the verdict are written with it, and the
+    error file that was used instead of the robot's own. Returns the folder.
 
     Raises:
-        OutputError: the folder cannot be written, or something that is no calibration is there.
+        OutputError: the folder cannot be written, or it contains something other than a calibration.
         UnknownRobotError: no such robot.
     """
     compensation, files = calibration.compensation, find_robot(robot)
@@ -114,7 +114,7 @@ def read_compensation(directory: Path | str) -> Compensation:
         directory: the folder.
 
     Raises:
-        DescriptionError: it is no calibration, or damaged.
+        DescriptionError: it is not a calibration, or it is damaged.
     """
     path = Path(directory) / _COMPENSATION
     try:
@@ -137,7 +137,7 @@ def summary_of(
     objections: Sequence[str] = (),
     judgement: Verdict | None = None,
 ) -> dict[str, Any]:
-    """Return what was done and found as plain data; keys end in their unit. See :func:`write_calibration`."""
+    """Return method and results as plain data; keys end in their unit. See :func:`write_calibration`."""
     options, found = calibration.options, calibration.identification
     summary: dict[str, Any] = {
         "format": _FORMAT,
@@ -208,7 +208,7 @@ def statistics(values: Array) -> dict[str, float]:
 
 
 def _compensation_as_json(compensation: Compensation, urdf: str) -> str:
-    """Return a compensation as JSON, every digit kept, naming the nominal robot's URDF."""
+    """Return a compensation as JSON at full precision, naming the nominal robot's URDF."""
     # JSON has no infinity
     covariance, learned = compensation.known_covariance, compensation.learned
     scale = None
@@ -248,7 +248,7 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
         worst = int(np.abs(values).argmax())
         expected = f"expected errors of at most {_GREATEST_ERROR:g} m or rad, not {values[worst]:g}"
         raise DescriptionError(path, f"values of {errors.names[worst]}", expected)
-    # with twelve rows more where the measurements define base and tool
+    # with twelve rows more if the measurements define base and tool
     sizes = (len(errors), len(errors) + 12)
     covariance = None if data["covariance"] is None else _semidefinite(path, "covariance", data, sizes)
     if not 0.0 < float(data["eta_m_per_rad"]) <= _GREATEST_LENGTH:
@@ -271,22 +271,22 @@ def _compensation(data: Mapping[str, Any], directory: Path) -> Compensation:
 
 
 def _require_answer(path: Path, learned: LearnedPart, errors: GeometricErrors) -> None:
-    """Ask the learned part once, at home: what is damaged in it shows in its factorisation, or in its answer."""
+    """Evaluate the learned part once, at home: damage shows in its factorisation or in its answer."""
     try:
         home, middle = errors.robot.home.commands[None], learned.inputs.middle()
         answers = np.array([learned.deviations(home, middle), learned.uncertainties(home, middle)])
     except (ArithmeticError, IndexError, TypeError, ValueError, np.linalg.LinAlgError) as error:
         raise DescriptionError(path, "pseudo_error", f"expected a model that can be evaluated ({error})") from error
-    if not np.abs(answers).max(initial=0.0) <= _GREATEST_ERROR:  # so for NaN
+    if not np.abs(answers).max(initial=0.0) <= _GREATEST_ERROR:  # also for NaN
         expected = f"expected corrections of at most {_GREATEST_ERROR:g} m or rad, not {answers.tolist()}"
         raise DescriptionError(path, "pseudo_error", expected)
 
 
 def _require_plausible(path: Path, data: Any, place: str = "") -> None:
-    """Refuse numbers that are none, or beyond what any of them may be, and deep lists."""
+    """Reject missing numbers, numbers beyond any plausible value, and deeply nested lists."""
     if isinstance(data, (dict, list)):
         if place.count(".") > _MOST_DEPTH:
-            raise DescriptionError(path, place, "expected fewer lists within each other")
+            raise DescriptionError(path, place, "expected fewer nested lists")
         if isinstance(data, list) and None in data:
             raise DescriptionError(path, f"{place}.{data.index(None)}", "expected a number, not null")
         for key, entry in data.items() if isinstance(data, dict) else enumerate(data):
@@ -308,12 +308,12 @@ def _semidefinite(path: Path, key: str, data: Mapping[str, Any], sizes: Sequence
 
 
 def _scatter(path: Path, data: Mapping[str, Any], drives: int) -> Scatter:
-    """Return the scatter; of older files, which tell less, as one of all directions."""
+    """Return the scatter; for older files, which contain less, the same in all directions."""
     size = float(data["unexplained_m"])
     everywhere = np.broadcast_to(np.array(data.get("scatter_everywhere_m2", size**2 / 6.0), dtype=float), 2)
     found = Scatter(everywhere, np.array(data.get("scatter_of_drives", []), dtype=float), size)
     if len(found.drives) not in (0, drives) or min(*everywhere, *found.drives) < 0.0:
-        raise DescriptionError(path, "scatter_of_drives", f"expected {drives} variances, none of them negative")
+        raise DescriptionError(path, "scatter_of_drives", f"expected {drives} non-negative variances")
     return found
 
 

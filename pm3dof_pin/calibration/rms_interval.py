@@ -1,12 +1,12 @@
-"""Between which the root mean square of one machine's errors over many poses is.
+"""Confidence interval of the root mean square of one machine's errors over many poses.
 
-At pose i the error is m_i + E_i x + G_i s_i: m known; x, independent standard normal, the errors of the parameters,
-which are the same at all poses; s the scatter, of covariance V (:mod:`pm3dof_pin.calibration.scatter`). Over n poses,
-with A = sum E^T E / n and v = sum E^T m / n, the mean square has
+At pose i the error is m_i + E_i x + G_i s_i. m is known; x, independent standard normal, are the errors of the
+parameters, the same at all poses; s is the scatter, of covariance V (:mod:`pm3dof_pin.calibration.scatter`). Over n
+poses, with A = sum E^T E / n and v = sum E^T m / n, the mean square has
 
     mean = sum |m|^2 / n + tr A + sum tr G V G^T / n,   variance = 2 tr A^2 + 4 |v|^2 + that of the estimate of V,
 
-and is taken for a scaled chi square of the same two (F. Satterthwaite, Biometrics Bulletin 2, 1946).
+and is approximated by a scaled chi square with the same two moments (F. Satterthwaite, Biometrics Bulletin 2, 1946).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pm3dof_pin.calibration.scatter import Scatter
 from pm3dof_pin.typing import Array
 
 COVERAGE = 0.95
-"""Probability of intervals, and of the bounds of errors."""
+"""Probability of intervals and of error bounds."""
 
 _PROBABILITIES = np.array([0.5 - 0.5 * COVERAGE, 0.5 + 0.5 * COVERAGE])
 
@@ -31,7 +31,7 @@ def rms_interval(
 
     Args:
         fixed: m, shape=(n, k).
-        effects: E, of parameters a standard deviation off in each independent direction, shape=(n, k, directions).
+        effects: E, effects of one standard deviation in each direction of the parameters, shape=(n, k, directions).
         scatter: V.
         control: tip-weighted motion of the tool by the drives' joints, which the scatter depends on, shape=(n, 6,
             drives).
@@ -50,13 +50,13 @@ def rms_interval(
 
 
 def excess_interval(effects: Array, scatter: Scatter, control: Array) -> tuple[float, float] | None:
-    """Return that of by how much commands miss the best ones, over poses and drives' joints [m, rad].
+    """Return the interval of the commands' difference from the best ones, over poses and drives' joints [m, rad].
 
-    None without any directions, or near a singular pose: there commands that hardly move the tool can be far off.
+    None without directions, or near a singular pose, where commands can be far off and hardly move the tool.
 
     Args:
-        effects: on the tip-weighted error, shape=(n, 6, directions) [m].
-        scatter: beside that.
+        effects: effects on the tip-weighted error, shape=(n, 6, directions) [m].
+        scatter: further scatter.
         control: tip-weighted motion by the drives' joints, shape=(n, 6, drives).
     """
     gains = control_inverse(control) / np.sqrt(control.shape[2])

@@ -1,17 +1,17 @@
-"""What a corrected machine misses beyond all that is known to be uncertain: by its drives, and in all directions.
+"""Errors of a corrected machine beyond all known uncertainty: those of its drives, and those in all directions.
 
-What parameters do not describe comes from the drives (leads, waves, backlash), which miss their commands, and from all
-else (guides, sag, warmth), of which no direction is preferred: the tip-weighted error e at a pose has the covariance
+What parameters do not describe comes from the drives (leads, waves, backlash), which deviate from their commands, and
+from everything else (guides, sag, heat), which has no preferred direction: the tip-weighted error e at a pose has the
+covariance
 
     V = K + a P + b (1 - P) + C diag(d) C^T,
 
-K known, from noise and parameters, P the projection on positions, C the motion of the tool by the drives' joints. a, b
-and d are fitted to errors of poses that were hidden, by Fisher's scoring (minimum-variance quadratic estimates: C. R.
-Rao, J. Multivariate Analysis 1, 1971), as far as each pose shows them; a = b where not all of poses is shown. Drives of
-one kind, that travel or that turn, are taken to be alike, and both kinds to be alike in what they do to the tool.
-Variances are not negative: where there is no scatter at all they are too large by 0.4 of their standard error, on
-average. That is on the safe side of a bound; for what is expected a part that is less than its standard error may be
-left out.
+with K known, from noise and parameters, P the projection on positions, and C the motion of the tool by the drives'
+joints. a, b and d are fitted to errors of held-out poses by Fisher's scoring (minimum-variance quadratic estimates:
+C. R. Rao, J. Multivariate Analysis 1, 1971), as far as each pose shows them; a = b if poses are not shown completely.
+Drives of one kind, translating or rotating, are taken to be alike, and both kinds to have the same effect on the tool.
+Variances are not negative: if there is no scatter at all, they are too large by 0.4 of their standard error, on
+average. That is on the safe side for a bound; for an expected value, a part below its standard error may be left out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pm3dof_pin.typing import Array
 _ROUNDS = 20
 _SETTLED = 1e-3
 _RIDGE = 1e-9
-_WHOLE = 5.5  # directions of a pose that are shown, on average, for positions and orientations to be told apart
+_WHOLE = 5.5  # average number of shown directions per pose needed to separate positions from orientations
 _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])])
 
 
@@ -35,12 +35,12 @@ _DIRECTIONS = np.stack([np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.diag([0.0, 0
 class Scatter:
     """Variances of tip errors that nothing known explains."""
 
-    #: a and b, of each direction of the tip-weighted error: of positions and of orientations, shape=(2,) [m^2]
+    #: a and b, variance of each direction of the tip-weighted error: positions and orientations, shape=(2,) [m^2]
     everywhere: Array = field(default_factory=lambda: np.zeros(2))
-    #: d, of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none
+    #: d, variance of each drive's joint, shape=(drives,) [m^2, rad^2]; empty for none
     drives: Array = field(default_factory=lambda: np.zeros(0))
-    tip_error: float = 0.0  #: what both amount to, root mean square over the poses that they were found at [m]
-    #: d in proportion to the square of these, shape=(drives,), and the covariance of a, b and that proportion
+    tip_error: float = 0.0  #: size of both, root mean square over the poses used to estimate them [m]
+    #: d is proportional to the square of these, shape=(drives,); and the covariance of a, b and that factor
     alike: Array = field(default_factory=lambda: np.zeros(0))
     uncertainty: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
@@ -55,21 +55,21 @@ class Scatter:
         *,
         least: float = 0.0,
     ) -> Scatter:
-        """Estimate the scatter in errors of which a part is known.
+        """Estimate the scatter in errors whose covariance is partly known.
 
         Args:
             errors: tip-weighted, shape=(n, 6) [m].
-            covariances: what is known of them, K, shape=(n, 6, 6) [m^2].
+            covariances: their known part, K, shape=(n, 6, 6) [m^2].
             shown: projections on the directions they were seen in, shape=(n, 6, 6).
             control: tip-weighted motion of the tool by the drives' joints, shape=(n, 6, drives).
             units: of the drives' joints, "m" or "rad".
-            least: standard errors, as the estimate has them, below which a part counts as none.
+            least: number of estimated standard errors below which a part is set to zero.
         """
         unit = float(np.einsum("nii->", covariances)) / max(1.0, float(np.einsum("nii->", shown)))
         if not shown.any():
             return cls()
         squares, same = np.mean(np.sum(control**2, axis=1), axis=0), np.equal.outer(units, units)
-        effects = np.sqrt((same @ squares) / same.sum(axis=1))  # of each kind of drive, rms
+        effects = np.sqrt((same @ squares) / same.sum(axis=1))  # by kind of drive, rms
         alike = np.where(effects > 0.0, 1.0 / np.maximum(effects, np.finfo(float).tiny), 0.0)
         by_drives = shown @ (control * alike)
         whole = np.mean(np.einsum("nii->n", shown)) > _WHOLE
@@ -101,7 +101,7 @@ class Scatter:
         return np.asarray(np.tensordot(self.everywhere, _DIRECTIONS, 1) + by_drives + np.zeros((len(control), 6, 6)))
 
     def mean_square_variance(self, gains: Array, control: Array) -> float:
-        """Return the variance, by the scatter's own uncertainty, of the mean square of what gains make of the errors.
+        """Return the variance of the mean square of `gains` times the errors, due to the scatter's own uncertainty.
 
         Args:
             gains: shape=(n, k, 6).
@@ -113,7 +113,7 @@ class Scatter:
 
 
 def _variances(products: Array, known: Array, shown: Array, parts: Array) -> tuple[Array, Array]:
-    """Return by how much each part is in the products of errors beside what is known, and the covariance of that."""
+    """Return the amount of each part in the products of errors beyond the known part, and its covariance."""
     hidden, variances = np.eye(6) - shown, np.zeros(len(parts))
     for _ in range(_ROUNDS):
         weights = shown @ np.linalg.inv(known + np.tensordot(variances, parts, 1) + hidden) @ shown

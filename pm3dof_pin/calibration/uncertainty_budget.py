@@ -1,8 +1,8 @@
-"""Where the uncertainty of a calibrated machine comes from: what each source adds to the variance of the tip.
+"""Uncertainty budget of a calibrated machine: the contribution of each source to the variance of the tip.
 
-With the information I on all parameters, the knowledge L beforehand and C = (I + L)^-1, the covariance is C I C, what
-the noise of the instrument makes of it, and C L C, what nobody has measured. What an unknown frame and unknown targets
-add is the difference to a fit that knows them.
+With the information I on all parameters, the prior information L and C = (I + L)^-1, the covariance is C I C, due to
+the instrument's noise, plus C L C, due to what was not measured. The contribution of an unknown frame and of unknown
+targets is the difference to a fit in which they are known.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pm3dof_pin.typing import Array, Mask
 
 
 def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, float]:
-    """Return what each source adds to the tip error of the corrected machine, root mean square over wanted poses [m].
+    """Return each source's contribution to the corrected machine's tip error, root mean square over wanted poses [m].
 
-    "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": where they sit, with
-    drift and hysteresis; "parameters": those that were not seen; "learned"; "unmodelled"; "repeatability". Squares add
-    up to the square of the tip error to be expected.
+    "floor": what no command corrects, as far as it is known; "instrument"; "frame"; "targets": their positions, with
+    drift and hysteresis; "parameters": unobserved ones; "learned"; "unmodelled"; "repeatability". The squares sum up to
+    the square of the expected tip error.
     """
     compensation, found = calibration.compensation, calibration.identification
     weights = tip_weights(compensation.eta)
@@ -66,7 +66,7 @@ def _of_parameters(calibration: Calibration, square: Array) -> dict[str, float]:
     datum = found.seen_map
 
     def variances(known: Mask) -> tuple[float, float]:
-        """Return what noise and ignorance make of the tip where some parameters are known."""
+        """Return the tip variances due to noise and to missing information, given that some parameters are known."""
         free = np.flatnonzero(~known)
         information, knowledge = matrix[:, free].T @ matrix[:, free], np.diag(before[free] ** -2.0)
         covariance = np.linalg.pinv(information + knowledge)

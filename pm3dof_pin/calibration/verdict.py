@@ -1,4 +1,4 @@
-"""A calibration in three lines: what to expect of the machine, what was not seen, and what to do next."""
+"""Verdict on a calibration: what to expect of the machine, what was not seen, and what to do next."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pm3dof_pin.calibration.uncertainty_budget import uncertainty_budget
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.typing import Array
 
-_POSES = 60  # of the workspace
-_WHOLE = 0.995  # of a correction
-_RICH = 2.0  # noise factor from which the machine is richer than its parameters
+_POSES = 60  # number of poses of the workspace
+_WHOLE = 0.995  # fraction of a correction that counts as all
+_RICH = 2.0  # noise factor from which the parameters do not describe the machine
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +28,19 @@ class Verdict:
     expect: str  #: what to expect of the machine
     unseen: str  #: what was not seen
     next: str  #: what to do next
-    #: tip error of the corrected machine below which, with a probability of 95 % each, 95 % of the poses of the
-    #: workspace are [m]
+    #: with a probability of 95 %, 95 % of the poses of the workspace have a tip error of the corrected machine below
+    #: this [m]
     bound: float
-    #: between which, with the same probability, the root mean square of this machine's tip error over the workspace is
-    #: [m]; None for a method that learns, and of a machine that is richer than its parameters
+    #: interval of this machine's tip error, root mean square over the workspace, with the same probability [m]; None
+    #: for a learning method, and for a machine that its parameters do not describe
     interval: tuple[float, float] | None
-    budget: Mapping[str, float]  #: what each source adds to that error, root mean square over the workspace [m]
+    budget: Mapping[str, float]  #: contribution of each source to that error, root mean square over the workspace [m]
     systematic: Sequence[Systematic]  #: drift and hysteresis, where rows have times or directions
-    repeated: Repeatability | None  #: what poses that were visited several times tell; None if there are none
+    repeated: Repeatability | None  #: from poses visited several times; None if there are none
 
 
 def verdict(calibration: Calibration, held_out: HeldOut | None = None, validation: HeldOut | None = None) -> Verdict:
-    """Judge a calibration in words, by its cross-validation and other measurements, if there are such."""
+    """Judge a calibration in words, using its cross-validation and other measurements if available."""
     compensation = calibration.compensation
     poses = reachable_poses(compensation.errors.robot, _POSES, np.random.default_rng(0))
     conditions = {} if compensation.learned is None else compensation.learned.inputs.middle()
@@ -48,21 +48,21 @@ def verdict(calibration: Calibration, held_out: HeldOut | None = None, validatio
     reached = np.isfinite(answer.error_bound)
     bound = float(np.quantile(answer.error_bound[reached], COVERAGE))
     scope, total = "rms over the workspace", _rms(answer.predicted_error[reached])
-    if total > bound:  # a few poses, as next to singular ones of an arm, would be all that is told
+    if total > bound:  # a few poses, such as those near singularities of an arm, would dominate
         scope = (
-            f"rms over the workspace but for the worst poses, up to {1e6 * np.nanmax(answer.predicted_error):.0f} µm"
+            f"rms over the workspace except for the worst poses, up to {1e6 * np.nanmax(answer.predicted_error):.0f} µm"
         )
         reached &= answer.error_bound <= bound
         total = _rms(answer.predicted_error[reached])
     budget = uncertainty_budget(calibration, poses[reached])
     interval = calibration.tip_interval(poses[reached])
     if interval is not None:
-        scope += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with a probability of 95 %"
+        scope += f", {1e6 * interval[0]:.0f} to {1e6 * interval[1]:.0f} with 95 % probability"
     expect = f"a tip error of {1e6 * total:.0f} µm ({scope}), below {1e6 * bound:.0f} µm at 95 % of the poses"
     if 2.0 * budget["parameters"] ** 2 > total**2 - budget["floor"] ** 2:
         expect += (
-            "; as most of what is uncertain was not measured and the same at all poses, such bounds hold for 95 % of "
-            "machines, of one nearly everywhere or hardly anywhere"
+            "; most of the uncertainty was not measured and is the same at all poses, so for 95 % of machines such "
+            "bounds hold nearly everywhere, and for the others hardly anywhere"
         )
     errors, source = (held_out, "held-out poses") if validation is None else (validation, "the validation file")
     if errors is not None:
@@ -94,16 +94,16 @@ def _unseen(calibration: Calibration) -> list[str]:
     seen = int(np.linalg.matrix_rank(control_inverse(pseudo_errors(found.settled, nominal).control)).max())
     drives, hidden = nominal.commands.shape[1], []
     if seen < drives:
-        hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose: of them only the model speaks")
+        hidden.append(f"{drives - seen} of the {drives} motions of the drives at a pose, known only from the model")
     missing = len(found.identifiability.names) - found.identifiability.rank
     if missing:
-        hidden.append(f"{missing} combinations of parameters, which the report lists")
+        hidden.append(f"{missing} combinations of parameters, listed in the report")
     if (part := calibration.part_corrected) < _WHOLE:
-        hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could do harm as well")
+        hidden.append(f"{100.0 * (1.0 - part):.0f} % of the correction, left out because it could also do harm")
     if found.nuisances.columns("frame").size:
-        hidden.append("where the base stands, other than by the machine's own motion")
+        hidden.append("the location of the base, except through the machine's own motion")
     if found.nuisances.columns("targets").size:
-        hidden.append("a shift or turn common to all targets, which is one of the tool")
+        hidden.append("a shift or rotation common to all targets, equivalent to one of the tool")
     counts = np.bincount(found.measurements.visits.pose_numbers)
     if counts.max() < 2:
         hidden.append("repeatability (no pose was measured twice)")
@@ -125,16 +125,16 @@ def _advice(calibration: Calibration, validation: HeldOut | None, budget: Mappin
     largest = max(budget, key=lambda name: budget[name])
     more = "a learned part (method lm+gp), or " if calibration.compensation.learned is None else ""
     if calibration.compensation.values is None:
-        more = "parameters (method lm+gp), which tell what no command corrects, or "
+        more = "parameters (method lm+gp), which show what no command corrects, or "
     advice = {
-        "floor": "no command corrects: better parts, which error-map names",
-        "instrument": "is noise of the measurements: more poses, or a better instrument",
-        "frame": "is the instrument's frame: poses all over the workspace, or a base measured by itself",
-        "targets": "is where targets sit, drift or hysteresis: targets measured by themselves, or more rows",
-        "parameters": "is parameters that were not seen: whole poses, or targets off the tool point",
-        "learned": "is what had to be learned: more poses",
-        "unmodelled": f"nothing describes: {more}known temperatures and loads",
+        "floor": "cannot be corrected by commands: use better parts (error-map names them)",
+        "instrument": "is measurement noise: measure more poses, or use a better instrument",
+        "frame": "is due to the instrument's frame: measure poses all over the workspace, or the base itself",
+        "targets": "is due to target positions, drift or hysteresis: measure the targets themselves, or more rows",
+        "parameters": "is due to unobserved parameters: measure full poses, or targets away from the tool point",
+        "learned": "is due to the learned part: measure more poses",
+        "unmodelled": f"is unmodelled: use {more}known temperatures and loads",
         "repeatability": "is repeatability, which no calibration improves",
     }[largest]
     text = f"the largest part, {1e6 * budget[largest]:.0f} µm, {advice}"
-    return text if validation is not None else f"{text}; and a second file of measurements, to judge by (--validation)"
+    return text if validation is not None else f"{text}; and validate with a second file of measurements (--validation)"

@@ -1,4 +1,4 @@
-"""How good a calibration is over the workspace, as far as it knows itself."""
+"""Estimated accuracy of a calibration over the workspace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pm3dof_pin.typing import Array, Mask
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceErrors:
-    """Tip errors over two coordinates, the others in the middle of their ranges; NaN beyond the limits.
+    """Tip errors over two coordinates, with the others in the middle of their ranges; NaN beyond the limits.
 
     Attributes:
         names: the two coordinates.
@@ -26,9 +26,9 @@ class WorkspaceErrors:
         coordinates: their values, shape=(points,) each [m, rad].
         before: tip error with the commands of the description, shape=(points, points) [m].
         after: tip error expected with corrected commands [m].
-        floor: part of `before` that no command corrects, as the calibrated model has it [m]; None without parameters,
-            which alone tell it.
-        within: from points of the section, shape=(n, 2), to whether they are within the limits; its exact edge.
+        floor: part of `before` that no command corrects, according to the calibrated model [m]; None for a method
+            without parameters.
+        within: function of points of the section, shape=(n, 2): whether they are within the limits.
     """
 
     names: tuple[str, str]
@@ -41,7 +41,7 @@ class WorkspaceErrors:
 
 
 def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErrors | None:
-    """Compute errors over the first two coordinates with ranges, or None, under the mean measured conditions."""
+    """Compute errors over the first two coordinates with ranges, at mean measured conditions; None without two."""
     compensation = calibration.compensation
     robot = compensation.errors.robot
     grid = section_grid(robot, points=points)
@@ -53,7 +53,7 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
     used = () if compensation.learned is None else compensation.learned.inputs.conditions
     known = {name: conditions[name] for name in used}
     expected = compensation.compensate(poses[within], known, on_failure="nan").predicted_error
-    # next to singular poses the machine may not get as far as its description
+    # near singular poses the machine may not reach as far as its description
     taken = np.isfinite(expected) & compensation.model_poses(poses[within], "nan").solved
     inside = tuple(indices[taken] for indices in np.nonzero(within))
     nominal, expected = poses[inside], expected[taken]
@@ -81,7 +81,7 @@ def workspace_errors(calibration: Calibration, points: int = 41) -> WorkspaceErr
 
 
 def _within(robot: Robot, grid: Grid) -> Callable[[Array], Mask]:
-    """Return the limits over the coordinates of a grid, the others as they stand in it."""
+    """Return the limits as a function of the grid's coordinates, with the others as fixed in it."""
     fixed = np.array([grid.fixed.get(coordinate.name, 0.0) for coordinate in robot.coordinates])
     columns = [[coordinate.name for coordinate in robot.coordinates].index(name) for name in grid.dims]
 

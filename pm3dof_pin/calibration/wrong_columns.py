@@ -1,4 +1,4 @@
-"""Columns of measurements that do not fit where all others do: what they should be, and how they differ from it."""
+"""Columns of measurements that do not fit when all others do: what they should be, and how they differ."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
-_LIKE = 0.1  # of the differences is left where a simpler form describes them
+_LIKE = 0.1  # greatest remaining fraction of the differences if a simpler form describes them
 _SAME = 1e-9
-_STEPS = 3  # times those of one descent
+_STEPS = 3  # times the steps of one descent
 _ELSE = ", and all else fits"
 
 
 def wrong_columns(measurements: Measurements, nominal: Poses, eta: float) -> Iterator[Iterable[Mistake]]:
-    """Give columns that do not fit where all others do: what is left without them explains itself too easily."""
+    """Yield columns that do not fit when all others do; without them, the rest explains itself too easily."""
     yield _of_one_column(measurements, nominal, eta)
     if measurements.rotations is not None and measurements.seen.all():
         for columns, wrong, right in (
@@ -49,9 +49,9 @@ def _of_one_column(measurements: Measurements, nominal: Poses, eta: float) -> It
 
 
 def _explaining_commands(measurements: Measurements, nominal: Poses, drives: list[int], eta: float) -> Array | None:
-    """Return commands with which some drives explain what was seen best, shape=(n, number of commands).
+    """Return the commands of some drives that best explain the measurements, shape=(n, number of commands).
 
-    None where the rows of a pose show too little to tell: for some drives each needs two equations more than unknowns.
+    None if the rows of a pose show too little: each pose needs two more equations than unknown drives.
     """
     numbers, first = measurements.visit_numbers, measurements.first_rows
     spare = 0 if len(drives) == len(nominal.robot.commands) else 2
@@ -80,25 +80,25 @@ def _explaining_commands(measurements: Measurements, nominal: Poses, drives: lis
 
 
 def _difference(name: str, table: dict[str, Array], right: Array) -> str:
-    """Say in words how one column of some differs from what it should be."""
+    """Describe how a column differs from what it should be."""
     column, others = table[name], {other: values for other, values in table.items() if other != name}
     if np.ptp(column) < _SAME:
         return f"{name} is constant"
     if same := next((other for other, values in others.items() if np.abs(column - values).max() < _SAME), None):
         return f"{name} repeats {same}"
     if not np.isfinite(right).all() or np.ptp(right) < _SAME:
-        return f"{name} is not that of these rows"
+        return f"{name} does not belong to these rows"
     off = column - right
     zero = np.median(off)
     if np.median(np.abs(off - zero)) < _LIKE * abs(zero):
-        return f"{name} has another zero: it is {1e3 * zero:.4g} mm or mrad off"
+        return f"{name} has a shifted zero: it is {1e3 * zero:.4g} mm or mrad off"
     for shift in sorted(range(-SHIFTS, SHIFTS + 1), key=abs):
         if shift and np.median(np.abs(column - np.roll(right, shift))) < _LIKE * np.median(np.abs(off)):
-            return f"{name} stands {rows_apart(shift)} the rows it belongs to"
+            return f"{name} is {rows_apart(shift)} the rows it belongs to"
     slope, start = np.polyfit(right, column, 1)
     if np.median(np.abs(column - slope * right - start)) < _LIKE * np.median(np.abs(off)):
         return f"{name} is {slope:.5g} times what it should be: another unit, lead or sign"
-    return f"{name} is not that of these rows"
+    return f"{name} does not belong to these rows"
 
 
 def _unseen(measurements: Measurements, columns: list[int]) -> Measurements:

@@ -191,5 +191,5 @@ def _lines(summary: dict[str, Any], calibration: Calibration) -> list[str]:
             for key, text in names.items():
                 if (between := summary[kind].get(key, {}).get("rms_95_percent_interval")) is not None:
                     low, high = (1e6 * value for value in between)
-                    lines.append(f"{text}, rms of this machine: {low:.1f} to {high:.1f} with a probability of 95 %")
+                    lines.append(f"{text}, rms of this machine: {low:.1f} to {high:.1f} with 95 % probability")
     return lines

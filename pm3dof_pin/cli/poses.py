@@ -125,7 +125,7 @@ def write_batch(poses: Poses, columns: Mapping[str, ArrayLike], out: Path | None
     elif not as_json:
         typer.echo(columns_text(table), nl=False)
     if inside < len(poses):
-        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see column {BROKEN_LIMITS}")
+        message(f"pm3dof: {len(poses) - inside} of {len(poses)} poses break a limit: see {BROKEN_LIMITS}")
         raise typer.Exit(LIMIT_BROKEN)
 
 

@@ -1,7 +1,7 @@
-"""Commands that bring a robot nearest to where it is wanted, in the tip-weighted sense.
+"""Commands that bring a robot nearest to a wanted pose, in the tip-weighted sense.
 
-With fewer drives than a pose has degrees of freedom no commands give the whole pose: the ones taken make
-|translation|^2 + eta^2 |rotation|^2 least. What is left is what no command corrects.
+With fewer drives than the pose has degrees of freedom, no commands reach the full pose; those that minimise
+|translation|^2 + eta^2 |rotation|^2 are taken. The remainder cannot be corrected by commands.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask, OnFailure
 
 CONTROL_TOLERANCE = 1e-9
-"""Singular value of the tool's motions by the commands, beside the greatest, below which they move it no further."""
+"""Singular values of the tool's motions by the commands, relative to the greatest, below this are treated as zero."""
 
-_SOUND = 1e6  # condition of normal equations, the square of that of a control matrix
-_STEPS = 3  # each leaves about a thousandth of the error
-_SHORTER = (0.25, 0.25, 0.25, 0.0)  # what a step that leads away is multiplied by, one trial after the other
+_SOUND = 1e6  # greatest condition number of the normal equations, the square of the control matrix's
+_STEPS = 3  # each reduces the error about a thousandfold
+_SHORTER = (0.25, 0.25, 0.25, 0.0)  # factors tried in turn on a step that increases the error
 _ROUNDING = 1e-12  # [m]
-_FARTHEST_TURN = np.pi  # of a drive in one step [rad]: beyond half a turn it comes back, and no derivative tells where
+_FARTHEST_TURN = np.pi  # of a drive in one step [rad]: derivatives are meaningless beyond half a turn
 
 
 def command_jacobians(poses: Poses) -> Array:
-    """Return how commands move the tool, shape=(n, 6, number of commands)."""
+    """Return the tool's motion by the commands, shape=(n, 6, number of commands)."""
     return sensitivities(GeometricErrors(poses.robot, ()), poses).commands
 
 
 def command_scales(poses: Poses) -> Array:
     """Return counter units per unit of each drive's joint, shape=(number of commands,).
 
-    What is judged by size, as which directions are seen, is judged in the joints' units: a counter may have any.
+    Sizes, as for which directions are seen, are compared in joint units, because counters may have any unit.
     """
     return np.array([command.scale for command in poses.robot.commands])
 
@@ -48,7 +48,7 @@ def weighted_control(poses: Poses, eta: float = TIP_LENGTH) -> Array:
 def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     """Return the change of commands that undoes most of small pose errors, shape=(n, 6) [m, rad].
 
-    The commands move the tool by shape=(n, 6, number of commands); eta weighs the orientation [m/rad].
+    `commands` are the tool's motions, shape=(n, 6, number of commands); eta weighs the orientation [m/rad].
     """
     weights = tip_weights(eta)
     control = np.asarray(commands, dtype=float) * weights[:, None]
@@ -61,7 +61,7 @@ def best_commands(commands: ArrayLike, differences: ArrayLike, eta: float = TIP_
 
 
 def _normal_solution(control: Array, targets: Array) -> tuple[Array, Mask]:
-    """Solve least squares by the normal equations, quicker than by a pseudo-inverse, and say where that is sound."""
+    """Solve least squares by the normal equations, faster than by a pseudo-inverse, and flag where that is accurate."""
     transposed = np.swapaxes(control, 1, 2)
     normal = transposed @ control
     try:
@@ -74,7 +74,7 @@ def _normal_solution(control: Array, targets: Array) -> tuple[Array, Mask]:
 
 
 def nearest_poses(poses: Poses, targets: Array, eta: float = TIP_LENGTH, *, on_failure: OnFailure = "raise") -> Poses:
-    """Return the poses of a robot that come nearest to target transforms, tip-weighted, from poses near to them.
+    """Return the poses of a robot nearest to target transforms, tip-weighted, starting from nearby poses.
 
     Raises:
         UnreachablePoseError: see :func:`descend`.
@@ -100,11 +100,11 @@ def descend(
     *,
     on_failure: OnFailure = "raise",
 ) -> tuple[Array, Poses]:
-    """Take Gauss-Newton steps in the commands; where one leads away, as near a singularity, a shorter one or none.
+    """Take Gauss-Newton steps in the commands; shorten or skip a step that increases the error, as near singularities.
 
-    `step` is the first change of the commands of `poses`, `residuals` what is to become small, shape=(n, anything). A
-    step after which the loops do not close is an error, or ("nan") one that leads away. Returns the change of the
-    commands, and the poses there.
+    `step` is the first change of the commands of `poses`, `residuals` the function to be minimised, shape=(n,
+    anything). A step after which the loops do not close is an error, or for "nan" one that increases the error. Returns
+    the change of the commands, and the poses there.
 
     Raises:
         UnreachablePoseError: the loops do not close after a step, and `on_failure` is "raise".

@@ -17,23 +17,23 @@ from pm3dof_pin.typing import Array, Matrix
 
 @dataclass(frozen=True, eq=False)
 class ElasticDeflection:
-    """What the springs of the description give under, commands held."""
+    """Deflection of the description's springs, with commands held."""
 
-    own_weight: bool = True  #: whether the bodies have their weight. The deflection counts from the weightless machine
+    own_weight: bool = True  #: whether bodies have weight; deflection is relative to the weightless machine
     payload: float = 0.0  #: mass at the tool point [kg]
-    #: whether the machine is brought to its equilibrium under the loads, pose by pose
-    #: (:mod:`pm3dof_pin.elastic.loaded`); else the deflection is linear in them
+    #: whether to solve for the equilibrium under the loads at each pose
+    #: (:mod:`pm3dof_pin.elastic.loaded`); otherwise linear
     large: bool = False
 
     def displacements(self, poses: Poses, wrenches: Array | None = None) -> Matrix:
-        """Return how far the tool gives at n poses under dead wrenches [f; m], world axes, shape=(n, 6) [N, N m].
+        """Return the tool's deflection at n poses under dead wrenches [f; m], world axes, shape=(n, 6) [N, N m].
 
         Displacements are [translation; rotation vector], world axes, shape=(n, 6) [m, rad].
 
         Raises:
             DescriptionError: the robot has no springs, or no tool frame.
             FreeDirectionError: the tool can move with all springs at rest.
-            ConvergenceError: no equilibrium was found, where deflections are large.
+            ConvergenceError: no equilibrium was found, for large deflections.
             InvalidValueError: wrenches of another shape or not finite.
         """
         loads = np.zeros((len(poses), 6)) if wrenches is None else finite_array("wrenches", wrenches, (len(poses), 6))

@@ -1,7 +1,7 @@
-"""All sources of error apart and together over poses of any robot: the error map of section 8.3, and its least region.
+"""Error budget of section 8.3: all sources of error, separate and combined, and the least sensitive region.
 
-Errors are those of :class:`~pm3dof_pin.errors.tool_errors.ToolErrors`. What repeats is left without the part that
-corrected commands undo; what does not, such as vibration, is left as it is.
+Errors are those of :class:`~pm3dof_pin.errors.tool_errors.ToolErrors`. Repeatable errors are reduced by the part that
+corrected commands undo; others, such as vibration, remain as they are.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ class _BudgetLine:
 
     name: str  #: the source, or :data:`TOGETHER`
     error_class: str  #: its class of Table 8.4
-    long_name: str  #: what it is
+    long_name: str  #: its description
     tip_rms: float  #: tip error, root mean square over machines and poses [m]
-    greatest_tip_rms: float  #: that of the worst pose [m]
+    greatest_tip_rms: float  #: that at the worst pose [m]
     worst_tip: float  #: bound of the tip error at the worst pose [m]
-    left: float  #: tip error that is left with the best commands, root mean square over machines and poses [m]
+    left: float  #: remaining tip error with the best commands, root mean square over machines and poses [m]
     energy: float  #: E of (8.15), mean over machines and poses [m]
-    share: float  #: of the squares of all sources
+    share: float  #: share of the sum of squares of all sources
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBudget(ToolErrors):
-    """What all sources of error do to the tool at n poses."""
+    """Effect of all sources of error on the tool at n poses."""
 
     poses: Poses  #: the poses, of the robot as described
     sources: tuple[SourceErrors, ...]  #: the sources there
@@ -67,12 +67,12 @@ class ErrorBudget(ToolErrors):
 
     @cached_property
     def shift(self) -> Array:
-        """What all sources together do for certain, shape=(n, 6) [m, rad]."""
+        """Known effect of all sources combined, shape=(n, 6) [m, rad]."""
         return frozen(np.sum([source.shift for source in self.sources], axis=0) + np.zeros((len(self.poses), 6)))
 
     @cached_property
     def effects(self) -> Array:
-        """What each independent number of all sources does at one standard deviation, shape=(n, 6, k) [m, rad]."""
+        """Effect of each independent number of all sources at one standard deviation, shape=(n, 6, k) [m, rad]."""
         return frozen(np.concatenate([np.zeros((len(self.poses), 6, 0)), *(s.effects for s in self.sources)], axis=2))
 
     @cached_property
@@ -82,7 +82,7 @@ class ErrorBudget(ToolErrors):
 
     @property
     def left_rms(self) -> Array:
-        """Tip error that is left with the best commands, root mean square over machines, shape=(n,) [m]."""
+        """Remaining tip error with the best commands, root mean square over machines, shape=(n,) [m]."""
         weights = tip_weights(self.eta)
         shift, squares = np.zeros((len(self.poses), 6)), np.zeros(len(self.poses))
         for source in self.sources:
@@ -94,7 +94,7 @@ class ErrorBudget(ToolErrors):
         return np.asarray(np.sqrt(squares + np.sum(self._left(shift[:, :, None]) ** 2, axis=(1, 2))))
 
     def lines(self) -> list[_BudgetLine]:
-        """Return the budget, source by source, and last of all of them together."""
+        """Return the budget source by source, and finally for all combined."""
         apart = {source.name: self.select([source.name]) for source in self.sources}
         squares = {name: float(np.mean(alone.tip_rms**2)) for name, alone in apart.items()}
         whole = sum(squares.values()) or 1.0
@@ -126,7 +126,7 @@ class ErrorBudget(ToolErrors):
 def error_budget(
     sources: ErrorSources, poses: Poses, *, eta: float = TIP_LENGTH, names: Sequence[str] = ()
 ) -> ErrorBudget:
-    """Compute what every source of error does to the tool at some poses.
+    """Compute the effect of every source of error on the tool at given poses.
 
     Example:
         >>> import numpy as np
@@ -140,16 +140,16 @@ def error_budget(
         ['... µm by wrench', '... µm by thermal']
 
     Args:
-        sources: the sources with their numbers.
+        sources: the sources with their magnitudes.
         poses: poses of the robot as described, of shape (n,).
         eta: weight of the orientation in the tip error [m/rad].
-        names: sources or their classes that are left in; all of them if empty.
+        names: sources or classes to include; all if empty.
 
     Raises:
         InvalidValueError: there are no poses, no such source, or the loops cannot close with a geometric error.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still, or with all springs at
+        SingularConfigurationError: at some pose the tool can move with all drives locked, or with all springs at
             rest.
-        ConvergenceError: no equilibrium was found where deflections are large.
+        ConvergenceError: no equilibrium was found, for large deflections.
     """
     if not len(poses):
         raise InvalidValueError("error budget", "no poses", "at least one")

@@ -1,8 +1,8 @@
-"""Error maps: how errors of parts become errors of the tool, pose by pose, and what of them commands can undo.
+"""Error maps: tool errors caused by errors of parts at each pose, and the part that commands can undo.
 
-To first order dx = S p, with S the sensitivities and p the errors of the parts. A corrected command moves the tool by
-C du. In the tip-weighted metric, W = diag(1, 1, 1, eta, eta, eta), the best du leaves (1 - W C (W C)^+) W S p: what no
-command can remove. With fewer than six drives that is a good part.
+To first order dx = S p, with sensitivities S and errors p of the parts. A command correction moves the tool by C du.
+In the tip-weighted metric, W = diag(1, 1, 1, eta, eta, eta), the best du leaves (1 - W C (W C)^+) W S p, which no
+command can remove. With fewer than six drives this is considerable.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array, Engine
 
-_ROUNDING = 1e-10  # of an effect, below which what is left of it is nothing
+_ROUNDING = 1e-10  # remaining fraction of an effect that is treated as zero
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterShare:
-    """The part of one parameter in the errors of the tool."""
+    """Share of one parameter in the errors of the tool."""
 
     name: str  #: the parameter
     group: str  #: its class of parts
-    share: float  #: its part of the mean squared tip error over the map; all add up to 1
-    uncompensable_share: float  #: its part of what commands cannot undo; 0 if they can undo everything
-    tip_rms: float  #: tip error that it alone causes within its tolerance, root mean square over the map [m]
+    share: float  #: its share of the mean squared tip error over the map; all shares sum to 1
+    uncompensable_share: float  #: its share of what commands cannot undo; 0 if they undo everything
+    tip_rms: float  #: tip error caused by it alone within its tolerance, root mean square over the map [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class ErrorMap(ToolErrors):
     sensitivities: Sensitivities  #: the tool's motion by errors and commands
     sigmas: Array  #: standard deviation of each parameter, shape=(number of parameters,) [m, rad]
     eta: float  #: weight of the orientation in the tip error [m/rad]
-    #: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions
+    #: meaning of the tolerances: standard deviations ("normal") or half widths of uniform distributions
     distribution: Distribution = "normal"
 
     @cached_property
@@ -71,17 +71,17 @@ class ErrorMap(ToolErrors):
 
     @cached_property
     def _compensable(self) -> Array:
-        """What commands undo of W S, in the basis of their motions, shape=(n, number of commands, parameters)."""
+        """Part of W S that commands undo, in the basis of their motions, shape=(n, number of commands, parameters)."""
         return np.asarray(np.swapaxes(self._used, 1, 2) @ self.weighted)
 
     @property
     def shift(self) -> Array:
-        """Nothing is known for certain, shape=(n, 6)."""
+        """Zero, since geometric errors have no known part, shape=(n, 6)."""
         return np.zeros((len(self.poses), 6))
 
     @property
     def effects(self) -> Array:
-        """What each parameter does at one standard deviation, shape=(n, 6, number of parameters) [m, rad]."""
+        """Effect of each parameter at one standard deviation, shape=(n, 6, number of parameters) [m, rad]."""
         return np.asarray(self.sensitivities.errors * self.sigmas)
 
     @property
@@ -106,18 +106,18 @@ class ErrorMap(ToolErrors):
 
     @property
     def uncompensable_rms(self) -> Array:
-        """Tip error that is left with the best commands, shape=(n,) [m]."""
+        """Remaining tip error with the best commands, shape=(n,) [m]."""
         return root_sum_squares(self.uncompensable, self.sigmas)
 
     @property
     def compensable_rms(self) -> Array:
-        """Tip error that the best commands undo: the rest, at right angles to what is left, shape=(n,) [m]."""
+        """Tip error that the best commands undo, orthogonal to the remaining one, shape=(n,) [m]."""
         return root_sum_squares(self._compensable, self.sigmas)
 
     def tip_bound(self, coverage: float) -> Array:
-        """Return the tip error that so many machines, as 0.95, stay below at each pose, shape=(n,) [m].
+        """Return the tip error below which this fraction of machines, such as 0.95, stays at each pose, shape=(n,) [m].
 
-        To first order; sums of many uniform errors are taken as normal.
+        To first order; sums of many uniform errors are approximated as normal.
 
         Raises:
             InvalidValueError: the coverage is not between 0 and 1.
@@ -141,7 +141,7 @@ class ErrorMap(ToolErrors):
             )
             for k, parameter in enumerate(self.errors.parameters)
         ]
-        # parameters of equal share, as those of like legs, stay in their order
+        # parameters of equal share, as of similar legs, keep their order
         return sorted(shares, key=lambda share: -float(f"{share.share:.9e}"))
 
 
@@ -153,7 +153,7 @@ def error_map(
     distribution: Distribution = "normal",
     engine: Engine = "program",
 ) -> ErrorMap:
-    """Compute the errors of the tool that tolerances of the parts lead to.
+    """Compute the tool errors caused by tolerances of the parts.
 
     Example:
         >>> import numpy as np
@@ -169,12 +169,12 @@ def error_map(
         errors: the parameters, with their tolerances.
         poses: poses of the robot as described.
         eta: weight of the orientation in the tip error [m/rad].
-        distribution: what the tolerances are: standard deviations ("normal"), or half widths of uniform distributions.
-        engine: what computes the sensitivities.
+        distribution: meaning of the tolerances: standard deviations ("normal") or half widths of uniform distributions.
+        engine: engine that computes the sensitivities.
 
     Raises:
         InvalidValueError: there are no poses or no parameters, or the loops cannot close with an error.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+        SingularConfigurationError: at some pose the tool can move with all drives locked.
     """
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
@@ -192,9 +192,9 @@ def section_grid(
     fixed: Mapping[str, float] | None = None,
     points: int = 41,
 ) -> Grid | None:
-    """Make the grid of a section over two coordinates, the others in the middle of their ranges, or at home.
+    """Make the grid of a section over two coordinates, with the others in the middle of their ranges or at home.
 
-    By default over the first two that have ranges and no fixed value, `points` values each; None if there are none.
+    By default over the first two with ranges and no fixed value, `points` values each; None without such.
     `ranges` are first value, last value, count by name; `fixed` values by name [m, rad].
 
     Raises:
@@ -212,7 +212,7 @@ def section_grid(
 
 @dataclass(frozen=True, eq=False)
 class _MonteCarlo:
-    """Errors of simulated machines, found by closing their loops: no linearisation."""
+    """Errors of simulated machines, computed by closing their loops, without linearisation."""
 
     values: Array  #: p of each machine, shape=(machines, number of parameters) [m, rad]
     differences: Array  #: pose errors at fixed commands [translation; rotation vector], shape=(machines, n, 6) [m, rad]
@@ -230,7 +230,7 @@ def monte_carlo(
     *,
     distribution: Distribution = "normal",
 ) -> _MonteCarlo:
-    """Draw machines within the tolerances and find where their tools really are at poses as described.
+    """Draw machines within the tolerances and compute their true tool poses at the commands of given poses.
 
     Raises:
         UnreachablePoseError: the loops of a machine do not close at a command.

@@ -1,4 +1,4 @@
-"""Geometric errors of any robot: where a joint or frame really sits, as named parameters with tolerances."""
+"""Geometric errors of any robot: displacements of joints and frames, as named parameters with tolerances."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ HALF_WIDTH = math.sqrt(3.0)
 """Half width of a uniform distribution, in standard deviations."""
 
 LENGTH_TOLERANCE = 1e-4
-"""Tolerance of a length where none is given [m]."""
+"""Default tolerance of a length [m]."""
 ANGLE_TOLERANCE = 5e-4
-"""Tolerance of an angle where none is given [rad]: 0.1 mm over 0.2 m."""
+"""Default tolerance of an angle [rad]: 0.1 mm over 0.2 m."""
 
 _NEARLY_PARALLEL = 0.99
-_UNIT = 1e-5  # from 1, of the length of an axis
+_UNIT = 1e-5  # greatest difference of an axis length from 1
 
 
 @dataclass(frozen=True)
 class GeometricParameter:
-    """One small displacement of a joint or frame from where the description has it.
+    """One small displacement of a joint or frame from its described place.
 
-    Everything that hangs on the place moves with it. A displacement along (about) the axis of a prismatic (revolute)
+    Everything attached to the place moves with it. A displacement along (about) the axis of a prismatic (revolute)
     joint is an offset of its coordinate: the actuator's zero.
     """
 
-    name: str  #: its name, `place.tx` or `place.rz` as a rule
+    name: str  #: its name, usually `place.tx` or `place.rz`
     place: str  #: the joint or frame
     motion: Motion  #: "translation" or "rotation"
     axis: tuple[float, float, float]  #: unit vector in the place's own axes, those of its origin before the joint moves
-    group: str  #: class of parts it belongs to: legs, platform, tool
+    group: str  #: its class of parts: legs, platform, tool
     tolerance: float  #: standard deviation of a normal, or half width of a uniform distribution [m, rad]
 
     @property
@@ -58,7 +58,7 @@ class GeometricParameter:
 
 
 class GeometricErrors:
-    """The geometric error parameters of one robot. Not to be changed once made.
+    """The geometric error parameters of one robot. Immutable.
 
     The parameters p at one place displace its placement M to M D, D = (exp3(sum of the rotations), sum of the
     translations), in the place's own axes: finite, not linearised.
@@ -71,18 +71,18 @@ class GeometricErrors:
 
     Args:
         robot: the robot as described.
-        parameters: what may be wrong; by default everything, see :func:`all_parameters`. Redundant parameters do no
-            harm: :mod:`pm3dof_pin.calibration.identifiability` finds them.
-        fixed_bearings: coordinate of each actuated joint at the fixed bearing of its screw, from which the screw grows
-            when it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
+        parameters: the error parameters; by default all, see :func:`all_parameters`. Redundant parameters are harmless:
+            :mod:`pm3dof_pin.calibration.identifiability` finds them.
+        fixed_bearings: coordinate of each actuated joint at the fixed bearing of its screw, from which it expands
+            as it warms up, shape=(number of actuated joints,) [m, rad]; 0 by default.
 
     Attributes:
         robot, fixed_bearings: see the arguments.
         parameters: the parameters, in the order of p; their `names`.
-        tolerances: theirs, shape=(number of parameters,) [m, rad].
+        tolerances: of the parameters, shape=(number of parameters,) [m, rad].
 
     Raises:
-        InvalidValueError: two parameters have one name, an axis is no unit vector, or a tolerance is not positive.
+        InvalidValueError: two parameters share a name, an axis is not a unit vector, or a tolerance is not positive.
         FrameNotFoundError: a place is neither a joint nor a frame of the robot.
     """
 
@@ -129,7 +129,7 @@ class GeometricErrors:
 
     @classmethod
     def of(cls, robot: Robot, file: Path) -> GeometricErrors:
-        """Return the error parameters that a file, which need not exist, declares for a robot; without it, all of them.
+        """Return the error parameters that a file declares for a robot; all of them if the file does not exist.
 
         Raises:
             DescriptionError: the file is unreadable or malformed.
@@ -153,7 +153,7 @@ class GeometricErrors:
 
     @functools.cached_property
     def groups(self) -> tuple[str, ...]:
-        """Classes of parts, in the order of their first parameter."""
+        """Classes of parts, ordered by their first parameter."""
         return tuple(dict.fromkeys(parameter.group for parameter in self.parameters))
 
     @functools.cached_property
@@ -163,7 +163,7 @@ class GeometricErrors:
 
     @property
     def zeros(self) -> Vector:
-        """The p of the robot as described, shape=(number of parameters,)."""
+        """p of the robot as described, shape=(number of parameters,)."""
         return np.zeros(len(self))
 
     def indices(self, group: str) -> NDArray[np.intp]:
@@ -192,7 +192,7 @@ class GeometricErrors:
         return self.select(name for index, name in enumerate(self.names) if index not in dropped)
 
     def values(self, values: ArrayLike | Mapping[str, float]) -> Vector:
-        """Return p, shape=(number of parameters,) [m, rad], checked; of parameters by name the others are 0.
+        """Return p, shape=(number of parameters,) [m, rad], checked; parameters not given by name are 0.
 
         Raises:
             InvalidValueError: an unknown name, a wrong shape, or a number that is not finite.
@@ -215,17 +215,17 @@ class GeometricErrors:
         return self.tolerances * unit
 
     def displacements(self, values: ArrayLike | Mapping[str, float]) -> dict[str, pin.SE3]:
-        """Return the displacement D of each place, in its own axes, places nearer to the root first."""
+        """Return the displacement D of each place, in its own axes, ordered from the root."""
         moves = np.zeros((2, len(self._places), 3))
         np.add.at(moves, (self._turning, self._place_numbers), self.values(values)[:, None] * self._axes)
         return {place: pin.SE3(pin.exp3(turn), shift) for place, shift, turn in zip(self._places, *moves, strict=True)}
 
     def local_twists(self, values: ArrayLike | Mapping[str, float]) -> Matrix:
-        """Return the twist of each place against its parameters, in the axes of the displaced place.
+        """Return the twist of each place per unit of its parameters, in the axes of the displaced place.
 
         Returns:
-            Columns [v; omega] at the place's origin, shape=(6, number of parameters). At p = 0 they are the axes; the
-            derivative of exp3 makes them exact elsewhere.
+            Columns [v; omega] at the place's origin, shape=(6, number of parameters). At p = 0 they are the axes;
+            elsewhere the derivative of exp3 makes them exact.
         """
         rotations = [displacement.rotation for displacement in self.displacements(values).values()]
         by_shift_and_turn = np.array([(turn.T, pin.Jexp3(pin.log3(turn))) for turn in rotations]).reshape(-1, 2, 3, 3)
@@ -239,7 +239,7 @@ class GeometricErrors:
         return {place: moved_by(self.robot, place) for place in self._places}
 
     def movers(self, frame: int) -> Vector:
-        """Tell which joint velocities, then which errors, move a frame, 1 or 0, shape=(nv + number of parameters,)."""
+        """Indicate which joint velocities and then errors move a frame, 1 or 0, shape=(nv + number of parameters,)."""
         if frame not in self._movers:
             model = self.robot.model
             body = model.frames[frame].parentJoint
@@ -253,7 +253,7 @@ class GeometricErrors:
         return self._movers[frame]
 
     def apply(self, values: ArrayLike | Mapping[str, float]) -> Robot:
-        """Build the robot with these errors, as a new one; see :meth:`values` for them, and for what is refused."""
+        """Build a new robot with these errors; see :meth:`values` for their form and the errors raised."""
         nominal = self.robot
         model = nominal.model.copy()
         for place, displacement in self.displacements(values).items():
@@ -281,11 +281,11 @@ class GeometricErrors:
 
 
 def all_parameters(robot: Robot) -> tuple[GeometricParameter, ...]:
-    """Return everything that can sit wrong: six parameters for each joint and for the tool, and the closure points.
+    """Return all error parameters: six for each joint and for the tool, and those of the closure points.
 
-    A closure point (3d) has three, a closure frame (6d) six. A frame that is a moving link itself has none of its own,
-    nor has a joint with six degrees of freedom. Classes: "legs" for what does not carry the tool, "tool_chain" for the
-    joints that do, "platform" for closure frames on them, "tool" for the tool frame.
+    A closure point (3d) has three, a closure frame (6d) six. A frame that is itself a moving link has none, nor has
+    a joint with six degrees of freedom. Classes: "legs" for joints that do not carry the tool, "tool_chain" for those
+    that do, "platform" for closure frames on them, "tool" for the tool frame.
     """
     model = robot.model
     carriers = set(model.supports[model.frames[robot.tool_frame_id].parentJoint]) if robot.tool_frame else set()
@@ -354,7 +354,7 @@ def _parameters_of(robot: Robot, file: ErrorFile) -> list[GeometricParameter]:
 
 
 def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tuple[str, tuple[float, float, float]]]:
-    """Return the directions that a word of the file stands for, with their labels."""
+    """Return the directions that a word of the file means, with their labels."""
     if word in AXES:
         return [(word, _unit_vector(word))]
     if not robot.model.existJointName(place):
@@ -367,8 +367,8 @@ def _directions(robot: Robot, place: str, word: str, file: ErrorFile) -> list[tu
 def across_directions(robot: Robot, joint: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Return two unit vectors across the axis of a single-DoF joint, in its own axes.
 
-    The first is horizontal where the joint's frame has z up: turning about it changes a guideway's slope, turning about
-    the second its heading. For the errors see :meth:`Mechanism.single_joint`.
+    The first is horizontal if the joint's frame has z up: rotation about it changes a guideway's slope, rotation about
+    the second its heading. For the errors raised see :meth:`Mechanism.single_joint`.
     """
     along = robot.joint_axis(joint)
     reference = np.array([1.0, 0.0, 0.0] if abs(along[2]) > _NEARLY_PARALLEL else [0.0, 0.0, 1.0])
@@ -383,7 +383,7 @@ def _as_tuple(vector: Vector) -> tuple[float, float, float]:
 
 
 def _fixed_bearings(robot: Robot, file: ErrorFile) -> Vector:
-    """Coordinate at which each drive would stand at the frame that the file names for it, along the drive's axis."""
+    """Coordinate at which each drive would be at the frame that the file names for it, along the drive's axis."""
     neutral = robot.configuration(pin.neutral(robot.model))
     bearings = np.zeros(len(robot.actuated_joints))
     for joint, frame in file.command_zeros.items():
@@ -397,7 +397,7 @@ def _fixed_bearings(robot: Robot, file: ErrorFile) -> Vector:
 
 
 def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
-    """Tell whether a frame is fixed to a moving link or the world, and is not such a link itself."""
+    """Tell whether a frame is fixed to a moving link or the world, without being such a link itself."""
     frames = robot.model.frames
     entry = frames[robot.frame_id(frame)]
     if entry.type != pin.FrameType.BODY:
@@ -406,7 +406,7 @@ def _is_fixed_to_body(robot: Robot, frame: str) -> bool:
 
 
 def moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
-    """Return the joints and the frames, by index, that move with a place; all frames on these joints do too."""
+    """Return the joints and frames, by index, that move with a place; all frames on these joints also move."""
     model = mechanism.model
     frames = [] if model.existJointName(place) else _frame_and_descendants(model, mechanism.frame_id(place))
     roots = {model.frames[f].parentJoint for f in frames if model.frames[f].type == pin.FrameType.JOINT}
@@ -416,7 +416,7 @@ def moved_by(mechanism: Mechanism, place: str) -> tuple[set[int], set[int]]:
 
 
 def _frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
-    """Return the frames that hang on a frame, itself first; joints and what they carry are among them."""
+    """Return the frames attached to a frame, itself first, including joints and what they carry."""
     found = [frame]
     for index in range(frame + 1, model.nframes):
         if model.frames[index].parentFrame in found:
@@ -425,7 +425,7 @@ def _frame_and_descendants(model: pin.Model, frame: int) -> list[int]:
 
 
 def _displace_frames(model: pin.Model, frames: list[int], displacement: pin.SE3) -> None:
-    """Move the first of some frames, and what hangs on the same body beyond it, by a displacement in its axes."""
+    """Move the first of some frames, and the others on the same body, by a displacement in its axes."""
     placement = model.frames[frames[0]].placement.copy()
     body, moved = model.frames[frames[0]].parentJoint, placement * displacement * placement.inverse()
     for index in frames:
@@ -437,7 +437,7 @@ def _displace_frames(model: pin.Model, frames: list[int], displacement: pin.SE3)
 
 
 def _places_in_order(robot: Robot, places: set[str]) -> tuple[str, ...]:
-    """Order places so that each is displaced before what hangs on it."""
+    """Order places so that each is displaced before those attached to it."""
     model = robot.model
 
     def key(place: str) -> tuple[bool, int]:

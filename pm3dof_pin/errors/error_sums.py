@@ -1,8 +1,8 @@
-"""Sums over independent errors, as maps read them, reduced inside the program of the sensitivities.
+"""Sums over independent errors, for maps, reduced inside the program of the sensitivities.
 
-To first order the tool moves by sum of sigma_k S_k x_k, x_k independent, of mean 0 and deviation 1: S are the
-sensitivities. A pose costs one number instead of six for each error. In doubt, and where there is no program, the
-same number is that of an :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`.
+To first order the tool moves by sum of sigma_k S_k x_k, with x_k independent, of mean 0 and standard deviation 1, and
+sensitivities S. A pose takes one number instead of six per error. In doubt, or without a program, the same number is
+computed by an :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KinematicSum = Literal["tip_rms", "worst_tip", "left_rms", "energy"]
 """Sums over the class "kinematic parameters", named as in :class:`~pm3dof_pin.errors.error_budget.ErrorBudget`."""
 
 _CLASS = "kinematic parameters"
-_PROGRAM_FROM = 50  # poses: fewer take Pinocchio no longer than it takes to find the program and its numbers
+_PROGRAM_FROM = 50  # poses: with fewer, Pinocchio is as fast as finding the program and its numbers
 
 
 def kinematic_sum(
@@ -39,12 +39,12 @@ def kinematic_sum(
     eta: float = TIP_LENGTH,
     **options: Unpack[BatchOptions],
 ) -> PoseValues:
-    """Compute a sum over errors of the geometry and waves of guideways at many poses, shape=(...) [m].
+    """Compute a sum over geometric errors and guideway waviness at many poses, shape=(...) [m].
 
     Args:
-        sources: the sources with their numbers.
+        sources: the sources with their magnitudes.
         poses: poses of the robot as described.
-        name: which sum.
+        name: name of the sum.
         eta: weight of the orientation in the tip error [m/rad].
         options: see :class:`~pm3dof_pin.kinematics.pose_values.BatchOptions`.
 
@@ -78,7 +78,7 @@ def kinematic_sum(
 
 
 def _recorded(name: KinematicSum, motions: Motions, values: Mapping[str, float]) -> Outputs:
-    """Record a sum; in the place of the energy, eigenvalues of the covariances of position and orientation."""
+    """Record a sum; for the energy, the eigenvalues of the covariances of position and orientation instead."""
     number = {name: motions.graph.parameter(name, value) for name, value in values.items()}
     columns = np.hstack([motions.errors, motions.drives])
     deviations, greatest = (
@@ -104,7 +104,7 @@ def _length(entries: Objects) -> Scalar:
 
 
 def _bound(weighted: Objects, greatest: Objects) -> Scalar:
-    """Return the smaller of the length of the greatest components, and of the sum of lengths."""
+    """Return the smaller of the length of the greatest components and the sum of lengths."""
     components = [total([absolute(e) * g for e, g in zip(row, greatest, strict=True)]) for row in weighted]
     added = total([_length(column) * g for column, g in zip(weighted.T, greatest, strict=True)])
     return minimum(_length(np.array(components, dtype=object)), added)

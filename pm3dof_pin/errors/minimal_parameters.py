@@ -1,11 +1,11 @@
-"""A minimal and complete set of error parameters: as many as can be told apart, none that moves the tool missing.
+"""A minimal, complete set of error parameters: all effects on the tool, without redundancy.
 
-Any joint, closure point or tool can be displaced in six ways, and most of these do what others do: an offset along the
-axis of a revolute joint may stand before or behind it, a turn of a rod about its two spherical joints moves nothing. Of
-all of them, taken in an order of preference, each is kept that moves the tool in a way that those kept before do not.
-How many these are is the rank of the sensitivities over the workspace, whatever the order, but for those of next to no
-effect; of a serial arm with full poses, 4 for each revolute and 2 for each prismatic joint, and 6 (B. Mooring, Z. Roth
-and M. Driels, Fundamentals of Manipulator Calibration, 1991).
+Any joint, closure point or tool can be displaced in six ways, most of them redundant: an offset along the axis of a
+revolute joint may be placed before or after it, and a rotation of a rod about its two spherical joints moves nothing.
+Going through all parameters in an order of preference, each one is kept that moves the tool in a way that those kept
+before do not. Their number is the rank of the sensitivities over the workspace, whatever the order, except for nearly
+ineffective ones; for a serial arm with full poses it is 4 per revolute and 2 per prismatic joint, plus 6 (B. Mooring,
+Z. Roth and M. Driels, Fundamentals of Manipulator Calibration, 1991).
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Matrix
 
 LEAST_EFFECT = 3e-4
-"""What adds less than this part of the greatest effect is left out: 30 nm where the greatest is 0.1 mm."""
+"""Effects that add less than this fraction of the greatest are left out: 30 nm if the greatest is 0.1 mm."""
 
-_CLOSING = 20  # poses at which the loops have to close
+_CLOSING = 20  # number of poses at which the loops must close
 _LEAST_POSES = 60
-_DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # part of an effect that is its own: what is more distinct goes first
+_DISTINCT = (0.1, 1e-2, 1e-3, 1e-8)  # independent fraction of an effect: more distinct ones go first
 _ALIGNED = 0.99
-_NOTHING = 1e-10  # of the greatest effect
+_NOTHING = 1e-10  # fraction of the greatest effect treated as zero
 
 _Kind = Literal["zero of a drive", "length", "position", "axis of a drive", "direction", "tool"]
 _PREFERENCE: tuple[_Kind, ...] = ("zero of a drive", "length", "position", "axis of a drive", "direction", "tool")
 
 
 def poses_needed(robot: Robot) -> int:
-    """Return how many poses of a robot show which of its error parameters can be told apart."""
+    """Return the number of poses needed to distinguish a robot's error parameters."""
     return max(_LEAST_POSES, len(all_parameters(robot)) // 2)
 
 
 def minimal_parameters(
     errors: GeometricErrors, poses: Poses, *, first: Iterable[str] = (), least_effect: float = LEAST_EFFECT
 ) -> GeometricErrors:
-    """Return as few of the parameters as do everything that all of them do to the tool.
+    """Return the smallest set of parameters with the same effect on the tool as all of them.
 
     Preferred are, in this order, the zeros of the drives, lengths (from one place to the next), other positions, the
-    axes of the drives, other directions, the tool; but where two of them do nearly the same, the more distinct ones.
+    axes of the drives, other directions, the tool; but of nearly redundant parameters, the more distinct one.
 
     Example:
         >>> import numpy as np
@@ -66,15 +66,15 @@ def minimal_parameters(
         (186, 48)
 
     Args:
-        errors: the candidates, with their tolerances; those with which loops cannot close are left out.
+        errors: the candidates, with their tolerances; those with which the loops cannot close are left out.
         poses: poses of the robot as described, over its whole workspace; see :func:`poses_needed`.
-        first: names of parameters that are preferred to all others.
-        least_effect: what does less beyond the others than this part of the greatest effect is left out, such as an
-            offset between the crossing axes of a joint that hardly turns; 0 for nothing but what does nothing.
+        first: names of parameters preferred to all others.
+        least_effect: parameters that add less than this fraction of the greatest effect are left out, such as an offset
+            between the crossing axes of a joint that hardly rotates; 0 leaves out only those without any effect.
 
     Raises:
         InvalidValueError: a name of `first` is unknown.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still.
+        SingularConfigurationError: at some pose the tool can move with all drives locked.
     """
     preferred_names = set(errors.select(first).names)
     fitting = closable(errors, poses[:_CLOSING])
@@ -90,7 +90,7 @@ def minimal_parameters(
 
 
 def error_entries(errors: GeometricErrors) -> tuple[ErrorEntry, ...]:
-    """Return parameters as lines of an error file, places of a class with the same errors in one line."""
+    """Return parameters as entries of an error file; places of a class with the same errors share an entry."""
     lines: dict[tuple[str, tuple[str, ...], tuple[str, ...], str], list[str]] = {}
     for place in dict.fromkeys(parameter.place for parameter in errors.parameters):
         for group in errors.groups:
@@ -109,14 +109,14 @@ def error_entries(errors: GeometricErrors) -> tuple[ErrorEntry, ...]:
 
 
 def _effects(errors: GeometricErrors, poses: Poses) -> Matrix:
-    """Return what each parameter does within its tolerance, its norm the root mean square over the poses [m]."""
+    """Return the effect of each parameter at its tolerance; its norm is the root mean square over the poses [m]."""
     rows = np.array(sensitivities(errors, poses, engine="pinocchio").errors)
     rows[:, 3:] *= TIP_LENGTH
     return np.asarray(rows.reshape(-1, len(errors)) * errors.tolerances / np.sqrt(len(poses)))
 
 
 def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, float]]) -> set[int]:
-    """Return columns that span all others: round by round those of which more than a part, and a size, is their own."""
+    """Return columns that span all others, adding in each round those whose independent part is large enough."""
     triangle = np.asarray(np.linalg.qr(effects, mode="r"))
     norms = np.linalg.norm(triangle, axis=0)
     nothing = _NOTHING * norms.max(initial=0.0)
@@ -127,7 +127,7 @@ def _independent(effects: Matrix, rounds: Iterable[tuple[Sequence[int], float, f
             size = float(np.linalg.norm(own))
             if k not in chosen and norms[k] > nothing and size > max(distinct * norms[k], least):
                 chosen.add(k)
-                for _ in range(2):  # once more, against rounding
+                for _ in range(2):  # repeated against rounding
                     triangle = triangle - np.outer(own, own @ triangle) / size**2
                     triangle[:, k] = 0.0
     return chosen
@@ -155,7 +155,7 @@ def _kind(robot: Robot, parameter: GeometricParameter) -> _Kind:
 
 
 def _word(parameter: GeometricParameter) -> str:
-    """Return the word of the error file for a direction: an axis of the place, along or across that of its joint."""
+    """Return the word of the error file for a direction: an axis of the place, or along or across the joint's."""
     return parameter.name.rsplit(".", 1)[1][1:].strip("_12")
 
 

@@ -1,4 +1,4 @@
-"""Normally distributed vectors: drawn with a covariance, their mean length, and lengths they seldom exceed."""
+"""Normally distributed vectors: samples of a given covariance, mean lengths and quantiles of lengths."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from pm3dof_pin.exceptions import InvalidValueError
 from pm3dof_pin.typing import Array, Matrix
 
-_ROUNDING = 1e-6  # of the greatest deviation, whose square is well above rounding
-_EXPONENTS = np.arange(-72.0, 72.25, 0.5)  # the integrand falls as exp(-|y| / 2); spacing enough for ten digits
+_ROUNDING = 1e-6  # of the greatest standard deviation; its square is well above rounding
+_EXPONENTS = np.arange(-72.0, 72.25, 0.5)  # the integrand decays as exp(-|y| / 2); this spacing gives ten digits
 
 
 def expected_norm(mean: ArrayLike, covariance: ArrayLike) -> Array:
@@ -40,7 +40,7 @@ def expected_norm(mean: ArrayLike, covariance: ArrayLike) -> Array:
 
 
 def mean_radius(spreads: ArrayLike) -> Array:
-    """Return E |x| of x normal in space, of mean 0, by the eigenvalues of its covariance, shape=(..., 3).
+    """Return E |x| of a normal x in space with zero mean, from the eigenvalues of its covariance, shape=(..., 3).
 
     It is 2 sqrt(2 / pi), the mean length where all three are 1, times the mean of sqrt(sum s_i u_i^2) over the sphere,
     which is B. Carlson's R_G (DLMF 19.16.3).
@@ -57,8 +57,8 @@ def norm_quantiles(means: Array, covariances: Array, probability: float) -> Arra
 
         k1 = tr C + m.m,   k2 = 2 tr C^2 + 4 m.C m,   k3 = 8 tr C^3 + 24 m.C^2 m.
 
-    A scaled and shifted chi square law with the same three (E. Pearson, Biometrika 46, 1959) has its upper quantiles:
-    from 90 to 99 % to within 1.5 % of the length. Low ones it has not.
+    A scaled and shifted chi square distribution with the same three (E. Pearson, Biometrika 46, 1959) gives its upper
+    quantiles, from 90 to 99 % to within 1.5 % of the length. It is not accurate for low ones.
 
     Raises:
         InvalidValueError: the probability is not at least 0.5 and less than 1.
@@ -79,22 +79,22 @@ def norm_quantiles(means: Array, covariances: Array, probability: float) -> Arra
 
 
 def correlated_normal(covariance: ArrayLike, count: int, generator: np.random.Generator) -> Matrix:
-    """Draw normal vectors, shape=(count, k), of a covariance as :func:`covariance_root` takes."""
+    """Draw normal vectors, shape=(count, k), of a covariance as for :func:`covariance_root`."""
     root = covariance_root(np.asarray(covariance, dtype=float))
     draws: Matrix = generator.standard_normal((count, len(root))) @ root.T
     return draws
 
 
 def covariance_root(covariance: Array) -> Array:
-    """Return A with A A^T a covariance, which may be singular, shape=(..., k, k).
+    """Return A such that A A^T is the given covariance, which may be singular, shape=(..., k, k).
 
-    A is the symmetric root, of correlations: there is only one, also where some are zero and axes could be any.
+    A is based on the symmetric root of the correlations, which is unique even if some are zero and axes are arbitrary.
 
     Raises:
         InvalidValueError: the covariance is not symmetric and positive semidefinite.
     """
     scale = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
-    floor = _ROUNDING * scale.max(axis=-1, initial=0.0, keepdims=True)  # correlations of roundings could be any
+    floor = _ROUNDING * scale.max(axis=-1, initial=0.0, keepdims=True)  # correlations of rounding errors are arbitrary
     unit = np.where(scale > 0.0, np.maximum(scale, floor), 1.0)
     values, axes = np.linalg.eigh(covariance / (unit[..., :, None] * unit[..., None, :]))
     if not np.allclose(covariance, np.swapaxes(covariance, -1, -2)) or values.min(initial=0.0) < -1e-9:

@@ -15,7 +15,7 @@ from pm3dof_pin.typing import Array
 _SMALL_HALF_ANGLE = 1e-3
 
 TIP_LENGTH = 0.1
-"""Default of eta [m/rad]: the distance at which a turn counts as much as the way it makes there."""
+"""Default of eta [m/rad]: the distance at which a rotation counts as much as the displacement it causes."""
 
 
 def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
@@ -26,9 +26,9 @@ def position_error(ideal: ArrayLike, real: ArrayLike) -> Array:
 def orientation_error(ideal: ArrayLike, real: ArrayLike) -> Array:
     """Return the angle between orientations of wanted and reached poses, in [0, pi], shape=(...) [rad].
 
-    (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) where there is no error. This is the angle
-    of the relative rotation. acos((tr - 1) / 2) would lose half its digits near zero, and 2 asin of the Frobenius norm
-    of R - R' near pi; the half angle's sine and cosine together lose none.
+    (8.17) prints an arc cosine of a sum of cosine products, which is acos(3) for zero error. This is the angle of
+    the relative rotation. acos((tr - 1) / 2) would lose half its digits near zero, and 2 asin of the Frobenius norm of
+    R - R' near pi; sine and cosine of the half angle together lose none.
     """
     return np.asarray(np.linalg.norm(pose_difference(ideal, real)[..., 3:], axis=-1))
 
@@ -42,7 +42,7 @@ def energy(ideal: ArrayLike, real: ArrayLike, eta: float = TIP_LENGTH) -> Array:
 
 
 def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
-    """Return what moves the wanted pose to the one reached, [translation; rotation vector], shape=(..., 6) [m, rad].
+    """Return the motion from the wanted to the reached pose, [translation; rotation vector], shape=(..., 6) [m, rad].
 
     In world axes. The rotations are composed, R' = exp(rotation vector) R; (8.13) adds increments to Euler angles.
     """
@@ -52,7 +52,7 @@ def pose_difference(ideal: ArrayLike, real: ArrayLike) -> Array:
 
 
 def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
-    """Return the pose that a difference leads to, shape=(..., 4, 4), the inverse of :func:`pose_difference`."""
+    """Return the pose displaced by a difference, shape=(..., 4, 4), the inverse of :func:`pose_difference`."""
     start, step = _checked(pose), np.asarray(difference, dtype=float)
     moved = np.array(np.broadcast_to(start, (*np.broadcast_shapes(start.shape[:-2], step.shape[:-1]), 4, 4)))
     moved[..., :3, :3] = rotation_matrix(step[..., 3:]) @ start[..., :3, :3]
@@ -63,13 +63,13 @@ def moved_pose(pose: ArrayLike, difference: ArrayLike) -> Array:
 def tip_error(difference: ArrayLike, eta: float = TIP_LENGTH) -> Array:
     """Return the size of pose differences, sqrt(|translation|^2 + eta^2 |rotation|^2), shape=(...) [m].
 
-    The smooth companion of (8.15): a quadratic form, so that it can be projected, averaged and fitted. eta is in m/rad.
+    A smooth variant of (8.15): as a quadratic form it can be projected, averaged and fitted. eta is in m/rad.
     """
     return np.asarray(np.linalg.norm(np.asarray(difference, dtype=float) * tip_weights(eta), axis=-1))
 
 
 def weighted_energy(errors: ArrayLike) -> Array:
-    """Return E of (8.15) of [translation; eta times rotation vector], shape=(..., 6) [m]."""
+    """Return E of (8.15) for [translation; eta times rotation vector], shape=(..., 6) [m]."""
     weighted = np.asarray(errors, dtype=float)
     return np.asarray(np.linalg.norm(weighted[..., :3], axis=-1) + np.linalg.norm(weighted[..., 3:], axis=-1))
 
@@ -82,14 +82,14 @@ def tip_weights(eta: float = TIP_LENGTH) -> Array:
 def rotation_vector(rotation: ArrayLike) -> Array:
     """Return the rotation vectors of rotation matrices, without loss near 0 and pi, shape=(..., 3) [rad]."""
     matrices = np.asarray(rotation, dtype=float).reshape(-1, 3, 3)
-    # sine and cosine of the angle lose nothing together, except the axis near pi
+    # sine and cosine of the angle together lose no digits, except for the axis near pi
     sines = 0.5 * np.stack([matrices[:, i, j] - matrices[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     cosines = 0.5 * (matrices[:, 0, 0] + matrices[:, 1, 1] + matrices[:, 2, 2] - 1.0)
     sizes = np.sqrt(np.einsum("ni,ni->n", sines, sines))
     vectors = sines * (np.arctan2(sizes, cosines) / np.where(sizes > 0.0, sizes, 1.0))[:, None]
     far = np.flatnonzero(cosines <= 0.0)
     if far.size:
-        from scipy.spatial.transform import Rotation  # takes longer to load than all else that one pose needs
+        from scipy.spatial.transform import Rotation  # loads slower than everything else that one pose needs
 
         vectors[far] = Rotation.from_matrix(matrices[far]).as_rotvec()
     return np.asarray(vectors.reshape(np.shape(rotation)[:-1]))
@@ -122,7 +122,7 @@ def rotation_of_quaternion(quaternions: ArrayLike) -> Array:
 
 
 def rotation_vector_rates(rotation: ArrayLike) -> Array:
-    """Return the derivative of the rotation vector of R by a further turn in the rotated axes, shape=(..., 3, 3).
+    """Return the derivative of the rotation vector of R by a further rotation in the rotated axes, shape=(..., 3, 3).
 
     log(R exp(w)) = log(R) + J w + ..., J = 1 + [a]/2 + (1 - (|a|/2) cot(|a|/2)) / |a|^2 [a]^2 with a = log(R) (F. Bullo
     and R. Murray, 1995).
@@ -146,7 +146,7 @@ def chapter_angles(rotation: ArrayLike) -> Array:
     r = np.asarray(rotation, dtype=float)
     theta = np.arctan2(-r[..., 2, 0], np.hypot(r[..., 2, 1], r[..., 2, 2]))
     phi = np.arctan2(r[..., 2, 1], r[..., 2, 2])
-    # from the second column and row after phi is taken off, so that psi makes up for what phi lacks near theta = pi/2
+    # from the second column and row after removing phi, so that psi compensates for phi near theta = pi/2
     sine, cosine = np.sin(phi), np.cos(phi)
     psi = np.arctan2(sine * r[..., 0, 2] - cosine * r[..., 0, 1], cosine * r[..., 1, 1] - sine * r[..., 1, 2])
     return np.stack([psi, theta, phi], axis=-1)
@@ -165,7 +165,7 @@ def _checked(pose: ArrayLike) -> Array:
     if array.shape[-2:] != (4, 4):
         raise InvalidValueError("pose", f"an array of shape {array.shape}", "shape (..., 4, 4)")
     x, y, z = np.moveaxis(array[..., :3, :3], -2, 0)
-    # the triple product, entry by entry: a determinant by LAPACK takes twenty times as long
+    # the triple product by entries; LAPACK's determinant takes twenty times as long
     sides = (
         x[..., i] * (y[..., j] * z[..., k] - y[..., k] * z[..., j]) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
     )
@@ -180,5 +180,5 @@ def _position(pose: ArrayLike) -> Array:
 
 def _checked_eta(eta: float) -> float:
     if not (np.isfinite(eta) and eta >= 0.0):
-        raise InvalidValueError("eta", eta, "a length in metres per radian, not negative")
+        raise InvalidValueError("eta", eta, "a non-negative length in metres per radian")
     return float(eta)

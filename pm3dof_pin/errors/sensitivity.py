@@ -1,12 +1,12 @@
-"""How the tool moves with every geometric error and every command: exact Jacobians of the closed-loop kinematics.
+"""Sensitivities of the tool to geometric errors and commands: exact Jacobians of the closed-loop kinematics.
 
-With the joints' velocities dq, the commands du among them, and small errors dp, a closed loop stays closed and the tool
-moves by
+With the joints' velocities dq, including the commands du, and small errors dp, a closed loop stays closed and the
+tool moves by
 
     0  = G dq + P_G dp,      dx = J dq + P_x dp
 
-G is the constraint Jacobian, J the tool's, P_G and P_x what the errors alone do to closures and tool. An error is a
-twist of everything beyond its place, like the rate of a joint that stood there, so one piece of code gives all four.
+G is the constraint Jacobian, J the tool's, P_G and P_x the effects of the errors alone on closures and tool. An error
+is a twist of everything beyond its place, like the rate of a joint located there, so one piece of code gives all four.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.programs.geometry import frame_names
 from pm3dof_pin.typing import Array, Engine, Mask
 
-_POSES_TO_CLOSE_AT = 20  # at one alone, such as a symmetric home, more errors let the loops close than elsewhere
+_POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
-_SOUND = 1e-2 / RANK_TOLERANCE  # condition up to which a square matrix has no value near the tolerance
-_PROGRAM_FROM = 100  # poses: a calibration from fewer takes Pinocchio no longer than tracing and compiling does
+_SOUND = 1e-2 / RANK_TOLERANCE  # a square matrix of lower condition has no singular value near the tolerance
+_PROGRAM_FROM = 100  # poses: with fewer, a calibration with Pinocchio is as fast as tracing and compiling
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def sensitivities(
     joints: Sequence[str] = (),
     engine: Engine = "program",
 ) -> Sensitivities:
-    """Compute how the tool's pose changes with errors and commands, and the coordinates of some joints.
+    """Compute the derivatives of the tool's pose by errors and commands, and of some joints' coordinates.
 
     Example:
         >>> import numpy as np
@@ -66,15 +66,15 @@ def sensitivities(
     Args:
         errors: the parameters.
         poses: assembled poses of the robot as described, or of `errors.apply(values)`, shape=(n,).
-        values: p at which to differentiate, that of the poses; 0 by default.
-        joints: single-DoF joints, whose rows come after the tool's, shape=(n, 6 + joints, ...) [m, rad].
-        engine: "program", the robot's compiled one, where it is in no doubt; or "pinocchio", pose by pose.
+        values: p of the poses, at which to differentiate; 0 by default.
+        joints: single-DoF joints, whose rows follow the tool's, shape=(n, 6 + joints, ...) [m, rad].
+        engine: "program", the robot's compiled one, where not in doubt; or "pinocchio", pose by pose.
 
     Raises:
-        InvalidValueError: a pose is not solved; or an error would strain the robot, since its loops cannot close with
-            it (those of an overconstrained or planar robot); see :func:`closable`.
-        SingularConfigurationError: at a pose the tool can move while all drives stand still, or a drive cannot move
-            without others, as where there are more drives than degrees of freedom.
+        InvalidValueError: a pose is not solved; or the loops cannot close with an error (for overconstrained or planar
+            robots); see :func:`closable`.
+        SingularConfigurationError: at some pose the tool can move with all drives locked, or a drive cannot move
+            without others, as with more drives than degrees of freedom.
     """
     require_kind("errors", errors, GeometricErrors, "pm.GeometricErrors.load")
     require_kind("poses", poses, Poses, "Robot.solve")
@@ -82,7 +82,7 @@ def sensitivities(
     p = errors.zeros if values is None else errors.values(values)
     unsolved = np.flatnonzero(~np.isfinite(poses.q).all(axis=-1))
     if unsolved.size:
-        raise InvalidValueError("poses", f"pose {unsolved[0]} not solved", "solved ones")
+        raise InvalidValueError("poses", f"pose {unsolved[0]} not solved", "solved poses")
     if joints:
         tool = sensitivities(errors, poses, p, engine=engine)
         rates = _Loops(errors, poses, p).followed_rates()[0][:, poses.robot.velocity_indices(joints)]
@@ -119,17 +119,17 @@ def _careful_motions(errors: GeometricErrors, poses: Poses, p: Array) -> Array:
     if strained.size:
         names = ", ".join(errors.names[k - len(poses.robot.actuated_joints)] for k in strained)
         raise InvalidValueError(
-            "geometric errors", names, "errors with which the loops close; leave these out (closable() does)"
+            "geometric errors", names, "errors with which the loops close (closable() leaves out the others)"
         )
     return loops.tool_motions(rates)
 
 
 def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricErrors:
-    """Return the errors without those with which the loops cannot close, at assembled poses as described.
+    """Return the errors with which the loops can close, at assembled poses of the robot as described.
 
-    By default these are random ones. A planar four-bar with parallel axes cannot close when one axis is tilted: it
-    would bend or bind. Such an error is no matter of kinematics. Each parameter is judged by itself; one that moves
-    no loop by itself, such as the turn of a rod about its own axis, is judged beside the others as well.
+    The poses are random by default. A planar four-bar with parallel axes cannot close when one axis is tilted: it
+    would bend or bind, so such an error is not kinematic. Each parameter is judged by itself; one that moves no loop by
+    itself, such as the rotation of a rod about its own axis, is also judged together with the others.
     """
     if not len(errors) or not errors.robot.closures:
         return errors
@@ -144,7 +144,7 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
         [0.0 if name in idle else p.tolerance for name, p in zip(fitting.names, fitting.parameters, strict=True)]
     )
     crooked = _Loops(fitting, Poses(fitting.apply(beside), poses.q), beside)
-    strained = crooked.strains(tool_at_rest=False) > RANK_TOLERANCE  # its loops are a little open
+    strained = crooked.strains(tool_at_rest=False) > RANK_TOLERANCE  # its loops are slightly open
     return fitting.without(idle.intersection(_names(fitting, strained)))
 
 
@@ -155,8 +155,8 @@ def _names(errors: GeometricErrors, chosen: Mask) -> list[str]:
 class _Loops:
     """Closures and tool as linear functions of joint velocities and errors, at many poses.
 
-    Columns are the twists [v; omega] that one unit of each velocity, then of each error, gives to whatever hangs on it;
-    linear part at the world's origin, world axes.
+    Columns are the twists [v; omega] of whatever is attached, for one unit of each velocity, then of each error; linear
+    part at the world's origin, world axes.
     """
 
     def __init__(self, errors: GeometricErrors, poses: Poses, values: ArrayLike | Mapping[str, float]) -> None:
@@ -167,7 +167,7 @@ class _Loops:
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
     def strains(self, *, tool_at_rest: bool = True) -> Array:
-        """Return how far the loops cannot follow each error, scaled, at the worst pose, shape=(errors,)."""
+        """Return the scaled closure error that each error leaves at the worst pose, shape=(errors,)."""
         _, strain = self.followed_rates(tool_at_rest=tool_at_rest)
         return np.asarray(strain[:, len(self._robot.actuated_joints) :].max(axis=0, initial=0.0))
 
@@ -177,10 +177,10 @@ class _Loops:
         return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
     def followed_rates(self, *, tool_at_rest: bool = True) -> tuple[Array, Array]:
-        """Return the velocities that follow one unit of each drive and error, and what the closures cannot follow.
+        """Return the velocities that result from one unit of each drive and error, and the remaining closure error.
 
         Shapes are (n, nv, drives + errors) and (n, drives + errors). With `tool_at_rest`, SingularConfigurationError is
-        raised where the tool can move while all drives stand still, or a drive cannot move without others.
+        raised if the tool can move with all drives locked, or if a drive cannot move without others.
         """
         robot, nv = self._robot, self._model.nv
         driven, free = robot.actuated_indices, robot.passive_indices
@@ -213,14 +213,14 @@ class _Loops:
         bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
         if tool_at_rest and bound.size:
             raise SingularConfigurationError(
-                f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one, as "
-                "there are more than degrees of freedom, or a pose is singular; held at their commands they strain the "
-                "machine with any error, and its springs decide: expected independent drives (name_mot)"
+                f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one: "
+                "there are more of them than degrees of freedom, or a pose is singular. Held at their commands, they "
+                "strain the machine with any error, and its springs decide: expected independent drives (name_mot)"
             )
         return rates, strain
 
     def tool_motions(self, rates: Array) -> Array:
-        """Return the tool's motion by errors, then by drives, for the velocities that follow them."""
+        """Return the tool's motion by errors, then by drives, given the velocities that result from them."""
         driven, tool = len(self._robot.actuated_indices), self._tool()
         motions = tool[:, :, : self._model.nv] @ rates
         return np.concatenate([motions[:, :, driven:] + tool[:, :, self._model.nv :], motions[:, :, :driven]], axis=2)
@@ -244,7 +244,7 @@ class _Loops:
         return sorted(on_frames | {self._model.parents[self._model.getJointId(name)] for name in joints})
 
     def _place(self, place: str) -> Array:
-        """Return where the displaced origin of a place is, before its joint moves, shape=(n, 4, 4)."""
+        """Return the displaced origin of a place, before its joint moves, shape=(n, 4, 4)."""
         model = self._model
         if model.existJointName(place):
             joint = model.getJointId(place)
@@ -256,7 +256,7 @@ class _Loops:
         return np.asarray(self._joints[:, entry.parentJoint] @ entry.placement.homogeneous)
 
     def _closures(self) -> Array:
-        """Return the closures' velocities for all columns, as Configuration.constraint_jacobian has them."""
+        """Return the closures' velocities for all columns, as in Configuration.constraint_jacobian."""
         blocks = []
         for loop in self._robot.closures:
             a, b = (self._robot.frame_id(name) for name in (loop.frame_a, loop.frame_b))
@@ -275,14 +275,14 @@ class _Loops:
         return np.concatenate([linear, columns[:, 3:]], axis=1)
 
     def _require_tool_at_rest(self, free: NDArray[np.intp], idle: Array) -> None:
-        """Check that the velocities which drives at rest leave possible do not move the tool."""
+        """Check that velocities possible with the drives locked do not move the tool."""
         length = self._robot.characteristic_length
         tool = self._tool()[:, :, free] * self._robot.velocity_scale[free]
         tool[:, :3] /= length
         loose = np.flatnonzero(np.abs(tool @ idle).max(axis=(1, 2), initial=0.0) > RANK_TOLERANCE)
         if loose.size:
             raise SingularConfigurationError(
-                f"{self._robot.name}: the tool can move while all drives stand still at pose "
+                f"{self._robot.name}: the tool can move with all drives locked at pose "
                 f"{', '.join(map(str, loose[:5]))}{' ...' if loose.size > 5 else ''} of {len(tool)}"
             )
 
@@ -298,7 +298,7 @@ def _inverses(matrices: Array) -> tuple[Array, Mask]:
 
 
 def _crossed(a: Array, b: Array) -> Array:
-    """Return cross products along the middle axis, shape=(n, 3, k), quicker than np.cross does."""
+    """Return cross products along the middle axis, shape=(n, 3, k), faster than np.cross."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 

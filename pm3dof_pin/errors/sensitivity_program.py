@@ -1,4 +1,4 @@
-"""How the tool moves with errors and commands, as a compiled program."""
+"""Sensitivities of the tool to errors and commands, as a compiled program."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from pm3dof_pin.typing import Array, Mask, Matrix, Objects, Vector
 class Motions:
     """The tool's twists [v; omega] at its origin, world axes, as recorded numbers."""
 
-    graph: Graph  #: what records them
+    graph: Graph  #: graph that records them
     errors: Objects  #: for one unit of each error, shape=(6, k)
     drives: Objects  #: for one unit of the coordinate of each drive, shape=(6, u)
-    doubt: Doubt  #: what they take for granted
+    doubt: Doubt  #: their assumptions
 
 
 Outputs = Mapping[str, Objects]
@@ -38,9 +38,9 @@ Outputs = Mapping[str, Objects]
 def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Matrix) -> tuple[Array, Array, Mask]:
     """Evaluate the tool's motion with errors and drives at closed configurations q, shape=(n, nq).
 
-    The robot is as described or displaced; `local_twists` are those of each place against its parameters, in its axes.
-    Returns twists for one unit of each error, shape=(n, 6, k), and of the coordinate of each drive, shape=(n, 6, u);
-    and the poses at which nothing is in doubt, shape=(n,).
+    The robot is as described or displaced; `local_twists` are the twists of each place per unit of its parameters,
+    in its axes. Returns the tool's twists for one unit of each error, shape=(n, 6, k), and of each drive's coordinate,
+    shape=(n, 6, u); and the poses at which nothing is in doubt, shape=(n,).
 
     Raises:
         ProgramError: there is no program for this robot, the tool is free, or loops cannot close with an error.
@@ -55,7 +55,7 @@ def evaluated(robot: Robot, q: Matrix, errors: GeometricErrors, local_twists: Ma
 
 
 def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
-    """Return the program of a robot as described, for other printers, and the values of its parameters.
+    """Return the program of a robot as described, for printing in other languages, and its parameter values.
 
     Its outputs are `errors`, shape=(6, k), `drives`, shape=(6, u), and `sound`, 1 where nothing is in doubt.
 
@@ -70,10 +70,10 @@ def at_zero_errors(errors: GeometricErrors) -> tuple[Program, Vector]:
 def reduced(
     name: str, errors: GeometricErrors, reduce: Callable[[Motions], Outputs], numbers: Mapping[str, float]
 ) -> tuple[Compiled, Vector]:
-    """Return a program of a robot as described that reduces the tool's motions, and the values of its parameters.
+    """Return a program of a robot as described that reduces the tool's motions, and its parameter values.
 
-    `reduce` goes from motions to groups of outputs, after which comes `sound`, 1 where nothing is in doubt; `name` is
-    that of the reduction, and `numbers` are the values of the parameters that it adds.
+    `reduce` maps motions to groups of outputs, followed by `sound`, 1 where nothing is in doubt; `name` is the name of
+    the reduction, and `numbers` are the values of the parameters that it adds.
 
     Raises:
         ProgramError: see :func:`evaluated`.
@@ -126,7 +126,7 @@ def _error_column(graph: Graph, tree: Tree, place: str, number: int, local: Arra
 
 
 def _place(tree: Tree, place: str) -> Placement:
-    """Return where a place is, before its joint moves."""
+    """Return the placement of a place, before its joint moves."""
     model = tree.mechanism.model
     if not model.existJointName(place):
         return tree.frame(place)
@@ -135,7 +135,7 @@ def _place(tree: Tree, place: str) -> Placement:
 
 
 def _moved(tree: Tree, place: str) -> frozenset[str]:
-    """Return which frames of the closures and the tool move with a place."""
+    """Return the frames of closures and tool that move with a place."""
     mechanism, model = tree.mechanism, tree.mechanism.model
     joints, frames = moved_by(mechanism, place)
     ids = {name: mechanism.frame_id(name) for name in geometry.frame_names(mechanism)}

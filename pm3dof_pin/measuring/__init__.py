@@ -1,1 +1,1 @@
-"""What is seen of a machine: instruments, measurements, their files, and where the base stands in the instrument."""
+"""Measurements of a machine: instruments, measurements, their files, and registration of the base."""

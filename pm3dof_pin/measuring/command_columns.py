@@ -1,4 +1,4 @@
-"""Columns of commands: their names, and whether a machine can have taken what stands in them."""
+"""Columns of commands: their names, and whether the machine can reach their values."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _BEYOND_LIMITS = 0.2  # of a joint's range
 
 
 def command_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the commands: u1_m, u2_m ... for drives that slide, u1_rad ... for those that turn."""
+    """Return the columns of the commands: u1_m, u2_m ... for linear drives, u1_rad ... for rotary ones."""
     return tuple(f"u{k}_{unit}" for k, unit in enumerate((command.unit for command in robot.commands), start=1))
 
 
 def approach_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the directions from which drives came: approach_u1, approach_u2 ..."""
+    """Return the columns of the drives' approach directions: approach_u1, approach_u2 ..."""
     return tuple(f"approach_u{k}" for k in range(1, len(robot.commands) + 1))
 
 
 def start_columns(robot: Robot) -> tuple[str, ...]:
-    """Return the columns of the commands of the pose at which a distance begins: from_u1_m ..."""
+    """Return the columns of the commands at the pose where a distance starts: from_u1_m ..."""
     return tuple(f"from_{name}" for name in command_columns(robot))
 
 
@@ -60,11 +60,11 @@ def commands_of(table: CsvTable, robot: Robot) -> Array:
 
 
 def _warn_of_equal_columns(table: CsvTable, names: Sequence[str]) -> None:
-    """Warn of a drive that stands still while others move, and of two drives that show the same in every row."""
+    """Warn of a drive that does not move while others do, and of two drives with the same values in every row."""
     still = [name for name in names if np.ptp(table[name]) == 0.0]
     moving = [name for name in names if name not in still]
     if moving and still:
-        table.warn(f"{', '.join(still)} {'are' if len(still) > 1 else 'is'} the same in every row, and others are not")
+        table.warn(f"{', '.join(still)} {'are' if len(still) > 1 else 'is'} the same in every row, unlike the others")
     pairs = [(a, b) for a, b in itertools.combinations(moving, 2) if np.array_equal(table[a], table[b])]
     for first, second in pairs:
-        table.warn(f"{first} and {second} show the same in every row")
+        table.warn(f"{first} and {second} have the same values in every row")

@@ -1,7 +1,7 @@
-"""A CSV file of numbers on its way to measurements: columns by name, the line of every row, what is odd about them.
+"""A CSV file of numbers, to be read as measurements: columns by name, the line of every row, and warnings.
 
-What instruments and spreadsheets make of such a file is read as it is meant: a byte order mark, semicolons or tabs
-between columns, with decimal commas, and columns of other units by the end of their names, `x_mm` or `rz_deg`.
+Typical output of instruments and spreadsheets is understood: a byte order mark, semicolons or tabs between columns,
+decimal commas with these, and columns in other units according to the suffix of their names, `x_mm` or `rz_deg`.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ def is_condition(column: str) -> bool:
 
 
 class CsvTable:
-    """Columns of numbers in metres and radians with a header; an empty cell is NaN.
+    """Columns of numbers in metres and radians with a header; empty cells are NaN.
 
     Attributes:
         path: the file.
         header: the names of the columns in these units, in the order of the file.
         lines: the line of each row.
         columns: shape=(n,) each, by name.
-        warnings: what is odd about the file.
+        warnings: oddities of the file.
     """
 
     def __init__(self, path: Path, needed: Sequence[str]) -> None:
-        """Read a file with some columns without which nothing else is worth reading.
+        """Read a file; without the columns `needed` it is rejected at once.
 
         Raises:
-            MeasurementError: it is unreadable, a column has no name, stands there twice or is missing, or a cell is no
+            MeasurementError: it is unreadable, a column has no name, is duplicated or missing, or a cell is not a
                 number.
         """
         self.path = path
@@ -92,11 +92,11 @@ class CsvTable:
         return self.columns[name]
 
     def get(self, name: str, value: float) -> Array:
-        """Return a column, or one that has a value in every row if there is none of this name."""
+        """Return a column, or `value` in every row if there is no column of this name."""
         return self.columns.get(name, np.full(len(self), value))
 
     def matrix(self, names: Sequence[str], missing: float | None = None) -> Array:
-        """Return columns side by side, shape=(n, len(names)); all of one value if the first one is missing."""
+        """Return columns side by side, shape=(n, len(names)); all `missing` if the first one is not there."""
         if missing is not None and names[0] not in self:
             return np.full((len(self), len(names)), missing)
         return np.column_stack([np.empty((len(self), 0)), *(self.columns[name] for name in names)])
@@ -105,7 +105,7 @@ class CsvTable:
         """Return temperatures and loads by the name of their column, shape=(n,) each.
 
         Raises:
-            MeasurementError: one is missing in a row.
+            MeasurementError: a value is missing in some row.
         """
         found = {name: values for name, values in self.columns.items() if is_condition(name)}
         for name, values in found.items():
@@ -114,10 +114,10 @@ class CsvTable:
         return found
 
     def require(self, names: Sequence[str]) -> None:
-        """Check that columns are there.
+        """Check that columns exist.
 
         Raises:
-            MeasurementError: some are missing.
+            MeasurementError: some do not.
         """
         missing = [name for name in names if name not in self.header]
         if missing:
@@ -127,7 +127,7 @@ class CsvTable:
             raise MeasurementError(self.path, problem, [1])
 
     def keep(self, flags: Mask) -> None:
-        """Leave rows out, with a warning.
+        """Keep only the flagged rows, with a warning about the others.
 
         Raises:
             MeasurementError: none is left.
@@ -144,13 +144,13 @@ class CsvTable:
         return [self.lines[row] for row in np.flatnonzero(flags)]
 
     def warn(self, text: str, lines: Sequence[int] = ()) -> None:
-        """Keep and log what is odd."""
+        """Store and log a warning."""
         self.warnings.append(f"{lines_in_words(lines)}{text}")
         logger.warning("%s: %s", self.path, self.warnings[-1])
 
     @staticmethod
     def _in_si(header: Sequence[str]) -> tuple[list[str], Array]:
-        """Return the names of columns in metres and radians, and the factors that make their numbers so."""
+        """Return the column names in metres and radians, and the factors that convert their numbers."""
         names, factors = [*header], np.ones(len(header))
         for k, name in enumerate(header):
             stem, _, unit = name.rpartition("_")
@@ -168,7 +168,7 @@ class CsvTable:
             raise MeasurementError(self.path, problem, [1])
         self.require(needed)
         if twice := sorted({name for name in header if header.count(name) > 1}):
-            raise MeasurementError(self.path, f"column {', '.join(twice)} stands there more than once", [1])
+            raise MeasurementError(self.path, f"column {', '.join(twice)} appears more than once", [1])
 
     def _number(self, cell: str, column: str) -> float:
         word = cell.strip()
@@ -181,7 +181,7 @@ class CsvTable:
 
 
 def columns_as_text(columns: Mapping[str, Array]) -> str:
-    """Return columns of numbers as CSV, every digit kept; NaN is an empty cell.
+    """Return columns of numbers as CSV at full precision; NaN is an empty cell.
 
     Args:
         columns: by name, shape=(n,) each.

@@ -1,4 +1,4 @@
-"""Redundant encoders: what passive joints show beside the tool, and the columns of a file that have it."""
+"""Redundant encoders: readings of passive joints in addition to the tool, and their columns in a file."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pm3dof_pin.typing import Array
 
 _PREFIX = "encoder_"
 ENCODER_ZERO = {"m": 5e-3, "rad": 5e-2}
-"""How well the zero of an encoder is known, standard deviation by the unit of its joint [m, rad]."""
+"""Prior standard deviation of an encoder's zero, by the unit of its joint [m, rad]."""
 
-_FAR = 6.0  # times that, from where the description has the joint
+_FAR = 6.0  # times that, between readings and the described position of the joint
 
 
 def encoder_column(robot: Robot, joint: str) -> str:
@@ -36,10 +36,10 @@ def encoder_column(robot: Robot, joint: str) -> str:
 
 
 def encoder_joints(table: CsvTable, robot: Robot) -> dict[str, str]:
-    """Return the joints whose readings stand in a file, and their units, in the order of its columns.
+    """Return the joints with readings in a file, and their units, in the order of its columns.
 
     Raises:
-        MeasurementError: a column that begins as those of encoders is none of a passive joint.
+        MeasurementError: a column named like an encoder's does not belong to a passive joint.
     """
     columns = {}
     for joint in robot.passive_joints:
@@ -67,10 +67,10 @@ def joint_coordinates(poses: Poses, joints: Sequence[str]) -> Array:
 def readings_of(
     table: CsvTable, joints: Mapping[str, str], nominal: Poses, instrument: Instrument
 ) -> tuple[Array, Array]:
-    """Return what encoders showed, and its noise, infinite where a cell is empty, shape=(n, joints) each [m, rad].
+    """Return encoder readings and their noise, infinite for empty cells, shape=(n, joints) each [m, rad].
 
     Raises:
-        MeasurementError: a sigma is not positive, or readings are far from where the description has the joint.
+        MeasurementError: a sigma is not positive, or readings are far from the described position of the joint.
     """
     expected = joint_coordinates(nominal, tuple(joints))
     readings, sigmas = expected.copy(), np.full_like(expected, np.inf)
@@ -85,7 +85,7 @@ def readings_of(
         far = np.abs(readings[:, k] - expected[:, k])
         if seen.any() and np.median(far[seen]) > _FAR * ENCODER_ZERO[unit]:
             problem = (
-                f"{column} is {np.median(far[seen]):.3g} {unit} (median) from where the description has the joint: "
+                f"{column} is {np.median(far[seen]):.3g} {unit} (median) from the described position of the joint: "
                 "another unit, zero, direction or joint?"
             )
             raise MeasurementError(table.path, problem)

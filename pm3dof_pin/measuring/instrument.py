@@ -1,4 +1,4 @@
-"""What an instrument sees of a pose, and how well."""
+"""Instruments: what they measure of a pose, and with what noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pm3dof_pin.typing import Array
 Measured = Literal["pose", "position"]
 
 TARGET_SIGMA = 15e-6
-"""Noise of each coordinate of a target, a laser tracker's [m]."""
+"""Noise of each coordinate of a laser tracker's target [m]."""
 TARGET_COUNT = 4
 TARGET_RADIUS = 0.15
 """Distance of the targets from the tool point [m]."""
@@ -21,17 +21,17 @@ TARGET_RADIUS = 0.15
 
 @dataclass(frozen=True)
 class Instrument:
-    """What is measured of a pose, and its noise. By default that of :meth:`with_targets`."""
+    """What is measured of a pose, and its noise; by default as for :meth:`with_targets`."""
 
     measured: Measured = "pose"  #: "pose", or "position" for the tool point alone
     position_sigma: float = TARGET_SIGMA / 2.0  #: noise of each coordinate [m]
-    #: noise about each axis [rad]; of no matter for positions
+    #: noise about each axis [rad]; irrelevant for positions
     angle_sigma: float = TARGET_SIGMA / (TARGET_RADIUS * np.sqrt(2.0))
-    own_frame: bool = False  #: whether it measures in a frame of its own, of which nothing is known beforehand
-    #: points that are seen one after the other instead of the tool point, in its axes [m]
+    own_frame: bool = False  #: whether it measures in its own, initially unknown frame
+    #: targets seen one by one instead of the tool point, in tool axes [m]
     targets: tuple[tuple[float, float, float], ...] = ()
-    target_sigma: float = 0.0  #: how well these are known, standard deviation of each coordinate [m]; 0 for exactly
-    encoders: tuple[str, ...] = ()  #: passive joints that are read at each pose, with the noise above
+    target_sigma: float = 0.0  #: prior standard deviation of the targets' coordinates [m]; 0 if known exactly
+    encoders: tuple[str, ...] = ()  #: passive joints whose encoders are read at each pose, with the noise above
 
     def __post_init__(self) -> None:
         """Check the noise."""
@@ -43,10 +43,10 @@ class Instrument:
     def with_targets(
         cls, sigma: float = TARGET_SIGMA, count: int = TARGET_COUNT, radius: float = TARGET_RADIUS
     ) -> Instrument:
-        """Return a tracker of a noise [m] that sees targets evenly on a circle of a radius [m] about the tool point.
+        """Return a tracker with noise `sigma` [m] that sees targets evenly spaced on a circle around the tool point.
 
-        The centre of n targets is known n^(1/2) times better than one of them, the orientation about an axis in the
-        plane of the circle to sigma / (radius (n / 2)^(1/2)), about its normal better still, which is not made use of.
+        The centre of n targets is known n^(1/2) times better than one target, orientation about an axis in the plane
+        of the circle to sigma / (radius (n / 2)^(1/2)); about its normal it is even better, which is not used.
 
         Raises:
             InvalidValueError: fewer than 3 targets, or a size or noise that is not positive.

@@ -1,4 +1,4 @@
-"""Files of measurements: reading them with every check, and writing them."""
+"""Measurement files: reading them with checks, and writing them."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ _TIME_COLUMN = "time_s"
 _SAME = 1e-9
 _LARGE_SIGMA = {"m": 1e-3, "rad": 1e-2}
 _LEAST_SIGMA = 1e-12  # [m, rad]
-_FAR_LESS = 1e-3  # of the other sigmas of a column: such a row would be all that counts
+_FAR_LESS = 1e-3  # relative to the other sigmas of a column: such a row would outweigh all others
 _LEAST_OF_A_SPHERE = 4  # rows
 
 
 def write_measurements(measurements: Measurements, robot: Robot, path: Path | str) -> Path:
-    """Write measurements as CSV, whole or not at all, every digit kept; OutputError where that fails."""
+    """Write measurements as CSV, atomically and at full precision; raise OutputError on failure."""
     columns: dict[str, Array] = dict(zip(command_columns(robot), measurements.commands.T, strict=True))
     columns |= zip(POSITION_COLUMNS, measurements.positions.T, strict=True)
     if measurements.rotations is not None:
@@ -94,12 +94,12 @@ def read_measurements(
 ) -> Measurements:
     """Read and check a CSV file of measurements.
 
-    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a drive that turns), `x_m,y_m,z_m`, and for full poses
-    `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in the tool's axes; `sigma_x_m ... sigma_rz_rad`;
-    `temperature_*_K`, `load_*`; `time_s`, by which drift is told; `approach_u1` ..., the direction (1, -1, 0 for
-    unknown) from which each drive came: with times alone, that from the pose before; `encoder_<joint>_rad` or `_m`,
-    readings of passive joints, and `sigma_encoder_...`. Columns may be in mm, um, deg, mrad or urad where their names
-    say so (`x_mm`, `u1_deg`). Rows with missing numbers are left out with a warning that names them.
+    Columns: the commands (`u1_m,u2_m,u3_m`, or `u1_rad` for a rotary drive), `x_m,y_m,z_m`, and for full poses
+    `qw,qx,qy,qz`. Optional: `px_m,py_m,pz_m`, the point seen, in tool axes; `sigma_x_m ... sigma_rz_rad`;
+    `temperature_*_K`, `load_*`; `time_s`, to identify drift; `approach_u1` ..., the direction (1, -1, 0 for unknown)
+    from which each drive came, by default inferred from the order in time; `encoder_<joint>_rad` or `_m`, readings of
+    passive joints, and `sigma_encoder_...`. Columns may be in mm, um, deg, mrad or urad if their names say so (`x_mm`,
+    `u1_deg`). Rows with missing numbers are left out with a warning that names them.
 
     Example:
         Measurements of a simulated machine, written and read:
@@ -117,23 +117,23 @@ def read_measurements(
     Args:
         path: the file.
         robot: the robot as described.
-        instrument: its noise is taken where the file has no sigmas.
-        own_frame: whether the instrument measured in a frame of its own, from which the base has to be found first; see
-            :mod:`pm3dof_pin.measuring.registration`. Of single coordinates the axes have to be near the base's.
-        target_sigma: how well the points seen are known, standard deviation of each coordinate [m]; 0 for exactly.
-        tool_point_sigma: likewise the tool point, where that is what was seen [m].
+        instrument: its noise is used if the file has no sigmas.
+        own_frame: whether the instrument measured in its own frame, in which the base must be located first; see
+            :mod:`pm3dof_pin.measuring.registration`. With single coordinates, its axes must be near those of the base.
+        target_sigma: prior standard deviation of the points seen, per coordinate [m]; 0 if known exactly.
+        tool_point_sigma: the same for the tool point, if that is the point seen [m].
 
     Raises:
-        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is no
-            rotation, numbers are most likely in another unit, or no row is left.
-        InvalidValueError: the base cannot be found: positions alone, on one line.
+        MeasurementError: the file is unreadable, a column is missing, a cell is not a number, a quaternion is not a
+            rotation, numbers are probably in another unit, or no row is left.
+        InvalidValueError: the base cannot be located: positions only, on one line.
     """
     read = _Reader(Path(path), robot).measurements(instrument or Instrument(), own_frame)
     return replace(read, target_sigma=target_sigma, tool_point_sigma=tool_point_sigma)
 
 
 class _Reader:
-    """One file on its way to Measurements."""
+    """Reader of one file."""
 
     def __init__(self, path: Path, robot: Robot) -> None:
         self._path, self._robot = path, robot
@@ -162,7 +162,7 @@ class _Reader:
         nominal = self._nominal_poses(commands)
         expected = nominal.positions + np.einsum("nij,nj->ni", nominal.rotations, points)
         seen = self._seen[:, : sigmas.shape[1]]
-        # what was not measured is where the machine is by its description, and has no weight
+        # coordinates that were not measured take the description's values, with zero weight
         positions = np.column_stack(
             [np.where(seen[:, k], table.get(name, 0.0), expected[:, k]) for k, name in enumerate(POSITION_COLUMNS)]
         )
@@ -172,7 +172,7 @@ class _Reader:
         sigmas = np.where(seen, sigmas, np.inf)
         registration = self._registration(expected, positions, nominal, rotations) if own_frame else None
         if registration is not None:
-            # of rows without positions or without orientations the others are those of the description already
+            # rows without positions or orientations already have those of the description
             placed, turned = np.isfinite(sigmas[:, :3]).all(axis=1), np.isfinite(sigmas[:, 3:]).all(axis=1)
             positions[placed] = registration.positions(positions[placed])
             sigmas[placed, :3] = registration.sigmas(sigmas[placed, :3])
@@ -202,21 +202,21 @@ class _Reader:
     def _registration(
         self, expected: Array, positions: Array, nominal: Poses, rotations: Array | None
     ) -> Registration | None:
-        """Return where the base is in the instrument's frame; None if all rows are distances, which have none."""
+        """Locate the base in the instrument's frame; None if all rows are distances, which have no frame."""
         count = 3 if rotations is None else 6
         seen = self._seen[:, :count]
         whole, some = seen.all(axis=1), seen.any(axis=1)
         if not some.any():
             return None
         if (some & ~whole & ~seen[:, :3].all(axis=1)).any() or not whole.any():
-            # single coordinates, such as heights above a bed: along axes that are nearly the base's
+            # single coordinates, such as heights above a bed, are along axes close to the base's
             return AT_THE_BASE
         check_extent(self._table, expected[whole], positions[whole])
         turned = (None, None) if rotations is None else (rotations[whole], nominal.rotations[whole])
         return register(positions[whole], expected[whole], *turned)
 
     def _with_distances(self, found: Measurements, expected: Array, instrument: Instrument) -> Measurements:
-        """Return measurements with their distances; poses at which some begin are rows where nothing was seen."""
+        """Return measurements with their distances; the poses where some start become rows without measurements."""
         count, table, far = len(found), self._table, self._seen[:, 6]
         both = far & np.delete(self._seen, 6, axis=1).any(axis=1)
         if both.any():
@@ -231,7 +231,7 @@ class _Reader:
         unclear = far & (fixed.astype(int) + begun + on_sphere != 1)
         if unclear.any():
             origins_in_words = f"{','.join(_ORIGIN_COLUMNS)} or {','.join(columns)} or the number of a {_SPHERE_COLUMN}"
-            problem = f"from where is {DISTANCE_COLUMN}? Expected {origins_in_words}"
+            problem = f"{DISTANCE_COLUMN} needs one starting point: expected {origins_in_words}"
             raise MeasurementError(self._path, problem, table.lines_where(unclear))
         if found.registration is not None and fixed.any():
             origins[fixed] = found.registration.positions(origins[fixed])
@@ -272,7 +272,7 @@ class _Reader:
             approaches = self._table.matrix(names)
             wrong = ~np.isin(approaches, (-1.0, 0.0, 1.0)).all(axis=1)
             if wrong.any():
-                problem = f"{','.join(names)} are directions: expected 1, -1, or 0 for unknown"
+                problem = f"{','.join(names)} are not directions: expected 1, -1, or 0 for unknown"
                 raise MeasurementError(self._path, problem, self._table.lines_where(wrong))
             return approaches
         if _TIME_COLUMN not in self._table:
@@ -312,9 +312,9 @@ class _Reader:
             self._table.warn(f"columns {', '.join(unknown)} are not used{hint}")
 
     def _measured_columns(self, header: list[str]) -> tuple[str, ...]:
-        """Return which columns of what was measured the file has to have.
+        """Return the measured columns that the file must have.
 
-        Some positions will do alone, and orientations alone, where no other column could hold the rest.
+        Some positions alone, or orientations alone, are enough if no other column could hold the rest.
         """
         positions = tuple(name for name in POSITION_COLUMNS if name in header)
         if DISTANCE_COLUMN in header:
@@ -328,13 +328,13 @@ class _Reader:
         return positions if alone else POSITION_COLUMNS
 
     def _flags_of_measured(self) -> tuple[Mask, Mask]:
-        """Make whole columns of what was measured, and say which was: flags of x, y, z, angles, distance, encoders.
+        """Complete the measured columns, and return flags of what was measured: x, y, z, angles, distance, encoders.
 
-        Not measured is a coordinate without a column or with an infinite sigma, and a position, an orientation or a
-        distance of which every cell of a row is empty.
+        A coordinate was not measured if it has no column or an infinite sigma; a position, orientation or distance was
+        not measured in a row in which all its cells are empty.
 
         Returns:
-            The flags, shape=(n, 7 + encoders); and whether a row has anything, and all of what it has is whole.
+            The flags, shape=(n, 7 + encoders); and whether a row has any measurement, and no incomplete one.
         """
         table = self._table
         count = len(table)
@@ -362,7 +362,7 @@ class _Reader:
         return seen, seen.any(axis=1) & ~broken
 
     def _needed(self) -> list[str]:
-        """Return the columns in which no cell may be empty."""
+        """Return the columns that must not have empty cells."""
         distances = {
             DISTANCE_COLUMN,
             DISTANCE_SIGMA_COLUMN,
@@ -378,15 +378,15 @@ class _Reader:
         poses = self._robot.forward(commands, on_failure="nan")
         if poses.solved.all():
             return poses
-        problem = f"{self._robot.name} cannot take these commands"
+        problem = f"{self._robot.name} cannot reach these commands"
         if turned := self._drives_that_count_backwards(commands):
-            problem += f", and could if {turned} counted the other way"
+            problem += f", but could if {turned} counted the other way"
         raise MeasurementError(self._path, problem, self._table.lines_where(~poses.solved))
 
     def _drives_that_count_backwards(self, commands: Array) -> str:
-        """Return which drives, counting the other way, would make the commands possible; "" if none would.
+        """Return the drives that would make the commands reachable by counting the other way; "" if none would.
 
-        Of several ways that which brings the tool nearest to where it was seen, or all where it was not.
+        Of several choices, the one that brings the tool nearest to its measured position, or all if it has none.
         """
         mirrored, every = 2.0 * self._robot.home.commands - commands, np.ones(commands.shape[1], dtype=bool)
         turned = {"all drives": mirrored}
@@ -406,7 +406,7 @@ class _Reader:
         norms = np.linalg.norm(quaternions, axis=1)
         bad = np.abs(norms - 1.0) > UNIT_QUATERNION
         if bad.any():
-            problem = f"is no rotation: its length is {norms[bad][0]:.6g}, expected 1"
+            problem = f"is not a rotation: its length is {norms[bad][0]:.6g}, expected 1"
             lines = self._table.lines_where(bad)
             raise MeasurementError(self._path, f"{','.join(QUATERNION_COLUMNS)} {problem}", lines)
         return rotation_of_quaternion(quaternions)
@@ -425,9 +425,9 @@ class _Reader:
             finite = sigmas[np.isfinite(sigmas[:, k]), k]
             tiny = sigmas[:, k] < max(_LEAST_SIGMA, _FAR_LESS * float(np.median(finite)) if finite.size else 0.0)
             if tiny.any():
-                problem = f"{name} is {sigmas[tiny, k][0]:.3g} {unit}, next to nothing: no instrument is so good"
+                problem = f"{name} is {sigmas[tiny, k][0]:.3g} {unit}, nearly zero: no instrument is that accurate"
                 raise MeasurementError(self._path, problem, self._table.lines_where(tiny))
             if finite.size and np.median(finite) > _LARGE_SIGMA[unit]:
                 other = "millimetres" if unit == "m" else "degrees"
-                self._table.warn(f"{name} is {np.median(finite):.3g} {unit} (median), a great deal: {other}?")
+                self._table.warn(f"{name} is {np.median(finite):.3g} {unit} (median), which is very large: {other}?")
         return sigmas

@@ -1,4 +1,4 @@
-"""Measurements of a machine: which commands were given, where the tool was seen, and how that differs from a model."""
+"""Measurements of a machine: commands, measured tool poses, and residuals relative to a model."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from pm3dof_pin.measuring.instrument import Instrument, Measured
 from pm3dof_pin.measuring.registration import AT_THE_BASE, Registration, register
 from pm3dof_pin.typing import Array, Indices, Mask
 
-_SAME = 1e-9  # [m, rad], commands that differ by less are one pose
+_SAME = 1e-9  # [m, rad], commands that differ by less are the same pose
 _COLUMNS = ("commands", "positions", "rotations", "points", "times", "approaches", "origins", "spheres", "readings")
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Commands and what was seen of the tool, row after row: poses, points, single coordinates, distances.
+    """Commands and measurements of the tool, row by row: poses, points, single coordinates, distances.
 
-    A coordinate that was not measured has an infinite sigma; its number is of no matter. A row with a distance has that
-    alone, as its first column: of the point seen from a fixed one, or from where another row has it.
+    A coordinate that was not measured has an infinite sigma, and its number is ignored. A row with a distance has only
+    that, as its first column: the distance of the point seen from a fixed point, or from the point of another row.
 
     Example:
         >>> import numpy as np
@@ -44,30 +44,30 @@ class Measurements:
         2
 
     Attributes:
-        commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
-        positions: what was seen of the tool point, or of `points`, in the world, shape=(n, 3) [m].
+        commands: readings of the drives' counters, shape=(n, number of commands) [m, rad].
+        positions: measured positions of the tool point, or of `points`, in the world, shape=(n, 3) [m].
         rotations: orientation of the tool, shape=(n, 3, 3); None if positions only were measured.
         sigmas: noise of each measured coordinate (x, y, z, then about these axes), shape=(n, 6) or (n, 3), then of each
-            encoder [m, rad]; infinite where it was not measured. That of a distance is the first.
+            encoder [m, rad]; infinite if not measured. That of a distance is the first.
         points: the points seen, in the tool's axes from the tool point, shape=(n, 3) [m]; zeros for the tool point.
         conditions: temperatures and loads by the name of their column, shape=(n,) each.
-        lines: line of the file of each row, shape=(n,); counted from 2 where there is no file.
-        warnings: what is odd about them.
-        registration: how they came into the axes of the base; None if they were measured in them.
-        target_sigma: how well `points` other than the tool point are known, standard deviation of each coordinate [m];
-            0 for exactly.
-        tool_point_sigma: likewise for the tool point itself, where that is what was seen [m].
-        times: when each row was measured, shape=(n,) [s]; None if that is not known.
+        lines: line of the file of each row, shape=(n,); counted from 2 if there is no file.
+        warnings: oddities of the file.
+        registration: registration that brought them into base axes; None if they were measured in base axes.
+        target_sigma: prior standard deviation of `points` other than the tool point, per coordinate [m]; 0 if known
+            exactly.
+        tool_point_sigma: the same for the tool point itself, if that is the point seen [m].
+        times: when each row was measured, shape=(n,) [s]; None if unknown.
         approaches: direction from which each drive came, +1 or -1, 0 for unknown, shape=(n, number of commands); None
-            if that is not known.
+            if unknown.
         distances: the distance measured, NaN in rows without one, shape=(n,) [m]; None if there are none.
-        origins: the fixed points, in the world, from which distances are, shape=(n, 3) [m].
-        partners: the rows at whose points distances begin instead, shape=(n,); -1 for a fixed point.
-        spheres: number of the sphere whose surface was touched, its radius the distance, shape=(n,); -1 for none. Where
-            its centre is, in `origins`, is not known.
-        joints: passive joints with an encoder and the unit of each, "m" or "rad"; the noise of these
-            stands in `sigmas` after that of the tool.
-        readings: what these encoders showed, shape=(n, joints) [m, rad]; None if there are none.
+        origins: the fixed points, in the world, from which distances are measured, shape=(n, 3) [m].
+        partners: the rows at whose points distances start instead, shape=(n,); -1 for a fixed point.
+        spheres: number of the sphere whose surface was touched, the distance being its radius, shape=(n,); -1 for none.
+            Its centre, in `origins`, is not known.
+        joints: passive joints with an encoder and the unit of each, "m" or "rad"; their noise follows that of the tool
+            in `sigmas`.
+        readings: readings of these encoders, shape=(n, joints) [m, rad]; None if there are none.
     """
 
     commands: Array
@@ -138,7 +138,7 @@ class Measurements:
         )
 
     def _distances_of(self, chosen: Indices) -> dict[str, Any]:
-        """Return sigmas and distances of some rows; a distance the other end of which is not among them is lost."""
+        """Return sigmas and distances of some rows, dropping distances to rows that are not among them."""
         sigmas = self.sigmas[chosen]
         if self.distances is None or self.origins is None or self.partners is None:
             return {"sigmas": sigmas}
@@ -156,36 +156,36 @@ class Measurements:
 
     @property
     def seen(self) -> Mask:
-        """Which coordinates were measured, shape=(n, 3) or (n, 6)."""
+        """Mask of the measured coordinates, shape=(n, 3) or (n, 6)."""
         return np.isfinite(self.sigmas)
 
     @property
     def tool_columns(self) -> int:
-        """How many coordinates of the tool a row has, 3 or 6, before the readings of encoders."""
+        """Number of tool coordinates in a row, 3 or 6, which precede the encoder readings."""
         return 3 if self.rotations is None else 6
 
     @property
     def shows_poses(self) -> bool:
-        """Whether some row tells of the tool at one pose, as encoders and distances between two poses do not."""
+        """Whether some row measures the tool at one pose, unlike encoders and distances between two poses."""
         alone = self.seen[:, : self.tool_columns].any(axis=1)
         return bool((alone if self.partners is None else alone & (self.partners < 0)).any())
 
     @property
     def measured(self) -> Measured:
-        """What was seen: "pose" or "position"."""
+        """What was measured: "pose" or "position"."""
         return "position" if self.rotations is None else "pose"
 
     @classmethod
     def of_poses(cls, commands: Array, transforms: Array, instrument: Instrument | None = None) -> Measurements:
-        """Make measurements of whole poses, or of what an instrument sees of them.
+        """Make measurements of full poses, or of what an instrument sees of them.
 
         Args:
-            commands: what the drives' counters showed, shape=(n, number of commands) [m, rad].
-            transforms: poses seen, shape=(n, 4, 4).
-            instrument: whose noise they have.
+            commands: readings of the drives' counters, shape=(n, number of commands) [m, rad].
+            transforms: measured poses, shape=(n, 4, 4).
+            instrument: instrument with their noise.
 
         Raises:
-            InvalidValueError: numbers that are none, or shapes that do not fit.
+            InvalidValueError: numbers that are not finite, or shapes that do not match.
         """
         seen_by = instrument or Instrument()
         commands = np.array(real_array("commands", commands))
@@ -219,12 +219,12 @@ class Measurements:
 
     @cached_property
     def pose_numbers(self) -> Indices:
-        """Number of the pose of each row, counted from 0 as they appear: rows at the same commands are one pose."""
+        """Pose number of each row, counted from 0 in order of appearance; rows at the same commands are one pose."""
         return _numbered(self.commands)
 
     @cached_property
     def visits(self) -> Measurements:
-        """The first row of each visit: commands and conditions of each."""
+        """The first row of each visit, with its commands and conditions."""
         return self[self.first_rows]
 
     @property
@@ -234,9 +234,9 @@ class Measurements:
 
     @cached_property
     def visit_numbers(self) -> Indices:
-        """Number of the visit of each row, counted from 0 as they appear: one pose, taken up once.
+        """Visit number of each row, counted from 0 in order of appearance; a visit is one stay at a pose.
 
-        Rows at the same commands, temperatures and loads are one visit until a target comes again.
+        Rows at the same commands, temperatures and loads are one visit until a target is repeated.
         """
         keys = np.column_stack([self.pose_numbers, *self.conditions.values()])
         place = np.column_stack([_numbered(keys), self.target_numbers]).astype(float)
@@ -248,22 +248,22 @@ class Measurements:
 
     @cached_property
     def target_numbers(self) -> Indices:
-        """Number of the target of each row, counted from 0 as they appear: rows with the same `points` see the same."""
+        """Target number of each row, counted from 0 in order of appearance; rows with the same `points` share it."""
         return _numbered(self.points)
 
     def in_moved_base(self, twist: Array) -> Measurements:
-        """Return them in the axes of a base that stands at [translation; rotation vector] in this one, shape=(6,).
+        """Return the measurements in the axes of a base at [translation; rotation vector] in this one, shape=(6,).
 
         Raises:
-            InvalidValueError: they were measured in the axes of the base, which leaves nothing to move.
+            InvalidValueError: they were measured in base axes, so there is nothing to move.
         """
         return self.registered_as(self._own_frame().moved(twist))
 
     def registered_as(self, registration: Registration) -> Measurements:
-        """Return them in the axes of the base by another registration of the same instrument.
+        """Return the measurements in base axes by another registration of the same instrument.
 
         Raises:
-            InvalidValueError: they were measured in the axes of the base.
+            InvalidValueError: they were measured in base axes.
         """
         own = self._own_frame()
         turn = registration.rotation @ own.rotation.T
@@ -271,7 +271,7 @@ class Measurements:
         return replace(self.in_axes(Registration(turn, shift, 0.0)), registration=registration)
 
     def in_axes(self, registration: Registration) -> Measurements:
-        """Return them in other axes, as a registration brings these ones there."""
+        """Return the measurements transformed to other axes by a registration."""
         return replace(
             self,
             positions=registration.positions(self.positions),
@@ -280,7 +280,7 @@ class Measurements:
         )
 
     def registered_at(self, poses: Poses, eta: float = TIP_LENGTH) -> Registration:
-        """Find the base by where a machine is at poses, one for each row; see :func:`register`."""
+        """Locate the base from a machine's poses, one for each row; see :func:`register`."""
         rotations = (None, None) if self.rotations is None else (self.rotations, poses.rotations)
         return register(self.positions, self.points_on(poses), *rotations, eta=eta)
 
@@ -291,22 +291,22 @@ class Measurements:
         return self.registration
 
     def with_points(self, points: Array) -> Measurements:
-        """Return them with the points seen elsewhere on the tool, shape=(n, 3) [m]."""
+        """Return the measurements with other points seen on the tool, shape=(n, 3) [m]."""
         return replace(self, points=points)
 
     def with_origins(self, origins: Array) -> Measurements:
-        """Return them with distances from elsewhere, shape=(n, 3) [m]."""
+        """Return the measurements with distances from other fixed points, shape=(n, 3) [m]."""
         return replace(self, origins=origins)
 
     def with_encoders(self, joints: dict[str, str], readings: Array, sigmas: Array) -> Measurements:
-        """Return them with readings of passive joints and their noise, shape=(n, joints) each [m, rad]."""
+        """Return the measurements with readings of passive joints and their noise, shape=(n, joints) each [m, rad]."""
         tool = self.sigmas[:, : self.tool_columns]
         return replace(self, joints=joints, readings=readings, sigmas=np.concatenate([tool, sigmas], axis=1))
 
     def without_motions(self, poses: Poses, motions: Array) -> Measurements:
-        """Return what would have been seen had the tool, at the machine's poses, not made some motions.
+        """Return the measurements that would result if the tool had not made given motions from the machine's poses.
 
-        They are [translation; rotation vector] of the tool at each row, then of the joints with encoders or not,
+        Motions are [translation; rotation vector] of the tool at each row, optionally followed by joints with encoders,
         shape=(n, 6 or 6 + joints) [m, rad].
         """
         turns = rotation_matrix(motions[:, 3:6])
@@ -322,18 +322,18 @@ class Measurements:
         )
 
     def points_on(self, poses: Poses) -> Array:
-        """Return where the points seen are on a machine at poses, one for each row, shape=(n, 3) [m]."""
+        """Return the positions of the points seen on a machine at poses, one for each row, shape=(n, 3) [m]."""
         return np.asarray(poses.positions + self._offsets(poses))
 
     def _offsets(self, poses: Poses) -> Array:
-        """Return where the points seen are from the tool point, world axes, shape=(n, 3) [m]."""
+        """Return the offsets of the points seen from the tool point, world axes, shape=(n, 3) [m]."""
         return np.asarray(np.einsum("nij,nj->ni", poses.rotations, self.points))
 
     def residuals(self, poses: Poses) -> Array:
-        """Return what was measured minus what a machine does at its poses, shape=(n, 3 or 6, then encoders) [m, rad].
+        """Return measurements minus the predictions of a machine at poses, shape=(n, 3 or 6, then encoders) [m, rad].
 
-        Positions of the points seen, then the rotation vector that leads from the machine's orientation to the one
-        measured; world axes. Then readings minus the joints' coordinates.
+        First the positions of the points seen, then the rotation vector from the machine's orientation to the measured
+        one, in world axes; then the encoder readings minus the joints' coordinates.
         """
         positions = self.positions - self.points_on(poses)
         if self.distances is not None:
@@ -356,9 +356,9 @@ class Measurements:
         return np.asarray(np.linalg.norm(np.where(self.seen[:, :tool], residuals, 0.0), axis=1))
 
     def derivatives(self, poses: Poses, tool_motions: Array) -> Array:
-        """Return the derivatives of minus the residuals by whatever moves the tool, shape=(n, rows, k).
+        """Return the derivatives of the negative residuals by given tool motions, shape=(n, rows, k).
 
-        It moves the machine's poses, then the joints with encoders or not, by shape=(n, 6 or 6 + joints, k).
+        The motions of the poses, optionally followed by joints with encoders, have shape=(n, 6 or 6 + joints, k).
         """
         offsets = self._offsets(poses)
         linear, angular = tool_motions[:, :3], tool_motions[:, 3:6]
@@ -373,13 +373,13 @@ class Measurements:
         return np.concatenate([*parts, with_joints(tool_motions, len(self.joints))[:, 6:]], axis=1)
 
     def _spans(self, poses: Poses) -> Array:
-        """Return the vectors from where distances begin to the points seen, on a machine, shape=(n, 3) [m]."""
+        """Return the vectors along distances, from start to the points seen, on a machine, shape=(n, 3) [m]."""
         assert self.origins is not None
         points = self.points_on(poses)
         return np.asarray(points - np.where(self._fixed, self.origins, points[self.partners]))
 
     def _along_distances(self, poses: Poses, motions: Array) -> Array:
-        """Return how distances grow with motions of the points seen, shape=(n, ...) of (n, 3, ...)."""
+        """Return the change of distances by motions of the points seen, shape=(n, ...) of (n, 3, ...)."""
         spans = self._spans(poses)
         directions = spans / np.maximum(np.linalg.norm(spans, axis=1, keepdims=True), _SAME)
         fixed = self._fixed.reshape(-1, *[1] * (motions.ndim - 1))
@@ -393,12 +393,12 @@ class Measurements:
 
 
 def with_joints(motions: Array, joints: int) -> Array:
-    """Return motions of the tool, shape=(n, 6, k), with rows for joints, which stand still unless they are there."""
+    """Return tool motions, shape=(n, 6, k), with rows for joints; missing rows are zero."""
     still = np.zeros((len(motions), 6 + joints - motions.shape[1], motions.shape[2]))
     return np.concatenate([motions, still], axis=1)
 
 
 def _numbered(rows: Array) -> Indices:
-    """Number different rows from 0 as they appear, shape=(n,)."""
+    """Number distinct rows from 0 in order of appearance, shape=(n,)."""
     _, first, numbers = np.unique(np.round(rows / _SAME), axis=0, return_index=True, return_inverse=True)
     return np.asarray(np.argsort(np.argsort(first))[numbers.reshape(-1)])

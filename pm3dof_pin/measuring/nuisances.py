@@ -1,17 +1,17 @@
-"""What measurements depend on besides the machine: where the instrument stands and targets sit, drift, direction.
+"""Nuisance parameters of measurements: the instrument's frame, target positions, drift, approach direction.
 
-Each nuisance parameter is a small motion of the tool that is seen, like a geometric error. So measurements are one
+Each nuisance parameter acts as a small apparent motion of the tool, like a geometric error. So measurements are one
 function of machine parameters p and nuisance parameters y, with one stacked derivative [S, N],
 
     dx_seen = S dp + N dy,
 
-from which identification, rank, covariance and plan all start.
+which is the basis of identification, rank, covariance and plan.
 
 ============  =====================================================  ==================================================
-frame         the instrument has a frame of its own                  6: where the base is in it, known only by the data
+frame         the instrument has a frame of its own                  6: the base in this frame, known only from data
 targets       points off the tool point, known to `target_sigma`     3 for each, in the tool's axes
 tool point    the tool point itself, known to `tool_point_sigma`     3, in the tool's axes
-spheres       surfaces of spheres were touched                       3 for each, its centre, known only by the data
+spheres       surfaces of spheres were touched                       3 for each, its centre, known only from data
 drift         rows have times                                        a motion of the base and of each drive's zero, [m]
                                                                      and [rad] from the first row to the last
 hysteresis    rows have approaches                                   for each drive, from one direction to the other
@@ -34,7 +34,7 @@ from pm3dof_pin.measuring.measurements import Measurements, with_joints
 from pm3dof_pin.typing import Array, Indices
 
 _FRAME_SCALE = {"m": 1e-3, "rad": 1e-3}
-_FRAME_SIGMA = 1e3  # in these units: not known beforehand at all
+_FRAME_SIGMA = 1e3  # in these units: uninformative
 _DRIFT_SIGMA = {"m": 1e-4, "rad": 2e-4}  # from the first row to the last
 _HYSTERESIS_SIGMA = {"m": 1e-4, "rad": 2e-4}  # of a drive that slides, turns
 _TWIST = {"tx": "m", "ty": "m", "tz": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
@@ -42,29 +42,29 @@ _TWIST = {"tx": "m", "ty": "m", "tz": "m", "rx": "rad", "ry": "rad", "rz": "rad"
 
 @dataclass(frozen=True, eq=False)
 class _Nuisance(ABC):
-    """One kind of nuisance parameters. Rows of measurements that lack what it is about do not depend on it."""
+    """One kind of nuisance parameters. Rows of measurements without its data do not depend on it."""
 
     kind: str  #: "frame", "targets" ...
-    names: tuple[str, ...]  #: of the parameters, `kind.axis` as a rule
+    names: tuple[str, ...]  #: names of the parameters, usually `kind.axis`
     units: tuple[str, ...]  #: of each, "m" or "rad"
-    scales: Array  #: in which they are counted, shape=(k,) [m, rad]
-    sigma: float = 1.0  #: standard deviation beforehand, in these scales
+    scales: Array  #: scales of the parameters, shape=(k,) [m, rad]
+    sigma: float = 1.0  #: prior standard deviation, in these scales
 
     @abstractmethod
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
-        """Return the motion of the tool that is seen by each parameter, shape=(n, 6, k), or (n, 6 + joints, k).
+        """Return the apparent motion of the tool by each parameter, shape=(n, 6, k), or (n, 6 + joints, k).
 
-        Poses are the machine's at each row; `drives` the motion of the tool, and of the joints with encoders, by the
-        joints of the drives, shape=(n, 6 or 6 + joints, commands).
+        Poses are the machine's at each row; `drives` is the motion of the tool, and of the joints with encoders, by the
+        drives' joints, shape=(n, 6 or 6 + joints, commands).
         """
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """Return measurements without what parameters of some values, shape=(k,) [m, rad], did; see :meth:`motions`."""
+        """Return measurements without the effect of parameter values, shape=(k,) [m, rad]; see :meth:`motions`."""
         return measurements.without_motions(poses, self.motions(measurements, poses, drives) @ values)
 
 
 class _InstrumentFrame(_Nuisance):
-    """Where the base is, beyond the registration: a twist in the base's axes, with which everything moves."""
+    """Correction of the registration: a twist in base axes that moves everything."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         return _rigid_motions(poses)
@@ -75,7 +75,7 @@ class _InstrumentFrame(_Nuisance):
 
 @dataclass(frozen=True, eq=False)
 class _PointOffsets(_Nuisance):
-    """Where points sit on the tool, beyond what the measurements say: a target elsewhere is the tool shifted."""
+    """Corrections of the points on the tool: moving a target is equivalent to shifting the tool."""
 
     points: Array = field(kw_only=True)  #: in the tool's axes, shape=(points, 3) [m]
 
@@ -88,16 +88,16 @@ class _PointOffsets(_Nuisance):
         return measurements.with_points(measurements.points + self._members(measurements) @ values.reshape(-1, 3))
 
     def _members(self, measurements: Measurements) -> Array:
-        """Tell which point a row sees, 1 or 0, shape=(n, points)."""
+        """Indicate which point each row sees, 1 or 0, shape=(n, points)."""
         seen = np.isclose(measurements.points[:, None], self.points, rtol=0.0, atol=1e-9).all(axis=2)
         return np.asarray(seen, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
 class _SphereCentres(_Nuisance):
-    """Where centres of touched spheres are, beyond where the machine as described has them.
+    """Corrections of the centres of touched spheres, relative to their fit by the machine as described.
 
-    A centre elsewhere is the tool shifted the other way.
+    Moving a centre is equivalent to shifting the tool the other way.
     """
 
     numbers: Indices = field(kw_only=True)  #: the spheres, shape=(spheres,)
@@ -113,7 +113,7 @@ class _SphereCentres(_Nuisance):
         return measurements.with_origins(measurements.origins + self._members(measurements) @ values.reshape(-1, 3))
 
     def _members(self, measurements: Measurements) -> Array:
-        """Tell which sphere a row touches, 1 or 0, shape=(n, spheres)."""
+        """Indicate which sphere each row touches, 1 or 0, shape=(n, spheres)."""
         if measurements.spheres is None:
             return np.zeros((len(measurements), len(self.numbers)))
         return np.asarray(measurements.spheres[:, None] == self.numbers, float)
@@ -124,18 +124,18 @@ class _Drift(_Nuisance):
     """Motion of the base and of the drives' zeros in proportion to time, from the first row to the last."""
 
     start: float = field(kw_only=True)  #: time of the first row [s]
-    duration: float = field(kw_only=True)  #: to the last [s]
+    duration: float = field(kw_only=True)  #: time to the last row [s]
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         base = with_joints(_rigid_motions(poses), drives.shape[1] - 6)
         times = np.full(1, self.start) if measurements.times is None else measurements.times
-        # from -1/2 to 1/2, so that what is identified is the machine in the middle
+        # from -1/2 to 1/2, so that the machine at the middle of the time is identified
         parts = np.broadcast_to((times - self.start) / self.duration - 0.5, len(measurements))
         return np.concatenate([base, drives], axis=2) * parts[:, None, None]
 
 
 class _Hysteresis(_Nuisance):
-    """By how much each drive stands elsewhere when it comes from below, less when it comes from above."""
+    """Difference of each drive's position between approaches from below and from above."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         if measurements.approaches is None:
@@ -144,14 +144,14 @@ class _Hysteresis(_Nuisance):
 
 
 class _EncoderZeros(_Nuisance):
-    """By how much each encoder shows more than its joint's coordinate: the joint seems to stand elsewhere."""
+    """Zero of each encoder: its reading minus the joint's coordinate."""
 
     def motions(self, measurements: Measurements, poses: Poses, drives: Array) -> Array:
         return np.tile(np.eye(6 + len(self.names))[:, 6:], (len(poses), 1, 1))
 
 
 class Nuisances:
-    """All nuisance parameters of some measurements, by kind, in one row. Not to be changed once made."""
+    """All nuisance parameters of some measurements, concatenated by kind. Immutable."""
 
     def __init__(self, parts: Iterable[_Nuisance] = ()) -> None:
         self.parts = tuple(parts)
@@ -162,7 +162,7 @@ class Nuisances:
 
     @classmethod
     def of(cls, measurements: Measurements, drive_units: tuple[str, ...]) -> Nuisances:
-        """Return what measurements depend on, as they say themselves; drives have units "m" or "rad" each."""
+        """Return the nuisance parameters that measurements imply; drives have units "m" or "rad" each."""
         parts: list[_Nuisance] = []
         drives = {f"u{k}": unit for k, unit in enumerate(drive_units, start=1)}
         if measurements.registration is not None:
@@ -197,10 +197,10 @@ class Nuisances:
         return np.flatnonzero([entry == kind for entry in kinds])
 
     def datum_map(self) -> Array:
-        """Return what the parameters do to base and tool as the measurements define them, shape=(12, parameters).
+        """Return the effect of the parameters on base and tool as the measurements define them, shape=(12, parameters).
 
-        The base is where the instrument's frame has it, [v; omega]; the tool sits amid the points seen, [v; omega] in
-        its own axes. A shift or turn common to all points cannot be told from another tool.
+        The base is that of the instrument's frame, [v; omega]; the tool is at the mean of the points seen, [v; omega]
+        in its own axes. A shift or rotation common to all points is equivalent to another tool.
         """
         found = np.zeros((12, len(self)))
         frame, targets = self.columns("frame"), self.columns("targets")
@@ -220,7 +220,7 @@ class Nuisances:
         return np.concatenate([with_joints(block, len(measurements.joints)) for block in blocks], axis=2)
 
     def removed(self, measurements: Measurements, poses: Poses, drives: Array, values: Array) -> Measurements:
-        """Return measurements without what all of it did, parameters having some values, shape=(k,) [m, rad]."""
+        """Return measurements without the effect of all parameters, given their values, shape=(k,) [m, rad]."""
         ends = np.cumsum([len(part.names) for part in self.parts])
         for part, own in zip(self.parts, np.split(values, ends[:-1]) if self.parts else (), strict=True):
             measurements = part.removed(measurements, poses, drives, own)
@@ -231,7 +231,7 @@ _Named = tuple[tuple[str, ...], tuple[str, ...], Array]
 
 
 def _named(prefix: str, units: Mapping[str, str], scales: Mapping[str, float]) -> _Named:
-    """Return names, units and scales of parameters, whose unit decides their scale."""
+    """Return names, units and scales of parameters; the unit determines the scale."""
     return (
         tuple(f"{prefix}.{name}" for name in units),
         (*units.values(),),
@@ -246,7 +246,7 @@ def _positions(labels: Iterable[str], scale: float) -> _Named:
 
 
 def _rigid_motions(poses: Poses) -> Array:
-    """Return how the tool moves with a twist [v; omega] of everything at the base's origin, shape=(n, 6, 6)."""
+    """Return the tool's motion by a twist [v; omega] of everything at the base's origin, shape=(n, 6, 6)."""
     motions = np.tile(np.eye(6), (len(poses), 1, 1))
     x, y, z = poses.positions.T
     motions[:, 0, 4], motions[:, 0, 5] = z, -y
@@ -256,7 +256,7 @@ def _rigid_motions(poses: Poses) -> Array:
 
 
 def datum_motions(poses: Poses) -> Array:
-    """Return how the tool moves at n poses with its base, then with its place on its last link, shape=(n, 6, 12)."""
+    """Return the tool's motion at n poses by motions of the base, then of the tool on its link, shape=(n, 6, 12)."""
     own = np.zeros((len(poses), 6, 6))
     own[:, :3, :3] = own[:, 3:, 3:] = poses.rotations
     return np.concatenate([_rigid_motions(poses), own], axis=2)

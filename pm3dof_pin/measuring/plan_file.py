@@ -1,4 +1,4 @@
-"""Files of plans: commands to measure at, and where the tool should then be."""
+"""Plan files: commands to measure at, and the nominal poses of the tool."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _NOMINAL_COLUMNS = tuple(f"nominal_{name}" for name in ("x_m", "y_m", "z_m", "qw
 
 
 def write_plan(poses: Poses, path: Path | str, loads: Mapping[str, Array] | None = None) -> Path:
-    """Write a plan as CSV, every digit kept: commands to drive to, loads by column, and where the tool should then be.
+    """Write a plan as CSV at full precision: commands, loads by column, and nominal poses of the tool.
 
-    The nominal pose is that of the robot as described; its columns are no measurement, and named so.
+    The nominal pose is that of the robot as described; the column names say that it is not a measurement.
 
     Raises:
-        OutputError: the file cannot be written; nothing is left of it.
+        OutputError: the file cannot be written; no partial file is left.
     """
     columns: dict[str, Array] = dict(zip(command_columns(poses.robot), poses.commands.T, strict=True))
     seen = np.concatenate([poses.positions, quaternion(poses.rotations)], axis=1)
@@ -45,7 +45,7 @@ def read_plan(path: Path | str, robot: Robot) -> tuple[Array, dict[str, Array]]:
     """Read a plan: commands as :func:`read_commands`, and temperatures and loads, shape=(n,), by column.
 
     Raises:
-        MeasurementError: see :func:`read_commands`; or a temperature or load is missing in a row.
+        MeasurementError: see :func:`read_commands`; or a temperature or load is missing in some row.
     """
     table = _table(path, robot)
     return commands_of(table, robot), table.conditions()

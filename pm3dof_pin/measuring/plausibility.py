@@ -1,4 +1,4 @@
-"""Whether measurements can be those of a machine: the mistakes that a look at its description tells."""
+"""Plausibility of measurements: mistakes that show when compared with the machine's description."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 POINT_COLUMNS = ("px_m", "py_m", "pz_m")
 
 _SAME = 1e-9
-_FAR_OFF = 0.05  # of the way from the base to the tool: no tolerance explains that
+_FAR_OFF = 0.05  # of the distance from the base to the tool: more than any tolerance explains
 _FAR_POINTS = 30.0  # times the machine's size
 _TURNED = 0.1  # [rad], likewise
 _THOUSANDFOLD = 300.0
-_OWN_FRAME = "--own-frame finds the base of an instrument with a frame of its own"
+_OWN_FRAME = "use --own-frame for an instrument with its own frame"
 
 
 def warn_of_copies(table: CsvTable, places: Array, measured: Array) -> None:
-    """Warn of rows that repeat others, wholly or in all that was measured at other commands.
+    """Warn of rows that repeat others, entirely or in everything measured at other commands.
 
-    By numbers in which rows of different poses, points or instruments differ, and by whole positions, with
-    orientations where there are such, shape=(n, k) each, or (n, 0).
+    `places` holds the numbers in which rows of different poses, points or instruments differ, `measured` full
+    positions, with orientations if there are any, shape=(n, k) each, or (n, 0).
     """
     rows = table.matrix(list(table.columns))
     first: dict[bytes, int] = {}
@@ -34,12 +34,12 @@ def warn_of_copies(table: CsvTable, places: Array, measured: Array) -> None:
         line for line, row in zip(table.lines, rows, strict=True) if first.setdefault(row.tobytes(), line) != line
     ]
     if copies:
-        table.warn("copies of earlier lines; they count as often as they stand there", copies)
+        table.warn("copies of earlier lines; each copy counts", copies)
     if measured.size:
         _, origin, again = np.unique(np.round(measured / _SAME), axis=0, return_index=True, return_inverse=True)
         elsewhere = np.any(places != places[origin[again.reshape(-1)]], axis=1)
         if elsewhere.any():
-            problem = "what was measured repeats other lines to the last digit, at other commands: stale, or copied?"
+            problem = "measurements repeat those of other lines to the last digit, at other commands: stale or copied?"
             table.warn(problem, table.lines_where(elsewhere))
     distinct = len(np.unique(np.round(places / _SAME), axis=0))
     if distinct < len(rows) - len(copies):
@@ -47,7 +47,7 @@ def warn_of_copies(table: CsvTable, places: Array, measured: Array) -> None:
 
 
 def check_points(table: CsvTable, points: Array, size: float) -> None:
-    """Refuse points in the tool's axes, shape=(n, 3) [m], that seem to be in millimetres for the machine's size [m]."""
+    """Reject points in tool axes, shape=(n, 3) [m], that seem to be in millimetres, given the machine's size [m]."""
     off = np.median(np.linalg.norm(points, axis=1))
     if off > _FAR_POINTS * size:
         problem = f"{','.join(POINT_COLUMNS)} are {off:.3g} m (median) from the tool point: millimetres?"
@@ -55,7 +55,7 @@ def check_points(table: CsvTable, points: Array, size: float) -> None:
 
 
 def check_extent(table: CsvTable, expected: Array, positions: Array) -> None:
-    """Look for positions in millimetres, in a frame of which nothing is known.
+    """Check for positions in millimetres, in an unknown frame.
 
     Raises:
         MeasurementError: they spread a thousand times as far as the machine moves.
@@ -67,7 +67,7 @@ def check_extent(table: CsvTable, expected: Array, positions: Array) -> None:
 
 
 def check_positions(table: CsvTable, expected: Array, positions: Array) -> bool:
-    """Look for positions where the machine cannot be, and tell whether most are where it can.
+    """Check for positions out of the machine's reach, and tell whether most are within it.
 
     Raises:
         MeasurementError: they are in millimetres.
@@ -80,7 +80,7 @@ def check_positions(table: CsvTable, expected: Array, positions: Array) -> bool:
     far = distances > _FAR_OFF * size
     if far.mean() > 0.5:
         table.warn(
-            f"positions are {np.median(distances):.3g} m (median) from where the machine is by its description: other "
+            f"positions are {np.median(distances):.3g} m (median) from where the description has the machine: other "
             f"axes, another zero of the commands or another tool point? {_OWN_FRAME}"
         )
         return False
@@ -91,12 +91,12 @@ def check_positions(table: CsvTable, expected: Array, positions: Array) -> bool:
 
 
 def check_rotations(table: CsvTable, nominal: Poses, rotations: Array, *, refuse: bool) -> None:
-    """Look for the usual mistakes: another order of a quaternion's numbers, the inverse rotation, other axes.
+    """Check for the usual mistakes: another order of the quaternion, the inverse rotation, other axes.
 
-    Something else is wrong unless all else fits (`refuse`).
+    Only refuse if everything else fits (`refuse`); otherwise something else is wrong.
 
     Raises:
-        MeasurementError: one of these mistakes explains the rotations, shape=(n, 3, 3), seen at the nominal poses.
+        MeasurementError: one of these mistakes explains the measured rotations, shape=(n, 3, 3), at the nominal poses.
     """
 
     def angles(seen: Array) -> Array:
@@ -110,15 +110,15 @@ def check_rotations(table: CsvTable, nominal: Poses, rotations: Array, *, refuse
         return
     scalar_last = rotation_of_quaternion(np.roll(table.matrix(QUATERNION_COLUMNS), 1, axis=1))
     for seen, problem in (
-        (scalar_last, "hold the numbers in the order x, y, z, w"),
+        (scalar_last, "are in the order x, y, z, w"),
         (
             np.swapaxes(rotations, 1, 2),
-            "are the inverse rotations, of the base in the tool's axes: expected those of the tool in the base",
+            "are inverse rotations, of the base in the tool's axes: expected those of the tool in the base",
         ),
     ):
         if refuse and np.median(angles(seen)) < min(_TURNED, 0.1 * np.median(turned)):
             raise MeasurementError(table.path, f"{','.join(QUATERNION_COLUMNS)} {problem}")
     table.warn(
-        f"orientations are {np.median(turned):.3g} rad (median) from where the machine is by its description: "
+        f"orientations are {np.median(turned):.3g} rad (median) from where the description has the machine: "
         f"other axes of the base or of the tool? {_OWN_FRAME}"
     )

@@ -1,12 +1,12 @@
-"""Registration: where the base of a machine stands in the axes of the instrument that measures it.
+"""Registration: the placement of a machine's base in the axes of the instrument that measures it.
 
-The rotation R and translation t that bring what was seen nearest to where the machine is by its description,
+The rotation R and translation t bring the measurements nearest to the machine's poses by its description,
 
     sum_i |R p_i + t - n_i|^2 + eta^2 |R R_i - N_i|^2 / 2,
 
 in closed form by a singular value decomposition (W. Kabsch, Acta Cryst. A 32, 1976; |.|^2 / 2 of small differences of
-rotation matrices is the squared angle), again without the rows that lie far from all others. Errors that move
-everything alike are thereby no errors of the machine any more: another place of the instrument looks the same.
+rotation matrices is the squared angle), repeated without the rows that lie far from all others. Errors that move
+everything alike thus no longer count as errors of the machine: they are equivalent to another place of the instrument.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _ON_A_LINE = 1e-6  # of the greatest extent
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """From the axes of an instrument to those of the base."""
+    """Transformation from an instrument's axes to those of the base."""
 
     rotation: Array  #: R, shape=(3, 3)
     translation: Array  #: t, shape=(3,) [m]
-    residual: float  #: what is left of the positions, root mean square over the rows that agree [m]
+    residual: float  #: residual of the positions, root mean square over the rows that agree [m]
 
     @property
     def base(self) -> Array:
@@ -41,7 +41,7 @@ class Registration:
         return transform
 
     def moved(self, twist: Array) -> Registration:
-        """Return the registration whose base stands at a [translation; rotation vector] in this base [m, rad]."""
+        """Return the registration to a base at [translation; rotation vector] in this base [m, rad]."""
         turn = rotation_matrix(twist[3:]).T
         return Registration(turn @ self.rotation, turn @ (self.translation - twist[:3]), self.residual)
 
@@ -60,7 +60,7 @@ class Registration:
 
 
 AT_THE_BASE = Registration(np.eye(3), np.zeros(3), 0.0)
-"""That of an instrument whose frame is the base's, as far as is known."""
+"""Registration of an instrument whose frame is initially that of the base."""
 
 
 def register(
@@ -71,13 +71,13 @@ def register(
     *,
     eta: float = TIP_LENGTH,
 ) -> Registration:
-    """Find the base from positions, and orientations where there are such.
+    """Locate the base from positions, and orientations if there are any.
 
-    Seen they are in the axes of the instrument, expected by the machine's description in those of its base: shape=(n,
-    3) [m], and shape=(n, 3, 3). eta weighs the orientation [m/rad].
+    `seen` values are in instrument axes, `expected` ones follow from the machine's description, in base axes:
+    shape=(n, 3) [m] and shape=(n, 3, 3). eta weighs the orientation [m/rad].
 
     Raises:
-        InvalidValueError: positions alone, which lie on one line: they do not tell how it is turned about that line.
+        InvalidValueError: positions only, all on one line: the rotation about that line is undetermined.
     """
     agreeing = np.ones(len(seen), dtype=bool)
     for _ in range(_MAX_ROUNDS):
@@ -103,7 +103,7 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
         extents = np.linalg.svd(products, compute_uv=False)
         if extents[1] <= _ON_A_LINE * extents[0]:
             raise InvalidValueError(
-                "positions", "on one line", "poses, or several targets: a line does not tell how it is turned"
+                "positions", "on one line", "poses, or several targets: the rotation about a line is undetermined"
             )
     else:
         products = products + turned
@@ -118,7 +118,7 @@ def _nearest(seen: Array, expected: Array, turned: Array | None) -> Registration
 def fitted_sphere(points: Array, radii: Array) -> Array:
     """Return the centre of a sphere on which points lie, shape=(n, 3) [m], at distances from it, shape=(n,) [m].
 
-    Linear in the centre and the square of its distance from the origin first, then by Gauss-Newton.
+    First linear in the centre and the square of its distance from the origin, then by Gauss-Newton.
     """
     middle = points.mean(axis=0)
     seen = points - middle

@@ -1,4 +1,4 @@
-"""Known wrenches on the tool while it is measured or at work: columns of a file, and what is left without them."""
+"""Known wrenches on the tool, when measured or at work: their columns, and measurements without their effect."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pm3dof_pin.measuring.measurements import Measurements
 from pm3dof_pin.typing import Array
 
 WRENCH_COLUMNS = ("load_fx_N", "load_fy_N", "load_fz_N", "load_mx_Nm", "load_my_Nm", "load_mz_Nm")
-"""Columns of a dead wrench on the tool, at the tool point, world axes; those that are missing are zero."""
+"""Columns of a dead wrench on the tool, at the tool point, world axes; missing ones are zero."""
 WEIGHT_COLUMN = "load_tool_N"
 """Column of a weight that hangs on the tool point."""
 
 
 def is_wrench(column: str) -> bool:
-    """Tell whether a column is part of a wrench; other loads are numbers that corrections may be learned from."""
+    """Tell whether a column is part of a wrench; other loads are only inputs for learned corrections."""
     return column == WEIGHT_COLUMN or column in WRENCH_COLUMNS
 
 
 def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: int) -> Array | None:
-    """Return the wrenches, shape=(count, 6) [N, N m], that conditions by column stand for; None without any."""
+    """Return the wrenches in conditions given by column, shape=(count, 6) [N, N m]; None without any."""
     if not any(is_wrench(name) for name in conditions):
         return None
     wrenches = np.zeros((count, 6))
@@ -38,7 +38,7 @@ def wrenches_of(conditions: Mapping[str, Array | float], robot: Robot, count: in
 
 
 def without_deflections(measurements: Measurements, poses: Poses, displacements: Array) -> Measurements:
-    """Return measurements less displacements [translation; rotation vector] of unloaded poses, without wrenches."""
+    """Return measurements minus displacements [translation; rotation vector] from unloaded poses, without wrenches."""
     return replace(
         measurements.without_motions(poses, displacements),
         conditions={name: values for name, values in measurements.conditions.items() if not is_wrench(name)},

@@ -1,1 +1,1 @@
-"""Simulated machines: what is wrong with them, and what an instrument sees of them."""
+"""Simulated machines: their errors, and what an instrument measures of them."""

@@ -1,4 +1,4 @@
-"""A simulated real machine: the closed-chain mechanism with more errors than any model fitted to it has."""
+"""A simulated real machine: the closed-chain mechanism with more errors than any model fitted to it."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from pm3dof_pin.typing import Array, Vector
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Under which conditions commands are carried out."""
+    """Conditions under which commands are carried out."""
 
-    #: of each screw over the temperature at which the machine is as described, one number, or shape=(n, number of
-    #: actuated joints) [K]
+    #: temperature rise of each screw since the machine was as described, one number, or shape=(n, number of actuated
+    #: joints) [K]
     temperature_rises: ArrayLike = 0.0
     #: dead wrenches [f; m] on the tool, world axes, shape=(6,) or (n, 6) [N, N m]; none by default
     wrenches: ArrayLike | None = None
-    hours: ArrayLike = 0.0  #: since the machine was as described, one number, or shape=(n,) [h]
+    hours: ArrayLike = 0.0  #: time since the machine was as described, one number, or shape=(n,) [h]
 
 
 @dataclass(frozen=True, eq=False)
 class GeometricSource:
-    """Joints and frames that sit wrong, for good: manufacturing and assembly."""
+    """Constant errors of joints and frames, from manufacturing and assembly."""
 
     errors: GeometricErrors  #: the parameters
     values: Vector  #: p, shape=(number of parameters,) [m, rad]
@@ -55,17 +55,17 @@ class GeometricSource:
 
 @dataclass(frozen=True, eq=False)
 class MachineDrift:
-    """How fast a machine changes."""
+    """Rates at which a machine changes."""
 
-    #: of the drives' joints, which stand too far by so much more each hour, shape=(actuated joints,) [m/h, rad/h]
+    #: growth of the drives' position errors, shape=(actuated joints,) [m/h, rad/h]
     zeros: ArrayLike
-    #: of screws and members, where the machine has thermal errors, beside its measured temperatures [K/h]
+    #: temperature rise of screws and members beyond the measured one, if the machine has thermal errors [K/h]
     warming: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMachine:
-    """A machine with errors of every class, each of which may be left out.
+    """A machine with errors of every class, each of them optional.
 
     Example:
         >>> import numpy as np
@@ -75,13 +75,13 @@ class SimulatedMachine:
         (2, 4, 4)
 
     Attributes:
-        nominal: the robot as described, which is what its controller knows.
-        geometric: joints and frames that sit wrong.
+        nominal: the robot as described, as its controller knows it.
+        geometric: errors of joints and frames.
         waviness: errors of the drives along their travel.
         thermal: growth of screws and members.
         elastic: deflection under load.
         vibration: scatter.
-        drift: what changes with time.
+        drift: changes with time.
     """
 
     nominal: Robot
@@ -101,17 +101,17 @@ class SimulatedMachine:
         everything: bool = True,
         distribution: Distribution = "normal",
     ) -> SimulatedMachine:
-        """Draw a machine whose geometry is wrong within the tolerances of parameters that somebody means to identify.
+        """Draw a machine with geometric errors within the tolerances of the parameters to be identified.
 
-        With `everything` all six errors of every joint and frame are wrong, not only what `errors` lists; the others
-        within the smallest tolerances that `errors` has.
+        With `everything`, all six errors of every joint and frame are drawn, not only those that `errors` lists; the
+        others within the smallest tolerances of `errors`.
         """
         truth = with_all_parameters(errors) if everything else errors
         source = GeometricSource(truth, truth.sample(generator, distribution))
         return cls(errors.robot, source)
 
     def only(self, source: str) -> SimulatedMachine:
-        """Return the machine with one of its sources alone, "geometric" ... "drift"; InvalidValueError for others."""
+        """Return the machine with only one of its sources, "geometric" ... "drift"; InvalidValueError for others."""
         sources = tuple(field.name for field in fields(self) if field.name != "nominal")
         if source not in sources:
             raise InvalidValueError("source", source, f"one of {', '.join(sources)}")
@@ -119,16 +119,16 @@ class SimulatedMachine:
         return SimulatedMachine(self.nominal, **alone)
 
     def poses(self, commands: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Return where the tool really is, without any scatter: homogeneous transforms, shape=(n, 4, 4).
+        """Return the true poses of the tool, without scatter: homogeneous transforms, shape=(n, 4, 4).
 
         Args:
-            commands: what the drives' counters show, shape=(n, number of commands) [m, rad].
+            commands: readings of the drives' counters, shape=(n, number of commands) [m, rad].
             conditions: temperatures and loads; the same for all commands or one each.
 
         Raises:
             ConvergenceError: the loops do not close at a command.
             InvalidValueError: commands or conditions of a wrong shape or not finite.
-            DescriptionError: deflections are wanted, and the description has no springs.
+            DescriptionError: deflections are requested, but the description has no springs.
         """
         return self._carried_out(np.array(commands, dtype=float), conditions or Conditions())
 
@@ -139,9 +139,9 @@ class SimulatedMachine:
         conditions: Conditions | None = None,
         instrument: Instrument | None = None,
     ) -> Array:
-        """Return what an instrument sees: :meth:`poses` with vibration and its own noise.
+        """Return what an instrument measures: :meth:`poses` with vibration and its own noise.
 
-        Poses come out whole even of an instrument that sees positions only.
+        Full poses are returned even for an instrument that measures positions only.
         """
         given = real_array("commands", commands)
         if given.ndim != 2:
@@ -176,9 +176,9 @@ class SimulatedMachine:
         return self._at(commands + self._scales * too_far, guesses, rises.mean(axis=1), offsets, wrenches)
 
     def _at(self, commands: Array, guesses: Array, rises: Array, offsets: Array, wrenches: Array | None) -> Array:
-        """Return the poses; rows that share one geometry are done together.
+        """Return the poses; rows with the same geometry are computed together.
 
-        Deflections are those of the geometry without waves and growth, of which they change by less than a thousandth.
+        Deflections are those of the geometry without waves and growth, which change them by less than a thousandth.
         """
         crooked = self.nominal
         if self.geometric is not None:
@@ -198,10 +198,10 @@ class SimulatedMachine:
 
 
 def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
-    """Return the errors of every joint and frame of a robot, with the tolerances of those that are listed.
+    """Return the errors of every joint and frame of a robot, keeping the tolerances of the listed ones.
 
-    What is not listed gets the smallest tolerance of its kind that is, or the usual one where none of its kind is.
-    Errors with which the loops cannot close are left out.
+    Unlisted errors get the smallest listed tolerance of their kind, or the usual one if none is listed. Errors with
+    which the loops cannot close are left out.
     """
     robot = errors.robot
     least = {
@@ -214,7 +214,7 @@ def with_all_parameters(errors: GeometricErrors) -> GeometricErrors:
 
 
 def waves_that_close(robot: Robot, waves: GuideWaviness) -> GuideWaviness:
-    """Return waves without those across a guideway with which loops cannot close, as out of a planar robot's plane."""
+    """Return waves without those with which the loops cannot close, such as out of the plane of a planar robot."""
     if not robot.closures or not waves.straightness:
         return waves
     across = GeometricErrors(robot, beside_guideways(robot))

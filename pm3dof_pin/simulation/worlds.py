@@ -1,4 +1,4 @@
-"""Simulated worlds: a machine with its errors, its surroundings and an instrument, to measure in."""
+"""Simulated worlds for measurements: a machine with its errors, its surroundings and an instrument."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ class World:
     """A machine and its surroundings."""
 
     machine: SimulatedMachine  #: the machine
-    #: screws are between 0 and so much warmer than when the machine was as described; known to those who measure [K]
+    #: greatest temperature rise of the screws since the machine was as described, from 0; measured [K]
     warmest: float = 0.0
-    heaviest: float = 0.0  #: a weight between 0 and so much hangs on the tool point, likewise known [N]
-    #: each component of a wrench on the tool is between minus and plus so much, likewise known, world axes, shape=(6,)
+    heaviest: float = 0.0  #: greatest weight hung on the tool point, from 0; likewise known [N]
+    #: greatest wrench on the tool, each component between minus and plus this, likewise known, world axes, shape=(6,)
     #: [N, N m]
     strongest: tuple[float, ...] = (0.0,) * 6
 
     @classmethod
     def random(cls, name: WorldName, errors: GeometricErrors, generator: np.random.Generator) -> World:
-        """Draw a world around the parameters that are to be identified, with their tolerances.
+        """Draw a world for the parameters to be identified, within their tolerances.
 
-        "everything": all six errors of all joints and frames are wrong, drives are wavy, screws and links warm up,
-        bodies have weight (if the description has springs), the tool vibrates. Waves and warmth only for machines all
-        of whose drives slide. "geometry": only the listed parameters are wrong.
+        "everything": all six errors of all joints and frames, waviness of drives, thermal growth of screws and links,
+        weight of bodies (if the description has springs), and vibration. Waviness and growth only for machines whose
+        drives are all linear. "geometry": only the listed parameters have errors.
 
         Raises:
             InvalidValueError: there is no such world.
@@ -68,7 +68,7 @@ class World:
             machine = replace(machine, elastic=ElasticDeflection())
         if any(command.unit != "m" for command in robot.commands):
             return cls(machine)
-        # a member that would strain the loops by its growth alone does not grow: its neighbours grow as well
+        # a member whose growth alone would strain the loops does not grow, since its neighbours grow too
         lengths = {p.place for p in truth.parameters if p.motion == "translation"}
         links = {loop.frame_a: LINKS_SHARE for loop in robot.closures if loop.frame_a in lengths}
         machine = replace(
@@ -79,7 +79,7 @@ class World:
         return cls(machine, _WARMEST)
 
     def only(self, source: str) -> World:
-        """Return the world with one source of error alone, see :meth:`SimulatedMachine.only`."""
+        """Return the world with only one source of error, see :meth:`SimulatedMachine.only`."""
         alone = self.machine.only(source)
         if getattr(alone, source) is None:
             raise InvalidValueError("source", source, "one that this machine has")
@@ -93,31 +93,31 @@ class World:
     def loaded(self, heaviest: float, strongest: Sequence[float] = (0.0,) * 6, *, large: bool = False) -> World:
         """Return the world with weights up to `heaviest` [N] and wrenches up to `strongest` on the tool.
 
-        With `large`, the machine is brought to its equilibrium under them, not deflected linearly.
+        With `large`, the machine is solved for equilibrium under them instead of deflected linearly.
 
         Raises:
-            InvalidValueError: a number is negative or not finite, or the machine does not give way: it has no springs.
+            InvalidValueError: a number is negative or not finite, or the machine has no springs.
         """
         if not 0.0 <= heaviest < np.inf:
-            raise InvalidValueError("heaviest", heaviest, "a weight that is not negative")
+            raise InvalidValueError("heaviest", heaviest, "a non-negative weight")
         wrench = finite_array("strongest", strongest, (len(WRENCH_COLUMNS),))
         if np.any(wrench < 0.0):
-            raise InvalidValueError("strongest", wrench.tolist(), "sizes that are not negative")
+            raise InvalidValueError("strongest", wrench.tolist(), "non-negative magnitudes")
         if (heaviest > 0.0 or wrench.any()) and self.machine.elastic is None:
-            raise InvalidValueError("loads", (heaviest, *strongest), "0, since this machine has no springs to give way")
+            raise InvalidValueError("loads", (heaviest, *strongest), "0, since this machine has no springs to deflect")
         machine = self.machine
         if machine.elastic is not None:
             machine = replace(machine, elastic=replace(machine.elastic, large=large))
         return replace(self, machine=machine, heaviest=heaviest, strongest=tuple(wrench.tolist()))
 
     def conditions(self, count: int, generator: np.random.Generator) -> dict[str, Array]:
-        """Draw temperatures and loads of some moments, by the name of their column, shape=(count,) each."""
+        """Draw temperatures and loads, by the name of their column, shape=(count,) each."""
         ranges = {TEMPERATURE: (0.0, self.warmest), WEIGHT_COLUMN: (0.0, self.heaviest)}
         ranges |= {name: (-most, most) for name, most in zip(WRENCH_COLUMNS, self.strongest, strict=True)}
         return {name: generator.uniform(least, most, count) for name, (least, most) in ranges.items() if most}
 
     def poses(self, commands: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return where the tool really is, shape=(n, 4, 4), at commands [m, rad] under :meth:`conditions`.
+        """Return the true poses of the tool, shape=(n, 4, 4), at commands [m, rad] under :meth:`conditions`.
 
         Raises:
             ConvergenceError: the loops do not close at a command.
@@ -134,16 +134,16 @@ class World:
         """Measure the machine at commands [m, rad], each at its own temperature and load, drawn or given by column.
 
         Raises:
-            InvalidValueError: wrenches are given, and the machine has no springs.
+            InvalidValueError: wrenches are given, but the machine has no springs.
             ConvergenceError: the loops do not close at a command.
         """
         if self.machine.elastic is None and any(map(is_wrench, given or ())):
-            raise InvalidValueError("loads", ", ".join(given or ()), "none: this machine has no springs to give way")
+            raise InvalidValueError("loads", ", ".join(given or ()), "none: this machine has no springs to deflect")
         conditions = self.conditions(len(commands), generator) | dict(given or {})
         surroundings = self._surroundings(commands, conditions)
         seen = self.machine.measure(commands, generator, surroundings, instrument)
         measurements = Measurements.of_poses(commands, seen, instrument)
-        rows = len(measurements) // max(1, len(commands))  # of each pose, one for each target
+        rows = len(measurements) // max(1, len(commands))  # rows of each pose, one for each target
         return replace(measurements, conditions={name: np.repeat(v, rows) for name, v in conditions.items()})
 
     def _surroundings(self, commands: Array, conditions: Mapping[str, Array]) -> Conditions:

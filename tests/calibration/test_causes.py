@@ -110,7 +110,7 @@ def test_a_frame_that_is_a_little_wrong_is_objected_to(measured: Measurements, t
     spoil, _ = MISTAKES["frame"]
     reasons = objections(calibrate(spoil(measured), tripod_errors, Options("lm")), None)
     assert len(reasons) == 1
-    assert re.search("tolerances .* from the description|more than the machine could be off", reasons[0])
+    assert re.search("tolerances .* from the description|larger than the machine could be off", reasons[0])
 
 
 def test_a_change_too_small_to_be_refused_is_named(

@@ -188,7 +188,7 @@ def test_a_plan_is_measured_and_a_network_trained(place: Path, run: Run, answer:
     assert measured["poses"] == 12
     result = run("calibrate", "p.csv", "--method", "nn", "--out", "positions", cwd=place)
     assert result.returncode == 0, result.stderr
-    assert "shows 1 of 3 motions of the drives" in result.stderr
+    assert "shows 1 of the 3 motions of the drives" in result.stderr
     assert not (place / "positions" / "calibrated").exists()
 
 
@@ -288,7 +288,7 @@ def test_the_robot_may_be_named(place: Path, run: Run) -> None:
     assert run("compensate", *pose, "pm3dof", cwd=place).returncode == 0
     other = run("compensate", *pose, "hexapod", cwd=place)
     assert other.returncode == 1
-    assert "expected one of hexapod, it is of pm3dof" in other.stderr
+    assert "expected a calibration of hexapod, not of pm3dof" in other.stderr
 
 
 def test_another_robot_of_the_same_name_is_refused(place: Path, run: Run, tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_another_robot_of_the_same_name_is_refused(place: Path, run: Run, tmp_pa
     pose = ("5", "-8", "0.49", "--calibration", "calibration", "--robot", str(folder))
     other = run("compensate", *pose, cwd=place)
     assert other.returncode == 1
-    assert "expected one of pm3dof, it is of another pm3dof" in other.stderr
+    assert "expected a calibration of pm3dof, not of another pm3dof" in other.stderr
 
 
 def test_parameters_with_which_loops_cannot_close_are_named(place: Path, run: Run) -> None:

@@ -167,7 +167,7 @@ def test_what_cannot_be_rehearsed(problem: PlanningProblem, tests: Poses) -> Non
     with pytest.raises(InvalidValueError, match="machines"):
         Rehearsal(problem, np.random.default_rng(0), machines=0)
     seen = PlanningProblem(problem.errors, tests[:20], instrument=Instrument("position"))
-    with pytest.raises(InvalidValueError, match="whole poses"):
+    with pytest.raises(InvalidValueError, match="full poses"):
         Rehearsal(seen, np.random.default_rng(0))
 
 

@@ -173,7 +173,7 @@ def test_a_folder_is_replaced_whole_or_left_alone(calibration: Calibration, tmp_
     other = tmp_path / "letters"
     other.mkdir()
     (other / "letter.txt").write_text("dear")
-    with pytest.raises(OutputError, match="something else is there"):
+    with pytest.raises(OutputError, match="the path is taken"):
         write_calibration(calibration, "pm3dof", other)
     assert [path.name for path in other.iterdir()] == ["letter.txt"]
 
@@ -198,10 +198,10 @@ DAMAGES = {
     "eta_m_per_rad": (lambda data: data.update(eta_m_per_rad=0.0), "expected a length up to 10000"),
     "pseudo_error.scale.0": (lambda data: data["pseudo_error"].update(scale=[None]), "expected a number, not null"),
     "values.0": (lambda data: data.update(values=[1e13, *data["values"][1:]]), r"a number of at most 1e\+12"),
-    "inputs": (lambda data: data["inputs"].update(centre=eval("[" * 14 + "]" * 14)), "fewer lists within each other"),
+    "inputs": (lambda data: data["inputs"].update(centre=eval("[" * 14 + "]" * 14)), "fewer nested lists"),
     "covariance: expected 40": (lambda data: data.update(covariance=[[1.0]]), r"not an array of shape \(1, 1\)"),
     "covariance: expected a": (lambda data: data["covariance"][0].__setitem__(1, 1.0), "without negative eigenvalues"),
-    "scatter_of_drives": (lambda data: data.update(scatter_of_drives=[1.0]), "expected 3 variances"),
+    "scatter_of_drives": (lambda data: data.update(scatter_of_drives=[1.0]), "expected 3 non-negative variances"),
     "pseudo_error": (lambda data: data["pseudo_error"].update(inputs=[[0.0]]), "a model that can be evaluated"),
 }
 

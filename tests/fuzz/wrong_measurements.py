@@ -366,7 +366,7 @@ WRONG: dict[str, Wrong] = {
     "half stale": Wrong(_stale(0.5), "stale|rows? above|from line"),
     "three quarters stale": Wrong(_stale(0.75), "stale|rows? above|from line"),
     "one drive a row off": Wrong(
-        _commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1|cannot take"
+        _commands(lambda u, g: np.column_stack([np.roll(u[:, 0], 1), u[:, 1:]])), "u1|cannot reach"
     ),
     "one drive constant": Wrong(
         _commands(lambda u, g: np.column_stack([np.full(len(u), u[:, 0].mean()), u[:, 1:]])), "u1"
@@ -428,8 +428,8 @@ WRONG: dict[str, Wrong] = {
     "quaternions conjugate": Wrong(lambda g: _seen(g.table, turns=_turns(g.table).inv()), "inverse"),
     "quaternions negated": Wrong(_scaled(QUATERNION, -1.0)),
     "one sign of the quaternions": Wrong(_scaled(("qx",), -1.0), "orientations|quaternion|sign|qx"),
-    "quaternions of any length": Wrong(_scaled(QUATERNION, 1.5), "no rotation"),
-    "Euler angles": Wrong(_euler, "no rotation"),
+    "quaternions of any length": Wrong(_scaled(QUATERNION, 1.5), "not a rotation"),
+    "Euler angles": Wrong(_euler, "not a rotation"),
     "another tool": Wrong(
         lambda g: _seen(g.table, turns=_turns(g.table) * Rotation.from_rotvec([0.0, 0.0, np.pi / 2.0])), "tool's axes"
     ),

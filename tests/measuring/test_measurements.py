@@ -138,7 +138,9 @@ def test_a_quaternion_that_is_no_rotation(
     lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path
 ) -> None:
     lines[6][6] = "0.3"
-    with pytest.raises(MeasurementError, match=r"line 7: qw,qx,qy,qz is no rotation: its length is 0\.\d+, expected 1"):
+    with pytest.raises(
+        MeasurementError, match=r"line 7: qw,qx,qy,qz is not a rotation: its length is 0\.\d+, expected 1"
+    ):
         read(lines, tripod_errors, tmp_path)
 
 
@@ -167,7 +169,7 @@ def test_what_was_measured_twice_to_the_last_digit_is_named(
 ) -> None:
     lines[4][3:] = lines[3][3:]
     found = read(lines, tripod_errors, tmp_path)
-    assert found.warnings[0].startswith("line 5: what was measured repeats other lines to the last digit, at other")
+    assert found.warnings[0].startswith("line 5: measurements repeat those of other lines to the last digit, at other")
 
 
 def test_a_position_far_off_is_named(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
@@ -184,8 +186,8 @@ def test_another_frame_is_suspected(lines: list[list[str]], tripod_errors: Geome
 @pytest.mark.parametrize(
     ("order", "signs", "problem"),
     [
-        ((1, 2, 3, 0), (1, 1, 1, 1), "qw,qx,qy,qz hold the numbers in the order x, y, z, w"),
-        ((0, 1, 2, 3), (1, -1, -1, -1), "are the inverse rotations"),
+        ((1, 2, 3, 0), (1, 1, 1, 1), "qw,qx,qy,qz are in the order x, y, z, w"),
+        ((0, 1, 2, 3), (1, -1, -1, -1), "are inverse rotations"),
     ],
 )
 def test_other_ways_to_write_a_rotation_are_recognised(
@@ -214,13 +216,16 @@ def test_turned_axes_and_turned_rows_are_named(
     warnings = read([*lines[:5], turned[5], *lines[6:]], tripod_errors, tmp_path).warnings
     assert warnings[0].startswith("line 6: orientations are more than 0.1 rad")
     (warning,) = read(turned, tripod_errors, tmp_path).warnings
-    assert warning.startswith("orientations are 1.57 rad (median) from where the machine is")
+    assert warning.startswith("orientations are 1.57 rad (median) from where the description has the machine")
 
 
 def test_large_sigmas_are_suspected(lines: list[list[str]], tripod_errors: GeometricErrors, tmp_path: Path) -> None:
     names = ["sigma_x_m", "sigma_y_m", "sigma_z_m"]
     table = [[*lines[0][:6], *names], *([*row[:6], "0.015", "0.015", "0.015"] for row in lines[1:])]
-    assert "sigma_x_m is 0.015 m (median), a great deal: millimetres?" in read(table, tripod_errors, tmp_path).warnings
+    assert (
+        "sigma_x_m is 0.015 m (median), which is very large: millimetres?"
+        in read(table, tripod_errors, tmp_path).warnings
+    )
 
 
 def test_columns_that_are_not_used_are_named(
@@ -262,10 +267,10 @@ def test_euler_angles_are_no_orientation(
         ("", "no column u1_m"),
         (HEADER + "\n", "no complete row"),
         (HEADER.replace(",", "|") + "\n0.24|0.24\n", "line 1: columns are separated by '|', expected commas"),
-        (HEADER.replace(",", ";") + ";y_mm\n", "line 1: column y_m stands there more than once"),
+        (HEADER.replace(",", ";") + ";y_mm\n", "line 1: column y_m appears more than once"),
         (HEADER + "\n0.24,0.24\n", "line 2: 2 cells, expected 10"),
         (HEADER + "\n0.24,0.24,0.24,zero,0,0.49,1,0,0,0\n", "line 2: x_m is 'zero', expected a number"),
-        (HEADER + ",u1_m\n", "line 1: column u1_m stands there more than once"),
+        (HEADER + ",u1_m\n", "line 1: column u1_m appears more than once"),
     ],
 )
 def test_broken_files(text: str, problem: str, tripod_errors: GeometricErrors, tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ def test_what_is_wrong_with_partial_rows_is_named(tripod_nominal: Poses, tmp_pat
     height = tripod_nominal.positions[0, 2]
     for header, row, problem in (
         ("z_m,distance_m,cx_m,cy_m,cz_m", f"{height},0.3,0,0,0", "expected a row for each"),
-        ("distance_m", "0.3", "from where"),
+        ("distance_m", "0.3", "needs one starting point"),
         ("qw,qx,qy,qz,note", f"{q},1", "no column x_m"),
         ("z_m,note", f"{height},1", "no column x_m"),
     ):

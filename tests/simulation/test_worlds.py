@@ -71,7 +71,7 @@ def test_what_is_not_there(tripod_errors: GeometricErrors, serial_arm: Robot, wo
         world.only("magnetic")
     with pytest.raises(InvalidValueError, match="no springs"):
         World.random("everything", GeometricErrors(serial_arm), np.random.default_rng(0)).loaded(10.0)
-    with pytest.raises(InvalidValueError, match="not negative"):
+    with pytest.raises(InvalidValueError, match="non-negative"):
         world.loaded(-1.0)
 
 
