@@ -100,7 +100,7 @@ def pseudo_errors(
 
     Raises:
         UnreachablePoseError: no commands bring the model there.
-        SingularConfigurationError: at a command the tool can move while all drives stand still.
+        SingularConfigurationError: at some command the tool can move with all drives locked.
     """
     scales = command_scales(model)
 

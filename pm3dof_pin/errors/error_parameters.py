@@ -163,7 +163,7 @@ class GeometricErrors:
 
     @property
     def zeros(self) -> Vector:
-        """p of the robot as described, shape=(number of parameters,)."""
+        """The p of the robot as described, shape=(number of parameters,)."""
         return np.zeros(len(self))
 
     def indices(self, group: str) -> NDArray[np.intp]:

@@ -126,7 +126,7 @@ def test_what_cannot_close_is_left_out_and_named(four_bar: Path) -> None:
 def test_a_tool_that_commands_do_not_hold_is_refused(four_bar: Path) -> None:
     loose = Robot(Robot.load(four_bar).model, (), actuated_joints=["crank_joint"], tool_frame="pen")
     poses = loose.forward([[0.2]])
-    with pytest.raises(SingularConfigurationError, match="still at pose 0"):
+    with pytest.raises(SingularConfigurationError, match="locked at pose 0"):
         sensitivities(GeometricErrors(loose, []), poses)
 
 
