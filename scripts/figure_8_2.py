@@ -1,4 +1,4 @@
-"""Draw Fig. 8.2, the workspace of the chapter's machine, and say where it departs from the printed ranges."""
+"""Draw Fig. 8.2, the workspace of the chapter's machine, and print where it differs from the printed ranges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the documentation's gallery with a browser that has no window.
+"""Take the pictures of the documentation's gallery with a headless browser.
 
 They are written under results/gallery/, or with --out docs/pictures where the documentation shows them.
 """
@@ -66,11 +66,11 @@ def main(folder: Path = RESULTS) -> None:
 
 
 def require_browser_and_arm() -> None:
-    """Say at once what is missing: a browser, or the serial arm of the last picture."""
+    """Report at once what is missing: a browser, or the serial arm of the last picture."""
     try:
         find_browser()
     except PM3DofError as error:
-        sys.exit(f"the pictures are taken by a browser: {error}")
+        sys.exit(f"a browser takes the pictures: {error}")
     if find_spec("example_robot_data") is None:
         sys.exit("the last picture shows an arm of example-robot-data: pip install 'pm3dof-pin[test]'")
 

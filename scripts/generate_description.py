@@ -1,7 +1,7 @@
 """Write the generated files of the descriptions: URDF, closures file, SRDF, and those for other tools.
 
-Without arguments, those of every robot in robots/. With --config, those of a robot of your own that is of the family of
-one of them: a tripod with other numbers, another hexapod.
+Without arguments, those of every robot in robots/. With --config, those of your own robot of the same family as one of
+them: a tripod with other numbers, another hexapod.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _WORDS = re.compile(r"([\s\",\[\]{}]+)")
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", choices=robot_names(), help="only this one (pm3dof if there is an --output)")
-    parser.add_argument("--config", type=Path, help="parameter file, laid out as that of the robot")
+    parser.add_argument("--config", type=Path, help="parameter file, with the layout of the robot's")
     parser.add_argument("--output", type=Path, help="folder of the description, of one robot (needed with --config)")
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not as generated")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is out of date")
     arguments = parser.parse_args()
     if arguments.config is not None and arguments.output is None:
         parser.error("--config needs --output")
@@ -48,7 +48,7 @@ def main() -> int:
         return _outdated(arguments.output, files, arguments.check)
     robots = [arguments.robot] if arguments.robot else robot_names()
     folders = {robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}": robot for robot in robots}
-    # first the copies of shared files, which the rest is made from
+    # first the copies of shared files, from which the rest is made
     shared = [_outdated(folder, shared_xacro(robot), arguments.check) for folder, robot in folders.items()]
     made = [_outdated(folder, _made_from_them(robot), arguments.check) for folder, robot in folders.items()]
     return max(*shared, *made)
@@ -60,7 +60,7 @@ def _made_from_them(robot: str) -> dict[str, str]:
 
 
 def _outdated(folder: Path, files: dict[str, str], check: bool) -> int:
-    """Write the files, or see whether one is not as generated: 1 if so."""
+    """Write the files, or check them: 1 if one differs from the generated one."""
     outdated = 0
     for name, text in files.items():
         path = folder / name
@@ -75,8 +75,8 @@ def _outdated(folder: Path, files: dict[str, str], check: bool) -> int:
 def description_files(robot: str = "pm3dof", *, config: Path | str | None = None) -> dict[str, str]:
     """Return the text of every generated file of a packaged robot's description, by its path in the folder.
 
-    With another parameter file of the same layout, the xacro files that it shares with other robots are left out. So
-    is, and logged, a format that cannot say what this robot is, such as a body that moves and has no mass.
+    With another parameter file of the same layout, the xacro files that it shares with other robots are left out. A
+    format that cannot express the robot, such as a moving body without mass, is left out and logged.
 
     Raises:
         UnknownRobotError: no such robot.
@@ -90,7 +90,7 @@ def description_files(robot: str = "pm3dof", *, config: Path | str | None = None
 
 
 def shared_xacro(robot: str) -> dict[str, str]:
-    """Return the xacro files that a robot shares with another one, so that its folder is a package by itself."""
+    """Return the xacro files that a robot shares with another one, so that its folder is self-contained."""
     folder = robots_directory() / f"{robot}{DESCRIPTION_SUFFIX}" / "xacro"
     texts = [path.read_text(encoding="utf-8") for path in folder.glob("*.xacro")]
     included = sorted({found for text in texts for found in _SHARED.findall(text)})
@@ -118,7 +118,7 @@ def _exports(name: str, texts: dict[str, str], manifest: Mapping[str, str]) -> d
 
 
 def same_but_rounding(text: str, other: str) -> bool:
-    """Tell whether two texts differ in nothing but the last digits of numbers, as two computers may."""
+    """Tell whether two texts differ only in the last digits of numbers, as between two computers."""
     words, others = (_WORDS.split(words) for words in (text, other))
     return len(words) == len(others) and all(map(_same_word, words, others))
 

@@ -1,7 +1,7 @@
 """Section 8.3 in numbers: the error map, and the flow of Fig. 8.6 run on a simulated machine.
 
-Error map over the section of Table 8.3, picture and CSV; then: plan, measure, calibrate, compensate, and what is left
-at poses that were not measured. With --method nn as the chapter proposes it.
+Error map over the section of Table 8.3, picture and CSV; then: plan, measure, calibrate, compensate, and the remaining
+errors at poses that were not measured. --method nn is the chapter's proposal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables 8.1 and 8.2: the numbers of the machine with their origin, on the terminal and as CSV."""
+"""Tables 8.1 and 8.2: the numbers of the machine with their origin, printed and as CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Table 8.4 with numbers: what each class of error does to the tool over the whole workspace, and as CSV."""
+"""Table 8.4 with numbers: the tool error by each class of error over the whole workspace, printed and as CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Atlases on disk: time and peak memory a pose, of every robot here, and for the tripod over the number of poses."""
+"""Atlases on disk: time and peak memory a pose, of every robot here, and for the tripod by number of poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def grid_of(robot: Robot, count: int) -> Grid:
 
 
 def measure(robot: Robot, count: int, folder: Path, threads: int | None) -> None:
-    """Compute one atlas of the felt stiffness and print what it cost."""
+    """Compute one atlas of the felt stiffness and print its cost."""
     path = folder / "atlas.zarr"
     shutil.rmtree(path, ignore_errors=True)
     start, cpu = time.perf_counter(), time.process_time()

@@ -1,4 +1,4 @@
-"""The chapter's stiffness map of 6,561 poses: time once compiled, and against the same equations in a Python loop."""
+"""The chapter's stiffness map of 6,561 poses: time once compiled, compared with the same equations in a Python loop."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Closing the loops of many poses: programs on a grid and at random poses, against Pinocchio's Jacobians in Python.
+"""Closing the loops of many poses: programs on a grid and at random poses, and Pinocchio's Jacobians in Python.
 
 Times are processor time of one thread, the least of several runs, taken in turn, limits and tool placements included.
-Random poses are walked to from home, each on its own.
+Random poses are reached by continuation from home, one by one.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python scripts/benchmarks/compare.py [NAME ...] [--write]
 
-A ratio says how many times faster this package does something than what it is measured against in the same run, so that
-it can be compared between machines. --write keeps the new ones.
+A ratio says how many times faster this package is than a reference measured in the same run, so that it can be compared
+between machines. --write keeps the new ones.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The 6 x 6 compliance and stiffness from q, against the bare Pinocchio calls for the same Jacobians in a Python loop.
+"""6 x 6 compliance and stiffness from q, compared with bare Pinocchio calls for the same Jacobians in a Python loop.
 
 One thread; the least of many short runs, taken in turn, so that ratios hold on a busy machine too.
 """
@@ -26,7 +26,7 @@ GOALS = {"pm3dof": 50, "hexapod": 50, "three_rps": 25}
 
 
 def bare_calls(mechanism: Mechanism, positions: np.ndarray) -> Callable[[], None]:
-    """Joint Jacobians, constraints and their Jacobian, frame Jacobian: what any condensation needs of Pinocchio."""
+    """Joint Jacobians, constraints and their Jacobian, frame Jacobian: what any condensation needs from Pinocchio."""
     model, data = mechanism.model, mechanism.model.createData()
     constraints, datas = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
     for closure in mechanism.closures:

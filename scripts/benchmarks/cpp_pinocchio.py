@@ -1,4 +1,4 @@
-"""Jacobians by Pinocchio in C++, where a compiler and Eigen's headers are at hand: a yardstick for benchmarks."""
+"""Jacobians by Pinocchio in C++, if a compiler and Eigen's headers are available: a reference for benchmarks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pinocchio as pin
 from pm3dof_pin.kinematics.poses import Poses
 
 SOURCE = Path(__file__).with_name("cpp") / "constraint_jacobians.cpp"
-DEFINITIONS = (  # those that Pinocchio's own build files ask of its users
+DEFINITIONS = (  # those that Pinocchio's own build files require of its users
     "BOOST_MPL_LIMIT_LIST_SIZE=30",
     "BOOST_MPL_LIMIT_VECTOR_SIZE=30",
     "BOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
@@ -24,7 +24,7 @@ DEFINITIONS = (  # those that Pinocchio's own build files ask of its users
 
 @cache
 def _program() -> Path | str:
-    """Return the compiled program, or why there is none."""
+    """Return the compiled program, or the reason why there is none."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     eigen = next((p for p in (Path("/usr/include/eigen3"), Path("/opt/homebrew/include/eigen3")) if p.is_dir()), None)
     prefix = Path(pin.__file__).parents[4]
@@ -45,7 +45,7 @@ def jacobians_microseconds(poses: Poses) -> float | str:
         poses: solved poses in one dimension.
 
     Returns:
-        Microseconds a pose; or why they were not measured.
+        Microseconds a pose; or the reason why they were not measured.
     """
     binary = _program()
     if isinstance(binary, str):

@@ -1,4 +1,4 @@
-"""Holding forces, inertia and natural frequencies of many poses, against Pinocchio and LAPACK pose by pose.
+"""Holding forces, inertia and natural frequencies of many poses, compared with Pinocchio and LAPACK pose by pose.
 
 Processor time of one thread, the least of several runs, taken in turn.
 """

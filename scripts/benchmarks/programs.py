@@ -1,4 +1,4 @@
-"""Programs themselves: recording, compiling, loading what is kept, running, on one thread and on two.
+"""Programs: recording, compiling, loading from the cache, running, on one thread and on two.
 
 Recording, compiling and loading are processor time; times of running are the least of many short runs, taken in turn,
 so that ratios hold on a busy machine too; but two threads need two free processors.
@@ -60,7 +60,7 @@ def main() -> None:
             times["one pose"] = min(times["one pose"], again / FEW)
         print(f"{robot}: {len(program)} operations")
         print(
-            f"  recorded with its samples in {trace:.2f} s, compiled in {first:.2f} s, with care in {careful:.2f} s",
+            f"  recorded with its samples in {trace:.2f} s, compiled in {first:.2f} s, optimised in {careful:.2f} s",
             end="",
         )
         print(f" ({1e6 * careful / len(program):.0f} us an operation), loaded in {1e3 * second:.1f} ms")

@@ -1,8 +1,8 @@
-"""What a map of any robot costs: closing loops, limits and compliance over a grid, random poses, first and second use.
+"""Cost of a map of any robot: closing loops, limits and compliance over a grid, random poses, first and second use.
 
-One thread but where it says otherwise. Ratios are taken in one run: against Pinocchio's Jacobians in C++ where a
-compiler is at hand, and against the same work done pose by pose on Pinocchio. Maps are long runs: unlike those of the
-other benchmarks, their ratios mean little while others use the machine.
+One thread unless stated otherwise. Ratios are taken in one run: relative to Pinocchio's Jacobians in C++ if a compiler
+is available, and to the same work done pose by pose on Pinocchio. Maps are long runs: unlike those of the other
+benchmarks, their ratios mean little on a busy machine.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def map_of(robot: Robot) -> Grid:
 def gains_of_two_threads(model: ElasticModel, poses: Poses) -> dict[str, float]:
     """Return how many times faster two threads compute compliances than one: the program, and the machine's ceiling.
 
-    The ceiling is what two threads that share nothing reach, with numbers that stay in their caches. A map of full
-    matrices goes to new memory at every call, which the kernel zeroes at the speed of the memory, whoever asks.
+    The ceiling is the speed of two threads that share nothing, with numbers that stay in their caches. A map of full
+    matrices goes to new memory at every call, which the kernel zeroes at memory speed.
     """
     tool = model.mechanism.model.frames[model.mechanism.tool_frame_id].name
     program = elastic_program(model, tool, COMPLIANCE, closed=True)

@@ -1,4 +1,4 @@
-"""How long something takes: the least of several tries, which others on the machine disturbed least."""
+"""Timing of some work: the least of several tries, the one least disturbed by other processes."""
 
 from __future__ import annotations
 

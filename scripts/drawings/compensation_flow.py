@@ -1,4 +1,4 @@
-"""How a command is corrected by the predicted pseudo-error, and where the prediction comes from (Fig. 8.6)."""
+"""The correction of a command by the predicted pseudo-error, and the source of the prediction (Fig. 8.6)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pm3dof_pin.figures.style import house_style
 
 
 def compensation_flow_figure() -> Figure:
-    """Draw the flow of the error compensation: above the way of every command, below the calibration."""
+    """Draw the flow of the error compensation: above the path of every command, below the calibration."""
     with house_style():
         sheet = Diagram(9.6, 4.1)
         size, upper, lower = (1.55, 0.86), 3.17, 1.13

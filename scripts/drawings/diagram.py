@@ -51,7 +51,7 @@ class Box:
 
 
 class Diagram:
-    """A sheet as wide as two columns, in units of which it has `width`; to be filled inside :func:`house_style`."""
+    """A sheet two columns wide, which is `width` units; to be filled inside :func:`house_style`."""
 
     figure: Figure
 
@@ -113,7 +113,7 @@ class Diagram:
         self._rounded(centre, size, facecolor="#F7F7F7", edgecolor="#AAAAAA", linewidth=0.6)
 
     def text(self, at: Sequence[float], words: str, side: str = "center", color: str = INK) -> None:
-        """Write words at a point; `side` is the side of the words that is there: "left", "center" or "right"."""
+        """Write text at a point; `side` is the side of the text that is there: "left", "center" or "right"."""
         self._axes.text(
             at[0], at[1], words, ha=side, va="center", fontsize=_LETTERS, linespacing=1.3, color=color, zorder=5
         )

@@ -10,7 +10,7 @@ from pm3dof_pin.figures.style import house_style
 
 
 def pseudo_error_figure() -> Figure:
-    """Draw what Table 8.4 and Fig. 8.5 of the chapter say, and what the three drives leave out."""
+    """Draw Table 8.4 and Fig. 8.5 of the chapter, and the part that the three drives cannot represent."""
     with house_style():
         sheet = Diagram(9.6, 4.05)
         sheet.frame((1.63, 2.55), (2.96, 2.86))

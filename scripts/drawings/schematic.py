@@ -19,7 +19,7 @@ from pm3dof_pin.figures.space import towards_viewer
 from pm3dof_pin.figures.style import INK, TWO_COLUMNS, house_style, new_figure
 from pm3dof_pin.typing import Array
 
-_ELEVATION, _AZIMUTH = 21.0, -52.0  # direction the machine is seen from [deg]
+_ELEVATION, _AZIMUTH = 21.0, -52.0  # viewing direction [deg]
 _GUIDE, _SLIDER, _LINK, _PASSIVE, _PLATFORM = "#555555", "#D55E00", "#0072B2", "#007F5F", "#B8860B"
 _LIGHT = {"base": "#ECECEC", "middle": "#D9D9D9", "platform": "#FBE7B2"}
 _FILL, _DIMENSION = "#F6C9A8", "#777777"
@@ -47,7 +47,7 @@ def schematic_figure(tripod: Tripod) -> Figure:
 
 
 class _Points:
-    """Named points of the machine at home, base frame [m]; of `middle`, guideways reach the height of the clamp."""
+    """Named points of the machine at home, base frame [m]; at `middle` the guideways reach the height of the clamp."""
 
     def __init__(self, tripod: Tripod) -> None:
         self.tripod = tripod
@@ -80,7 +80,7 @@ def _panel(figure: Figure, place: tuple[float, float, float, float], title: str 
 
 
 def _line(axes: Axes, start: Array, end: Array, color: str, width: float, order: float, **style: Any) -> None:
-    """Draw a line with a white rim, so that it is seen to pass in front of what it crosses."""
+    """Draw a line with a white rim, so that it appears in front of the lines it crosses."""
     rim = [withStroke(linewidth=width + 2.4, foreground="white")] if width > 1.0 else []
     axes.plot(
         *np.stack([start, end], axis=1), color=color, linewidth=width, zorder=order, path_effects=rim,
@@ -97,7 +97,7 @@ def _arrow(axes: Axes, start: Array, end: Array, color: str = INK, order: float 
 
 
 def _label(axes: Axes, point: Array, text: str, away: Sequence[float] | Array, color: str = INK) -> None:
-    """Write beside a point, `away` from it [typographic points]."""
+    """Write next to a point, `away` from it [typographic points]."""
     axes.annotate(
         text, xy=tuple(point), xytext=tuple(away), textcoords="offset points", color=color, ha="center", va="center",
         zorder=40, fontsize=7.5, path_effects=[withStroke(linewidth=2.2, foreground="white")],

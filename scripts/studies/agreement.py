@@ -1,9 +1,9 @@
-"""Programs against Pinocchio: 10,000 random poses of every robot here, of the test machines, and of hard variants.
+"""Agreement of programs with Pinocchio: 10,000 random poses of every robot here, of test machines and hard variants.
 
 Closing: values of the coordinates, and then of the commands, are drawn around home, over a box a quarter wider than the
-one that poses within limits span, so that some are out of reach. Compared are which poses are found, which limits they
-break, and where all joints and the tool are. Where the two engines found different poses, continuation from home in
-legs of a hundredth of a radian, on Pinocchio's Jacobians, tells whose assembly mode is that of home.
+one that poses within limits span, so that some are out of reach. The study compares which poses are found, which limits
+they break, and the positions of all joints and the tool. Where the two engines found different poses, continuation from
+home in legs of a hundredth of a radian, on Pinocchio's Jacobians, decides whose assembly mode is that of home.
 
 Elasticity and sensitivities: at the poses that the program closed.
 
@@ -53,13 +53,13 @@ DESCRIPTIONS = {
 }
 
 _WIDER = 1.25
-_WIDTH = 0.4  # of the box where poses within limits are not to be had [rad, characteristic lengths]
+_WIDTH = 0.4  # of the box where no poses within limits can be found [rad, characteristic lengths]
 _SAME = 1e-7  # difference up to which two poses are the same one, within rounding at a nearly singular pose
-_LEG = 0.01  # of the walk that decides on assembly modes [rad, characteristic lengths]
-_ROUNDING = 1e-13  # difference that is no more looked into
+_LEG = 0.01  # legs of the continuation that decides on assembly modes [rad, characteristic lengths]
+_ROUNDING = 1e-13  # difference that is not investigated further
 _SINGULAR = 1e-9  # part of the greatest singular value that counts as zero
 _SMOOTH = 20.0  # times as far as the coordinates a joint may go in one leg
-_IDLE = 1e-3  # part of the most an error moves the tool that counts as size of one that hardly moves it
+_IDLE = 1e-3  # fraction of the greatest effect of an error that counts as the size of one with hardly any effect
 _RIGID = 1e-12  # part of the softest direction that counts as rigid
 
 
@@ -77,7 +77,7 @@ def rigid_branches(model: ElasticModel) -> ElasticModel:
 
 
 def giving_closures(model: ElasticModel) -> ElasticModel:
-    """Return the model with a bushing in every closure besides."""
+    """Return the model with an additional bushing in every closure."""
     generator = np.random.default_rng(5)
     bushings = []
     for k, closure in enumerate(model.rigid.closures):
@@ -112,11 +112,12 @@ class Closing:
         solved: number of poses that the program found.
         found_otherwise: number of poses that only one of the two found.
         other_mode: number of poses that both found, in different assembly modes.
-        won: those of both kinds for which a walk in short legs ends where the program does, and the careful engine not.
-        lost: those for which it is the other way round. All other walks meet a singular pose.
+        won: those of both kinds for which continuation in short legs ends where the program does, but the Pinocchio
+            engine does not.
+        lost: the reverse. All other continuations meet a singular pose.
         limits: number of common poses at which they differ on broken limits.
         difference: greatest difference of joints and tool at common poses [rad, characteristic lengths].
-        refined: the same after one more Newton step of both on Pinocchio's Jacobians: what is not for loops left open.
+        refined: the same after one more Newton step of both on Pinocchio's Jacobians: the part not due to open loops.
         q: configurations that the program found.
     """
 
@@ -180,7 +181,7 @@ def random_values(robot: Robot, coordinates: tuple[Coordinate, ...], count: int,
 
 
 def places(robot: Robot, q: Matrix) -> Matrix:
-    """Return where joints, frames of closures and the tool are, in characteristic lengths; a rod may spin."""
+    """Return positions of joints, closure frames and the tool, in characteristic lengths; a rod may spin."""
     model, data = robot.model, robot.model.createData()
     frames = [robot.frame_id(name) for loop in robot.closures for name in (loop.frame_a, loop.frame_b)]
     rows = []
@@ -193,7 +194,7 @@ def places(robot: Robot, q: Matrix) -> Matrix:
 
 
 def walk(robot: Robot, coordinates: tuple[Coordinate, ...], target: Vector) -> Vector:
-    """Return where continuation from home in short legs ends; NaN where it meets a singular pose or comes to an end."""
+    """Return where continuation from home in short legs ends; NaN if it meets a singular pose or fails."""
     home, q = robot.read(coordinates, robot.home.q, _transform(robot)), robot.home.q
     units = np.array([abs(c.scale) * (robot.characteristic_length if c.unit == "m" else 1.0) for c in coordinates])
     legs = max(1, int(np.ceil(np.abs((target - home) / units).max() / _LEG)))
@@ -214,7 +215,7 @@ def walk(robot: Robot, coordinates: tuple[Coordinate, ...], target: Vector) -> V
 
 
 def equations(robot: Robot, coordinates: tuple[Coordinate, ...], q: Vector) -> Matrix:
-    """Return Pinocchio's Jacobian, by the joints that are not given, of what closes loops and places the tool."""
+    """Return Pinocchio's Jacobian of loop closures and tool placement with respect to the joints that are not given."""
     _, rows = robot.loop_kinematics.closures(q)
     rows = rows / robot.closure_scale[:, None]
     tool = [TOOL_COMPONENTS.index(c.tool) for c in coordinates if c.tool is not None]
@@ -243,7 +244,7 @@ def refined(robot: Robot, coordinates: tuple[Coordinate, ...], q: Vector, values
 
 
 def nearly_singular(matrix: Matrix, rank: int) -> bool:
-    """Tell whether a matrix is so near to a lower rank that a leg of the walk may have led across."""
+    """Tell whether a matrix is so near a lower rank that a leg of the continuation may have crossed it."""
     return bool(np.linalg.svd(matrix, compute_uv=False)[:rank].min(initial=1.0) < 0.5 * _LEG)
 
 
@@ -253,12 +254,12 @@ def _transform(robot: Robot) -> Array | None:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far matrices of two engines are apart.
+    """Difference between the matrices of two engines.
 
     Attributes:
         poses: number of poses.
         redone: number of poses at which the program was in doubt.
-        missing: number of poses at which one of the two has no value and the other has.
+        missing: number of poses at which only one of the two has a value.
         difference: greatest relative difference where the program was in no doubt.
     """
 
@@ -269,9 +270,9 @@ class Agreement:
 
 
 def compared_elasticity(model: ElasticModel, q: Matrix) -> tuple[Agreement, Agreement]:
-    """Compare the compliance and the stiffness; an entry is measured by the roots of its row's and column's diagonals.
+    """Compare the compliance and the stiffness; an entry is scaled by the roots of its row's and column's diagonals.
 
-    Entries of rigid directions are measured by the softest one over a characteristic length.
+    Entries of rigid directions are scaled by the softest one over a characteristic length.
     """
     poses = Poses(model.rigid, q)
     found = evaluate(model, poses, COMPLIANCE_AND_STIFFNESS, on_failure="nan")
@@ -289,7 +290,7 @@ def model_is_rigid(model: ElasticModel, q: Matrix) -> bool:
 
 
 def compared_sensitivities(robot: Robot, q: Matrix) -> Agreement:
-    """Compare how the tool moves with every error of the geometry with which the loops close, and every command."""
+    """Compare the tool's motion with every geometric error with which the loops close, and with every command."""
     poses = Poses(robot, q)
     errors = closable(GeometricErrors(robot), poses[:5])
     found, careful = (sensitivities(errors, poses, engine=engine) for engine in ("program", "pinocchio"))
@@ -314,7 +315,7 @@ def _agreement(matrices: Array, expected: Array, redone: Array, scale: Array) ->
 
 
 def closing_rows(names: Iterable[str], count: int) -> Iterable[tuple[str, Closing]]:
-    """Compare closing of the robots named, from coordinates and from commands."""
+    """Compare closing of the named robots, from coordinates and from commands."""
     for name in names:
         robot = load(name)
         for what, coordinates in (("coordinates", robot.coordinates), ("commands", robot.command_coordinates)):

@@ -1,7 +1,7 @@
-"""What a printer's scale is worth after a calibration from bed heights, with and without two distances.
+"""A printer's scale error after a calibration from bed heights, with and without two distances.
 
-Deltas whose rods and towers are wrong are closed with their errors, touch the bed at nineteen points, print marks and
-have them measured with a caliper: the figures at the end of the page on bed heights.
+Simulated deltas with errors of rods and towers touch the bed at nineteen points, and print marks that are measured with
+a caliper: the figures at the end of the page on bed heights.
 
     python scripts/studies/bed_heights.py [--machines 60] [--probe 1e-5] [--caliper 2e-5]
 """
@@ -23,19 +23,19 @@ from pm3dof_pin.measuring.command_columns import command_columns, start_columns
 TOWERS = [f"carriage{tower}_joint.t{axis}" for tower in (1, 2, 3) for axis in "xyz"]
 RODS = [f"rod{tower}_{side}_tip.tz" for tower in (1, 2, 3) for side in ("left", "right")]
 ROD_ERROR, TOWER_SIGMA = 1e-3, 3e-4  # at most, evenly; standard deviation [m]
-PRIOR = 10.0  # tolerances: next to no knowledge beforehand
+PRIOR = 10.0  # tolerances: hardly any prior knowledge
 RINGS = ((0.0, 1), (0.05, 6), (0.1, 12))
 MARKS = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.1, 0.0]])
 
 
 def bed() -> np.ndarray:
-    """Return the points that are touched, shape=(19, 3) [m]."""
+    """Return the touched points, shape=(19, 3) [m]."""
     angles = [(radius, 2.0 * np.pi * k / count) for radius, count in RINGS for k in range(count)]
     return np.array([[radius * np.cos(angle), radius * np.sin(angle), 0.0] for radius, angle in angles])
 
 
 def scale_error(machine: Robot, model: Robot) -> float:
-    """Return by how much distances along x and y are wrong on what a machine prints by a model of it, the worse one."""
+    """Return the worse scale error along x and y of what a machine prints using a model of it."""
     printed = machine.forward(model.solve(MARKS).commands).positions
     lengths = np.linalg.norm(printed[1::2] - printed[::2], axis=1)
     return float(np.abs(lengths / np.linalg.norm(MARKS[1::2] - MARKS[::2], axis=1) - 1.0).max())

@@ -1,13 +1,13 @@
-"""Is what a calibration says of itself true? Machines written without the package, calibrated and compared.
+"""Coverage of a calibration's stated uncertainty, on machines written without the package.
 
 The machines are those of machines_apart.py. They are measured in the base's frame, from a tracker metres away, by
-targets that sit where nobody knows exactly, by positions of the tool point and by heights alone; errors are from half
-to twice the tolerances of the error files. "Richness" is that of the effects that no parameter describes: 0 for none.
+targets of unknown position, by positions of the tool point and by heights alone; errors are from half to twice the
+tolerances of the error files. "Richness" is the size of the effects that no parameter describes: 0 for none.
 
     python scripts/studies/calibration_coverage.py [--machines 40] [--first 0] [--robots tripod] [--linear] [--table]
 
 Seeds from 0 on are for the table of the documentation, those from 1000 on for work on the package. An interrupted study
-goes on where it stopped: what stands in the file is not computed again.
+continues where it stopped: rows in the file are not computed again.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ TRACKER = (Rotation.from_rotvec([0.4, -0.7, 1.9]).as_matrix(), np.array([3.0, -1
 SETUPS = ("base", "tracker", "targets", "positions", "heights")
 ROBOTS = {"tripod": "pm3dof", "delta": "linear_delta", "hexapod": "hexapod", "arm": "ur5"}
 TESTS = 60
-_DENSE = 80  # poses at which a machine shows its parameters without noise
+_DENSE = 80  # noise-free poses from which a machine's parameters are found
 _NO_PRIOR = 1e3  # tolerances
 _NOT_SAID = (np.nan, np.nan)
 _FAR = 4.0  # standard deviations
@@ -82,7 +82,7 @@ def machine_of(robot: str, seed: int, richness: float) -> tuple[Machine, float]:
 def measured(
     machine: Machine, commands: np.ndarray, setup: str, generator: np.random.Generator, nominal: pm.Poses
 ) -> tuple[Measurements, np.ndarray]:
-    """Measure a machine as a person would; return also where the targets truly are."""
+    """Measure a machine as a user would; also return the true positions of the targets."""
     count, normal = len(commands), generator.standard_normal
     reached = machine.poses(commands, generator.choice([-1.0, 1.0], commands.shape), np.linspace(-0.5, 0.5, count))
     positions = reached[:, :3, 3] + 7.5e-6 * normal((count, 3))
@@ -125,7 +125,7 @@ def tip(wanted: np.ndarray, reached: np.ndarray) -> np.ndarray:
 
 
 def best_commands(poses: Callable[[np.ndarray], np.ndarray], wanted: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return the commands that bring a machine nearest."""
+    """Return the commands that bring a machine closest to the desired poses."""
     u = start.copy()
     for _ in range(3):
         missed = tip(wanted, poses(u))
@@ -163,7 +163,7 @@ Case = tuple[str, int, float, str, str]
 
 
 def one(case: Case, count: int) -> dict[str, object]:
-    """Calibrate one machine and compare what is said of it with what is."""
+    """Calibrate one machine and compare the stated accuracy with the actual one."""
     robot, seed, richness, setup, method = case
     errors = described(robot)
     machine = machine_of(robot, seed, richness)[0]
@@ -199,7 +199,7 @@ def one(case: Case, count: int) -> dict[str, object]:
 
 @cache
 def stations(robot: str, number: int, count: int) -> tuple[Station, Station]:
-    """Return poses to measure and others to judge by."""
+    """Return poses to measure and others for evaluation."""
     errors, generator = described(robot), np.random.default_rng([number, count])
     first, second = (Station(errors, pm.reachable_poses(errors.robot, n, generator)) for n in (count, TESTS))
     return first, second
@@ -230,19 +230,19 @@ def one_linear(case: Case, count: int) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Compared:
-    """What a calibration came to, and what it said."""
+    """The result of a calibration, and its stated accuracy."""
 
     errors: tuple[np.ndarray, np.ndarray, np.ndarray]  #: tip errors before, after, and with the best commands
     expected: np.ndarray  #: size of that after
     bound: np.ndarray  #: of 95 %
-    excess: np.ndarray  #: by how much the commands miss the best ones
+    excess: np.ndarray  #: distance of the commands from the best ones
     excess_said: np.ndarray  #: the same as expected, root mean square over the drives
     #: of the root mean squares over poses, of the size after and of the excess
     intervals: tuple[tuple[float, float], tuple[float, float]]
 
 
 def row(case: Case, found: Identification, compared: Compared, scatter: Scatter) -> dict[str, object]:
-    """Put the numbers of one calibration together."""
+    """Collect the numbers of one calibration."""
     robot, seed, richness, setup, method = case
     sizes = dict(zip(("before", "after", "floor"), (np.linalg.norm(e, axis=1) for e in compared.errors), strict=True))
     off = (found.values - true_parameters(robot, seed)) / found.sigmas if robot != "arm" else np.zeros(0)
@@ -276,7 +276,7 @@ def row(case: Case, found: Identification, compared: Compared, scatter: Scatter)
 
 
 def table(path: Path) -> str:
-    """Return what stands in a file as a table, one row for each robot and way of measuring, errors in micrometres."""
+    """Return the file's rows as a table, one row for each robot and kind of measurement, errors in micrometres."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
@@ -331,8 +331,8 @@ def main() -> None:
     parser.add_argument("--methods", nargs="*", default=["lm"])
     parser.add_argument("--richness", nargs="*", type=float, default=[0.0, 1.0])
     parser.add_argument("--out", type=Path, default=Path("results/calibration_coverage.csv"))
-    parser.add_argument("--linear", action="store_true", help="calibrate to first order, thirty times quicker")
-    parser.add_argument("--table", action="store_true", help="print what stands in the file, and compute nothing")
+    parser.add_argument("--linear", action="store_true", help="calibrate to first order, thirty times faster")
+    parser.add_argument("--table", action="store_true", help="print the table of the file, and compute nothing")
     given = parser.parse_args()
     if given.table:
         print(table(given.out), end="")

@@ -1,4 +1,4 @@
-"""Draw the pictures of the documentation's page on calibration, from its own file of measurements.
+"""Draw the pictures of the documentation's page on calibration, from its own measurement file.
 
 They are written under results/, or with --out docs/pictures where the documentation shows them.
 """

@@ -1,7 +1,7 @@
 """The calibration study: a table and two pictures, written to results/ or, with --docs, where the pages show them.
 
-Thirty simulated machines, five methods, 6 to 100 poses; some ten minutes on two processors. An interrupted study goes
-on where it stopped: finished machines are kept in calibration_study/ of the output folder.
+Thirty simulated machines, five methods, 6 to 100 poses; some ten minutes on two processors. An interrupted study
+continues where it stopped: finished machines are kept in calibration_study/ of the output folder.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Calibrations to first order about the machine as described: thirty times quicker, for a study of many machines.
+"""Calibrations to first order about the machine as described: thirty times faster, for a study of many machines.
 
-The measurements, and the machine that they are of, are those of calibration_coverage.py, and so is all statistics: the
-robust fit and its covariance, the prior from data, the correction that is sure enough, scatter and bounds are the
-package's own. Only the kinematics is linear: one set of derivatives serves all machines.
+The measurements and their machines are those of calibration_coverage.py, and the statistics are the package's own: the
+robust fit and its covariance, the prior from data, the correction that does no harm, scatter and bounds. Only the
+kinematics is linear: one set of derivatives serves all machines.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _at_the_description(
 ) -> Linearisation:
     """Return measurements' residuals against the machine as described, linear in all parameters.
 
-    In those of the measuring about known values, as they are measured from far away.
+    In the parameters of the measurement about known values, because the instrument is far away.
     """
     errors, numbers, count = station.errors, measurements.pose_numbers, len(station.errors)
     poses, drives = station.poses[numbers], station.by_drives[numbers]
@@ -108,7 +108,7 @@ def identified(station: Station, measurements: Measurements) -> Identification:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What is known of a machine after a calibration, and what commands are corrected by."""
+    """Knowledge of a machine after a calibration, and the correction of its commands."""
 
     found: Identification
     gain: Gain
@@ -116,7 +116,7 @@ class Correction:
 
     @classmethod
     def of(cls, station: Station, found: Identification) -> Correction:
-        """Return the correction that is sure enough over the poses of a station."""
+        """Return the correction that does no harm over the poses of a station."""
         covariance, count = found.seen_covariance, len(station.errors)
         effects, control = station.effects[:, :, : len(covariance)], station.control
         corrected = control @ (np.linalg.pinv(control) @ effects[:, :, :count])
@@ -125,7 +125,7 @@ class Correction:
 
     @property
     def covariance(self) -> np.ndarray:
-        """How uncertain parameters, base and tool are."""
+        """Uncertainty of parameters, base and tool."""
         covariance = self.gain.covariance.copy()
         count = len(self.values)
         left_out = self.found.values - self.values
@@ -133,17 +133,17 @@ class Correction:
         return covariance
 
     def covariances(self, station: Station) -> np.ndarray:
-        """Return how uncertain predicted poses are, tip-weighted, shape=(n, 6, 6)."""
+        """Return the covariance of predicted poses, tip-weighted, shape=(n, 6, 6)."""
         covariance = self.covariance
         effects = station.effects[:, :, : len(covariance)]
         return np.asarray(effects @ covariance @ np.swapaxes(effects, 1, 2))
 
     def standard_effects(self, station: Station) -> np.ndarray:
-        """Return what parameters a standard deviation off do to the tool, shape=(n, 6, directions)."""
+        """Return the tool's motion by parameters one standard deviation off, shape=(n, 6, directions)."""
         return np.asarray(station.effects[:, :, : len(self.covariance)] @ covariance_root(self.covariance))
 
     def at(self, station: Station, scatter: Scatter) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
-        """Return what corrected commands do to the tool, the tip error to be expected, its bound, and its rms."""
+        """Return the tool's motion by corrected commands, the expected tip error, its bound, and its rms."""
         error = station.effects[:, :, : len(self.values)] @ self.values
         change = -np.einsum("nij,nj->ni", control_inverse(station.control, 1e-9), error)
         moved = np.einsum("nij,nj->ni", station.control, change)
@@ -154,7 +154,7 @@ class Correction:
 
 
 def cross_validated(station: Station, correction: Correction) -> tuple[Scatter, np.ndarray, tuple[float, float]]:
-    """Return the scatter at hidden poses, and the excess of each drive at each pose, squared, with its interval."""
+    """Return the scatter at held-out poses, and the excess of each drive at each pose, squared, with its interval."""
     found, units = correction.found, [command.unit for command in station.errors.robot.commands]
     measurements, numbers, count = found.measurements, found.measurements.pose_numbers, len(station.poses)
     folds = np.random.default_rng(0).permutation(np.arange(count) % _FOLDS)

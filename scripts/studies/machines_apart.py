@@ -1,8 +1,8 @@
 """Machines with errors, written without the package: plain NumPy; nothing of :mod:`pm3dof_pin` moves them.
 
 A tripod (sliders, links, a passive leg), six rods between a base and a platform (a linear delta, a hexapod) and a
-serial arm. Each has errors of its geometry and, if it is to have everything, what no parameter describes: lead errors,
-waves of drives and guideways, sag, backlash, and drift while it is measured.
+serial arm. Each has errors of its geometry and, optionally, effects that no parameter describes: lead errors, waves of
+drives and guideways, sag, backlash, and drift during the measurement.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 LENGTH, ANGLE = 1e-4, 5e-4
-"""Standard deviations of what sits wrong [m, rad], those of the error files."""
+"""Standard deviations of geometric errors [m, rad], those of the error files."""
 
 _STEPS = 6
 _CLOSED = 1e-13  # [m]
@@ -23,14 +23,14 @@ _STEP = 1e-6
 
 @dataclass
 class Effects:
-    """What drives do beside their command. All arrays in metres and radians.
+    """Errors of the drives relative to their commands. All arrays in metres and radians.
 
     Attributes:
         lead: relative error of each counter.
         amplitudes: of its waves along the drive and across it, shape=(drives, 3, periods).
-        phases: theirs.
+        phases: of these waves.
         periods: in units of the counter.
-        backlash: by how much a drive stands elsewhere when it comes from the other side.
+        backlash: change of a drive's position when it comes from the other side.
         drift: of each drive's zero over the session.
         sag: of the tool.
     """
@@ -50,7 +50,7 @@ class Effects:
         Args:
             generator: source of the random numbers.
             drives: number of drives.
-            unit: what a metre of drive is in the counter's unit: 1, or 1 / radius for a drive that turns.
+            unit: a metre of drive in the counter's unit: 1, or 1 / radius for a drive that turns.
             size: 1 for a usual machine, 0 for none of this.
         """
         normal, periods = generator.standard_normal, unit * np.array([0.12, 0.05, 0.02])
@@ -65,7 +65,7 @@ class Effects:
         )
 
     def drives(self, commands: np.ndarray, sides: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the drives are, shape=(n, drives), and how far beside their lines, shape=(n, drives, 2)."""
+        """Return positions of the drives, shape=(n, drives), and offsets across their lines, shape=(n, drives, 2)."""
         u = commands * (1.0 + self.lead) + 0.5 * sides * self.backlash + times[:, None] * self.drift
         waves = np.sum(self.amplitudes * np.sin(2 * np.pi * u[:, :, None, None] / self.periods + self.phases), axis=3)
         return u + waves[:, :, 0], waves[:, :, 1:]
@@ -137,7 +137,7 @@ class Tripod(Machine):
 
     @classmethod
     def random(cls, generator: np.random.Generator, size: float, richness: float) -> Tripod:
-        """Draw a machine; `size` in units of the tolerances, `richness` of what no parameter describes."""
+        """Draw a machine; `size` in units of the tolerances, `richness` of the effects that no parameter describes."""
         d, a, normal = size * LENGTH, size * ANGLE, generator.standard_normal
         bases = _around(0.37425, [-30.0, 90.0, -150.0], 0.0) + d * normal((3, 3))
         guides = _around(-np.cos(np.radians(50.0)), [-30.0, 90.0, -150.0], np.sin(np.radians(50.0)))
@@ -260,7 +260,7 @@ class Rods(Machine):
 
 @dataclass
 class Arm(Machine):
-    """A serial arm of joints that turn, with the placements of a UR5.
+    """A serial arm of revolute joints, with the placements of a UR5.
 
     Attributes:
         effects: as above.

@@ -1,8 +1,8 @@
-"""Planted mistakes: which of them do the tests notice?
+"""Mutation tests: which introduced mistakes do the tests notice?
 
 Each mutant is a copy of the package with one operator, comparison, number or sign changed in one module; the tests of
-that module run over it and should fail. What survives is printed, to be explained (CONTRIBUTING.md) or met by a test.
-It takes hours over all modules and is no part of the checks: a sample a module is the default.
+that module run over it and should fail. Survivors are printed, to be explained (CONTRIBUTING.md) or caught by a new
+test. All modules take hours, so this is not part of the checks: the default is a sample of each module.
 
     python scripts/studies/mutation.py [MODULE ...] [--count 10] [--seed 1]
 """
@@ -107,7 +107,7 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
 
 
 def passes(module: str, text: str, tests: list[str]) -> bool:
-    """Run a module's tests over a copy of the package with another text of it, and say whether all pass."""
+    """Run a module's tests over a copy of the package with a changed text of it, and say whether all pass."""
     with tempfile.TemporaryDirectory(prefix="planted_") as folder:
         shutil.copytree(ROOT / PACKAGE, Path(folder) / PACKAGE, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("robots", "tests", "pyproject.toml"):
@@ -135,7 +135,7 @@ def main() -> None:
     for module in options.modules:
         source = (ROOT / PACKAGE / module).read_text(encoding="utf-8")
         if not passes(module, source, MODULES[module]):
-            sys.exit(f"{module}: its tests fail without any mistake planted")
+            sys.exit(f"{module}: its tests fail without any mutation")
         every = list(mutants(source))
         chosen = random.Random(options.seed).sample(every, min(options.count, len(every)))
         survivors = []

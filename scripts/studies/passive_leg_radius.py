@@ -1,4 +1,4 @@
-"""What a passive leg of a larger radius brings, in both models: a table on the terminal and a picture in results/."""
+"""Effect of a larger passive-leg radius in both models: a printed table and a picture in results/."""
 
 from __future__ import annotations
 

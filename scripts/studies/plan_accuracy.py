@@ -1,4 +1,4 @@
-"""What a plan of poses promises by strategy: a table on the terminal, and the picture of the documentation.
+"""Predicted accuracy of plans by strategy: a printed table, and the picture of the documentation.
 
 Predicted tip error of the tripod after a calibration, with four targets of 15 µm noise: the mean over ten sets of
 2,000 candidates, and over ten seeds for the random ways. Some minutes on one processor; smaller with --sets.
@@ -19,7 +19,7 @@ from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 STRATEGIES: tuple[Strategy, ...] = ("d-optimal", "tip-optimal", "random", "least-sensitive")
-PRIORS = (1.0, 3.0, 1e4)  # the last one believes nothing of the tolerances
+PRIORS = (1.0, 3.0, 1e4)  # the last one makes no use of the tolerances
 COUNTS = (9, 20)
 DRAWN = (3, 6, 9, 12, 20, 40, 60)
 

@@ -1,7 +1,7 @@
-"""What poses are worth to each method of calibration: a table of strategies, on the terminal and in results/.
+"""Value of poses for each calibration method: a table of strategies, printed and in results/.
 
 Ten simulated machines, five strategies, four methods, 10 to 40 poses: some five minutes on one processor. An
-interrupted study goes on where it stopped: finished machines are kept in plan_study/ of the output folder.
+interrupted study continues where it stopped: finished machines are kept in plan_study/ of the output folder.
 """
 
 from __future__ import annotations

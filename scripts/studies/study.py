@@ -1,10 +1,10 @@
-"""Which method, with how many poses? A study on simulated machines, richer than any model fitted to them.
+"""Which method, with how many poses? A study on simulated machines with more errors than any model describes.
 
 For each seed a machine is drawn and measured at random poses, or at those that another strategy of
-:mod:`pm3dof_pin.calibration.planning` chooses; every method is shown the first 6, 9 ... of them (of another strategy a
-plan for each number) and then commands the machine to poses that it has not seen: held-out ones all over the
-workspace, and an outer shell of it. The errors there are the machine's own, without measurement noise, beside those
-with the best possible commands (the floor).
+:mod:`pm3dof_pin.calibration.planning` chooses; every method is given the first 6, 9 ... of them (for another strategy a
+plan for each number) and then commands the machine to unseen poses: held-out ones all over the workspace, and an outer
+shell of it. The errors there are the machine's own, without measurement noise, compared with those of the best possible
+commands (the floor).
 
 Worlds: everything that :class:`~pm3dof_pin.simulation.worlds.World` knows; the same, measured in the inner half of the
 workspace only; and a machine with geometric errors only, on which a learned correction must do no harm.
@@ -44,9 +44,9 @@ STUDY_WORLDS: tuple[StudyWorld, ...] = get_args(StudyWorld)
 TESTS = ("held out", "outer shell")
 NONE, FLOOR = "none", "floor"
 ROWS = (NONE, *METHODS, FLOOR)
-"""What is compared: no correction, the methods, the best possible commands."""
+"""The compared rows: no correction, the methods, the best possible commands."""
 
-_SHELL = 0.8  # part of the poses inside of the outer shell
+_SHELL = 0.8  # share of the poses inside the outer shell
 _INNER = 0.5
 _RESTARTS = 3  # of the exchange that finds optimal poses
 _PLANNED_FOR = 200  # poses over which plans make errors small
@@ -55,14 +55,14 @@ _POOL = 10  # candidates for each pose of the shell
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """What a study runs through.
+    """The cases of a study.
 
     Attributes:
         robot: name or path.
         seeds: one machine each, for each world.
         counts: numbers of poses measured.
         worlds: see the module.
-        strategies: how the poses are chosen that are measured.
+        strategies: how the measured poses are chosen.
         methods: of the calibration.
         candidates: poses that strategies choose from.
         test_poses: number of held-out poses.
@@ -91,7 +91,7 @@ class Record:
     """Errors of one machine after one method.
 
     Attributes:
-        world: where.
+        world: which one.
         seed: which machine.
         strategy: how they were chosen; empty for what does not depend on it.
         count: number of poses measured; 0 for what does not depend on it.
@@ -131,7 +131,7 @@ def run_study(
     """Run a study, or what is left of it: finished worlds and seeds are taken from the folder.
 
     Args:
-        plan: what to run through.
+        plan: the cases.
         directory: folder for the results of each world and seed. It may hold those of other seeds and worlds, but of
             one study only.
         workers: number of processes.
@@ -154,11 +154,11 @@ def run_study(
 
 
 def run_job(plan: StudyPlan, world: StudyWorld, seed: int) -> list[Record]:
-    """Measure, calibrate and judge one machine.
+    """Measure, calibrate and evaluate one machine.
 
     Args:
-        plan: what to run through.
-        world: where.
+        plan: the cases.
+        world: which one.
         seed: which machine.
     """
     generator = np.random.default_rng([seed, int(world == "geometry")])
@@ -209,10 +209,10 @@ def _planning(errors: GeometricErrors, plan: StudyPlan, seed: int) -> PlanningPr
 
 
 class _Judge:
-    """Wanted poses in a world, and how well commands reach them.
+    """Desired poses in a world, and how well commands reach them.
 
     The machine is put at the best commands, and moved from there along its Jacobian: over the tenths of a millimetre
-    that commands differ by, the curvature of its motion is worth less than a micrometre.
+    by which commands differ, the curvature of its motion amounts to less than a micrometre.
     """
 
     def __init__(self, truth: World, poses: Poses, instrument: Instrument, generator: np.random.Generator) -> None:
@@ -295,7 +295,7 @@ def _training(errors: GeometricErrors, plan: StudyPlan, world: str, generator: n
 
 
 def _distances(poses: Poses) -> Array:
-    """Return how far poses are from the middle of the workspace: root mean square over the motions' ranges."""
+    """Return the distance of poses from the middle of the workspace: root mean square over the motions' ranges."""
     robot = poses.robot
     lower, upper = coordinate_ranges(robot, robot.coordinates)
     middle = 0.5 * (lower + upper)
@@ -303,7 +303,7 @@ def _distances(poses: Poses) -> Array:
 
 
 def _claim(folder: Path, plan: StudyPlan) -> None:
-    """Write down which study the folder is for, or check it."""
+    """Record which study the folder is for, or check it."""
     wanted = {name: value for name, value in asdict(plan).items() if name not in ("seeds", "worlds")}
     path = folder / "study.json"
     if not path.is_file():

@@ -23,16 +23,16 @@ _WORDS = {
     "lm+nn": "parameters and network (lm+nn)",
     "lm+gp": "parameters and process (lm+gp)",
 }
-_APART = 1.045  # ratio of the places of two methods at the same number of poses
+_APART = 1.045  # ratio of the positions of two methods at the same number of poses
 _MICROMETRES = 1e6
 
 
 def excess_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
-    """Draw by how much commands miss the best ones, mean over the seeds with its range.
+    """Draw the distance of commands from the best ones, mean over the seeds with its range.
 
     Args:
-        plan: what the study ran through.
-        records: what came out.
+        plan: the cases of the study.
+        records: the results.
     """
     with house_style():
         figure, panels = _panels(plan)
@@ -48,11 +48,11 @@ def excess_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
 
 
 def tip_picture(plan: StudyPlan, records: Sequence[Record]) -> Figure:
-    """Draw what is left of the mean tip error beyond the floor, that of the best commands, with its range over seeds.
+    """Draw the mean tip error beyond the floor, that of the best commands, with its range over the seeds.
 
     Args:
-        plan: what the study ran through.
-        records: what came out.
+        plan: the cases of the study.
+        records: the results.
     """
     with house_style():
         figure, panels = _panels(plan)
@@ -81,7 +81,7 @@ def _curve(axes: Any, plan: StudyPlan, values: Sequence[Sequence[float]], method
     """Draw the mean over the seeds, one list of values for each number of poses [m]."""
     numbers = _MICROMETRES * np.array(values)
     color, mean = _COLORS[method], numbers.mean(axis=1)
-    # beside each other, so that the ranges of all methods can be told apart
+    # side by side, so that the ranges of all methods can be distinguished
     places = np.array(plan.counts) * _APART ** (METHODS.index(method) - 0.5 * (len(METHODS) - 1))
     axes.errorbar(
         places,

@@ -1,4 +1,4 @@
-"""The study in tables, as Markdown: excess joint errors, tip errors, and published figures beside them."""
+"""The study in tables, as Markdown: excess joint errors, tip errors, and published figures for comparison."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def study_tables(plan: StudyPlan, records: Sequence[Record]) -> str:
     """Return all tables of a study.
 
     Args:
-        plan: what it ran through.
-        records: what came out.
+        plan: its cases.
+        records: the results.
     """
     parts = []
     for world in plan.worlds:
         for test in TESTS:
             parts += [f"### World: {world}, {test} poses\n", _methods_table(plan, records, world, test)]
-    parts += ["### Before and after, beside published figures\n", _published_table(plan, records)]
+    parts += ["### Before and after, with published figures\n", _published_table(plan, records)]
     return "\n".join(parts)
 
 
@@ -38,8 +38,8 @@ def strategies_table(plan: StudyPlan, records: Sequence[Record]) -> str:
     """Return the excess joint errors at held-out poses by method, number of poses and strategy.
 
     Args:
-        plan: what the study ran through.
-        records: what came out.
+        plan: the cases of the study.
+        records: the results.
     """
     here = select(records, world=plan.worlds[0], test=TESTS[0])
     rows = []

@@ -1,4 +1,4 @@
-"""The passive leg's universal joint on the platform or at the base: a table on the terminal and a picture."""
+"""The passive leg's universal joint on the platform or at the base: a printed table and a picture."""
 
 from __future__ import annotations
 
