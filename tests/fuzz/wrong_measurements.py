@@ -622,6 +622,10 @@ def trials_of_less(good: Good, folder: Path, only: str) -> Iterator[tuple[str, s
         if of_good.kind != "refused":
             best = of_good.result.missed
         files = {name: (less(WRONG[name].spoil(good)), WRONG[name].says) for name in OF_LESS}
+        seen = replace(good, table=less(good.table))  # targets are in the unit of the file, with their distances
+        files |= {name: (WRONG[name].spoil(seen), WRONG[name].says) for name in ("millimetres", "inches")}
+        if kind == "positions":  # of a planar machine, which can be seen from the other side
+            files |= {name: (files[name][0], f"{files[name][1]}|--own-frame") for name in ("x and y", "y mirrored")}
         if kind == "distances":
             # a base, or a tool point, elsewhere is a fixed point elsewhere
             files = {name: (table, says and f"{says}|fixed points|distances") for name, (table, says) in files.items()}
