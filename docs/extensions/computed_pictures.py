@@ -1,4 +1,4 @@
-"""The figures of the chapter as the package computes them today, drawn when the documentation is built."""
+"""The figures of the chapter as computed by the current package, drawn when the documentation is built."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _draw_atlas(robot: Robot, folder: Path) -> None:
 
 
 def _draw_errors(folder: Path) -> None:
-    """Draw what errors of the parts do over the section of Table 8.3."""
+    """Draw tool errors caused by part errors over the section of Table 8.3."""
     errors = GeometricErrors.load("pm3dof")
     grid = section_grid(errors.robot, points=61)
     section, mapped = error_section(errors, grid)

@@ -1,7 +1,7 @@
 """Pages of the examples and of the live robots, made when the documentation is built.
 
-Every script of docs/examples is run in a folder of its own; its page holds its text, what it printed and the pictures
-it wrote. Every robot's page of the viewer is written beside the documentation's, where docs/live.md embeds it.
+Every script of docs/examples is run in a folder of its own; its page shows its text, output and pictures. Every
+robot's page of the viewer is written next to the documentation's, where docs/live.md embeds it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables of the documentation that are read from the description files, so that no number is typed twice.
+"""Tables of the documentation, read from the description files so that no number is typed twice.
 
 Directives: `quantities` (one section of the machine's YAML file), `derived-numbers` (what follows from it) and
 `table-8-3` (published and computed).
@@ -66,7 +66,7 @@ class Quantities(MarkdownTable):
 
 
 class DerivedNumbers(MarkdownTable):
-    """What follows from the YAML file and stands nowhere in it."""
+    """Numbers derived from the YAML file."""
 
     header = ("quantity", "symbol", "value")
     alignment = ("---", "---", "---")

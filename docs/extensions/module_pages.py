@@ -1,4 +1,4 @@
-"""The directive `modules`: autodoc of every public module of a package, so that a new one is on its page by itself."""
+"""The directive `modules`: autodoc of every public module of a package, so that new ones are added automatically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sphinx.util.typing import ExtensionMetadata
 
 
 class Modules(SphinxDirective):
-    """Headings and autodoc for each public module of the packages or modules that are named."""
+    """Headings and autodoc for each public module of the given packages or modules."""
 
     required_arguments = 1
     final_argument_whitespace = True

@@ -1,4 +1,4 @@
-"""Docstrings are plain text for whoever reads the source; this makes reStructuredText of them.
+"""Docstrings are plain text for readers of the source; this converts them to reStructuredText.
 
 An indented paragraph below a blank line is a formula or an example and keeps its lines. Elsewhere `*` and `|` are
 themselves: products, powers, absolute values. A colon in the first line of "Returns:" or of a property is punctuation,
@@ -49,7 +49,7 @@ def _escaped(line: str) -> str:
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
-    """Put the translation in front of napoleon's."""
+    """Run the conversion before napoleon's."""
     app.connect("autodoc-process-docstring", _to_restructured_text, priority=_BEFORE_NAPOLEON)
     app.connect("autodoc-process-signature", _with_short_aliases)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
