@@ -1,4 +1,4 @@
-"""The Cartesian compliance and stiffness at many poses, from a compiled program, with care where that is in doubt."""
+"""Cartesian compliance and stiffness at many poses, by compiled program, or pose by pose where that is in doubt."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def compliance(
         model: the robot, with the springs of its description; or an elastic model.
         poses: solved poses, a configuration, or many as q with closed loops, shape=(..., nq) [m, rad].
         frame: the frame; the tool by default.
-        on_failure: "raise", or "nan" to mark poses that are not solved, those at which the length of a spring is not
-            positive, and those at which the frame is free. Their number is logged.
-        engine: "program"; or "pinocchio" for Pinocchio's Jacobians and singular value decompositions at every pose.
-        threads: the number of processors by default. The result does not depend on it.
+        on_failure: "raise", or "nan" for unsolved poses, those with a nonpositive spring length, and those at which the
+            frame is free. Their number is logged.
+        engine: "program", or "pinocchio" for Pinocchio's Jacobians and singular value decompositions at every pose.
+        threads: number of processors by default. The result does not depend on it.
 
     Returns:
         C, twist = C wrench at the frame's origin, world axes, shape=(..., 6, 6) [m/N, 1/N, rad/(N m)].
 
     Raises:
         FreeDirectionError: the frame has free directions at a pose, and `on_failure` is "raise".
-        InvalidValueError: a pose is not solved, or the length of a spring is not positive, and `on_failure` is "raise";
-            or `poses` has another shape.
+        InvalidValueError: a pose is unsolved, or the length of a spring is not positive, and `on_failure` is "raise";
+            or `poses` has the wrong shape.
         FrameNotFoundError: the model has no such frame.
         DescriptionError: no frame is given, and the mechanism has no tool frame; or the robot has no springs.
     """
@@ -69,7 +69,7 @@ def stiffness(
     frame: str | None = None,
     **options: Unpack[BatchOptions],
 ) -> Array:
-    """Compute the Cartesian stiffness of a frame at many poses; arguments and errors as for :func:`compliance`.
+    """Compute the Cartesian stiffness of a frame at many poses; arguments and errors as in :func:`compliance`.
 
     Example:
         >>> import numpy as np
@@ -80,8 +80,8 @@ def stiffness(
         True
 
     Returns:
-        K, wrench = K twist at the frame's origin, world axes, shape=(..., 6, 6) [N/m, N, N m/rad]; NaN where no spring
-        gives in some direction.
+        K, wrench = K twist at the frame's origin, world axes, shape=(..., 6, 6) [N/m, N, N m/rad]; NaN if the frame is
+        rigid in some direction.
     """
     return evaluate(model, poses, STIFFNESS, frame=frame, **options).values
 
@@ -94,7 +94,7 @@ def evaluate(
     frame: str | None = None,
     **options: Unpack[BatchOptions],
 ) -> PoseValues:
-    """Compute a quantity of the elastic behaviour of a frame; other arguments and errors as for :func:`compliance`."""
+    """Compute an elastic quantity of a frame; other arguments and errors as in :func:`compliance`."""
     elastic = model if isinstance(model, ElasticModel) else elastic_model(model)
     name = elastic.mechanism.frame_name(frame)
     closed = isinstance(poses, Poses)
@@ -110,10 +110,10 @@ def evaluate(
 
 
 def elastic_model(robot: Robot) -> ElasticModel:
-    """Return the elastic model of a robot with the springs of its description; made once, and kept with the robot.
+    """Return the elastic model of a robot with the springs of its description; cached with the robot.
 
     Raises:
-        DescriptionError: the robot has no springs, or see :class:`ElasticModel`.
+        DescriptionError: the robot has no springs; or as for :class:`ElasticModel`.
     """
     require_kind("robot", robot, Robot, "pm.load")
     kept: ElasticModel | None = vars(robot).get(_KEPT)

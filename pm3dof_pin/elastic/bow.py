@@ -1,4 +1,4 @@
-"""The shortening of beams that bend: what makes a column buckle, and a string stiff."""
+"""The shortening of bending beams, which makes columns buckle and strings stiff."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pm3dof_pin.typing import Indices, Matrix, Vector
 
 @dataclass(frozen=True, eq=False)
 class Bow:
-    """The shortening of a beam that bends, b = d^T B d / 2, which its axial stiffness c resists: U = c (z + b)^2 / 2.
+    """The shortening of a bending beam, b = d^T B d / 2, resisted by its axial stiffness c: U = c (z + b)^2 / 2.
 
-    With w' the slope of the cubic that the beam bends to, b is half the integral of w'^2 along it. B times the axial
+    With w' the slope of the cubic bending line of the beam, b is half the integral of w'^2 along it. B times the axial
     force is the consistent geometric stiffness of a beam element (J. Przemieniecki, Theory of Matrix Structural
     Analysis, 1968, chapter 15).
     """
 
-    axial: int  #: entry of d that goes along the beam, z
-    bending: Indices  #: entries of d that bend it, in the order x, ry, y, rx, shape=(4,)
+    axial: int  #: index in d of the elongation, z
+    bending: Indices  #: indices in d of the bending, in the order x, ry, y, rx, shape=(4,)
     stiffness: float  #: c times the length, E A [N]
-    length: float | None  #: length of the element [m]; None if a joint changes it
+    length: float | None  #: length of the element [m]; None if it varies with a joint
 
     def energy_derivatives(self, d: Vector, length: float) -> tuple[Vector, Matrix]:
         """Return the derivatives of U - c z^2 / 2 by deflections d, shape=(n,), and, last, by the length [m].

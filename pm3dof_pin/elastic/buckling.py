@@ -23,34 +23,34 @@ from pm3dof_pin.typing import Vector
 _log = logging.getLogger(__name__)
 
 _REACH = 10.0
-_ROUNDING = 1e-9  # softening relative to the loads' greatest stiffness, below which it is rounding
+_ROUNDING = 1e-9  # less softening, relative to the loads' greatest stiffness, is rounding
 _MOST_POINTS = 1000
-_AT_BIFURCATION = 1e-6  # least eigenvalue of a point that counts as one
+_AT_BIFURCATION = 1e-6  # least eigenvalue at a bifurcation point
 _TYPICAL_MOTION = 0.1  # rad, or characteristic lengths
 
 
 @dataclass(frozen=True, eq=False)
 class BucklingLoad:
-    """The first load at which an equilibrium stops being stable."""
+    """The first load at which the equilibrium becomes unstable."""
 
-    factor: float  #: what the loads are multiplied by there
-    #: the same by linearised buckling: the stiffness that the loads take away is taken as proportional to them, in the
-    #: geometry before they act; infinite if they add stiffness only
+    factor: float  #: the load factor
+    #: the same by linearised buckling: the stiffness removed by the loads is taken as proportional to them, in the
+    #: unloaded geometry; infinite if they only add stiffness
     linear_estimate: float
-    #: "bifurcation", the path goes on to greater loads and is unstable; "limit point", the load has a maximum
+    #: "bifurcation": the path continues to greater loads and is unstable; "limit point": the load has a maximum
     kind: Literal["bifurcation", "limit point"]
-    #: motion that buckling begins with, as velocities of all joints of the mechanism with virtual joints, the greatest
-    #: of which is 1 in scaled numbers, shape=(nv,)
+    #: initial motion of buckling, as velocities of all joints of the mechanism with virtual joints, normalised to a
+    #: greatest one of 1 in scaled numbers, shape=(nv,)
     mode: Vector
     equilibrium: LoadedEquilibrium  #: the equilibrium there
 
 
 @dataclass(frozen=True, eq=False)
 class BucklingSearch:
-    """What a search for a buckling load found."""
+    """The result of a search for a buckling load."""
 
-    load: BucklingLoad | None  #: the buckling load; None if the mechanism was stable over the whole search
-    largest_factor: float  #: the largest factor that the loads were multiplied by
+    load: BucklingLoad | None  #: the buckling load; None if the mechanism is stable over the whole search
+    largest_factor: float  #: the largest load factor reached
     end: str  #: why the search ended there
 
 
@@ -62,12 +62,12 @@ def search_buckling(
     permanent: Loads | None = None,
     largest_factor: float | None = None,
 ) -> BucklingSearch:
-    """Find the first buckling load along the equilibrium path from zero load, or report how far it is stable.
+    """Find the first buckling load along the equilibrium path from zero load, or how far the path is stable.
 
-    The path is followed by its arc length until the least eigenvalue of Z^T H Z changes its sign, and the bracket is
-    closed in on from the nearest point found. An imperfect structure has no bifurcation: it bends away, and its path is
-    followed as it bends. The search ends at the largest factor, where a spring that stands for a body is deflected
-    further than a body can be, or where the mechanism runs into a dead point.
+    The path is followed by arc length until the least eigenvalue of Z^T H Z changes sign, and the bracket is then
+    narrowed from the nearest point found. An imperfect structure has no bifurcation: it deflects gradually, and its
+    path is followed. The search ends at the largest factor, where a spring that represents a body is deflected further
+    than a body can be, or where the mechanism reaches a dead point.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -80,14 +80,14 @@ def search_buckling(
 
     Args:
         model: the elastic mechanism.
-        configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
-        loads: loads, which are multiplied by the factor that is sought.
+        configuration: configuration with springs at rest: an assembled one of the rigid mechanism, or its q.
+        loads: loads that are multiplied by the factor sought.
         permanent: loads that always act in full.
-        largest_factor: factor to look up to; by default ten times the linear estimate, or, where the loads add
-            stiffness only, ten times the factor at which they double one.
+        largest_factor: largest factor to search; by default ten times the linear estimate, or, if the loads only add
+            stiffness, ten times the factor at which they double one.
 
     Raises:
-        InvalidValueError: the loads have no potential (a moment that keeps its direction in the world), or see
+        InvalidValueError: the loads have no potential (a moment of fixed direction in the world), or as for
             :func:`~pm3dof_pin.elastic.loaded.loaded_equilibrium`.
         SingularConfigurationError: the mechanism is unstable under the permanent loads alone.
         ConvergenceError: it has no equilibrium under the permanent loads alone.
@@ -97,12 +97,12 @@ def search_buckling(
     start = path.unloaded()
     if start.least_eigenvalue <= 0.0:
         raise SingularConfigurationError(
-            f"{model} is unstable without the loads that are to grow: least eigenvalue {start.least_eigenvalue:.3e}"
+            f"{model} is unstable without the growing loads: least eigenvalue {start.least_eigenvalue:.3e}"
         )
     estimate, doubling, moving = _scales(start, path.growing)
     largest = _REACH * (estimate if np.isfinite(estimate) else doubling) if largest_factor is None else largest_factor
     if not np.isfinite(largest):
-        return BucklingSearch(None, 0.0, "the loads move nothing and change no stiffness")
+        return BucklingSearch(None, 0.0, "the loads neither move the mechanism nor change its stiffness")
     point, length = path.begin(start, min(estimate, largest, moving)), FIRST_STEP
     for _ in range(_MOST_POINTS):
         try:
@@ -113,10 +113,10 @@ def search_buckling(
             if point.state.least_eigenvalue > _AT_BIFURCATION:
                 _log.warning("searched for buckling only up to a factor of %.6g: %s", point.factor, error)
                 return BucklingSearch(None, point.factor, str(error))
-            # next to a bifurcation there may be no telling which of its branches a correction comes back to
+            # next to a bifurcation, a correction may return to any of its branches
             step = PathStep(point, point, 0.0, bifurcation=True)
         if not step.end.state.symmetric:
-            expected = "no moments that keep their direction in the world"
+            expected = "no moments of fixed direction in the world"
             raise InvalidValueError("loads", "without a potential", expected)
         if step.length == 0.0 or not step.end.stable:
             critical = path.critical_point(step)
@@ -139,11 +139,11 @@ def search_buckling(
 
 
 def _scales(state: LoadedState, loads: AppliedLoads) -> tuple[float, float, float]:
-    """Return the load factors at which something happens, to first order; each infinite if it never does.
+    """Return characteristic load factors, to first order; infinite if there are none.
 
     Returns:
-        Where the loads' stiffness, taken as proportional to them, uses up the tangent stiffness in some motion; where
-        it is as much in some motion, of either sign; and where a joint has moved by what shows.
+        The factors at which the loads' stiffness, taken as proportional to them, cancels the tangent stiffness in some
+        motion; at which it equals it in magnitude in some motion; and at which a joint has moved noticeably.
     """
     model, where, motions = state.model, state.configuration, state.bearing_motions
     forces = loads.forces(where)

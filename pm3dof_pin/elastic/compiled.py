@@ -1,4 +1,4 @@
-"""Programs of elastic mechanisms: recorded, compared with Pinocchio and compiled once for each structure."""
+"""Programs of elastic mechanisms: recorded, verified against Pinocchio and compiled once per structure."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _logger = logging.getLogger(__name__)
 
 
 def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool) -> BoundProgram:
-    """Return the program of a quantity of a frame, compiled if no model of this structure needed it before.
+    """Return the program of a quantity of a frame, compiled on first use for a structure.
 
-    Loops not known to be `closed` are checked by the program.
+    Unless the loops are known to be `closed`, the program checks them.
 
     Raises:
-        ProgramError: there is no program for this mechanism, or it does not agree with Pinocchio.
+        ProgramError: there is no program for this mechanism, or it disagrees with Pinocchio.
     """
     name = (frame, quantity.name, closed)
     if name not in model.programs:
@@ -47,11 +47,11 @@ def elastic_program(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
 def traced_quantity(model: ElasticModel, frame: str, quantity: ElasticQuantity, *, closed: bool = False) -> Program:
     """Record a quantity as a program.
 
-    Inputs are q of the rigid mechanism; outputs the quantity and `sound`, 1 where nothing is in doubt, else 0.
+    The input is q of the rigid mechanism; outputs are the quantity and `sound`, 1 if nothing is in doubt, else 0.
 
     Raises:
-        ProgramError: the mechanism has a joint for which there is no program, the frame is free or rigid at all sample
-            poses, or the traced Jacobians are not Pinocchio's.
+        ProgramError: the mechanism has an unsupported joint, the frame is free or rigid at all sample poses, or the
+            traced Jacobians differ from Pinocchio's.
     """
     graph = Graph()
     tree = elastic_tree(graph, model, frame)
@@ -65,7 +65,7 @@ def traced_quantity(model: ElasticModel, frame: str, quantity: ElasticQuantity, 
 
 
 def elastic_structure(model: ElasticModel, frame: str) -> tuple[object, ...]:
-    """Return what programs depend on besides what they compute."""
+    """Return what programs depend on besides the quantity."""
     mechanism = model.mechanism
     entry = mechanism.model.frames[mechanism.frame_id(frame)]
     lengths = [block.length.joint if block.length else "" for block in model.blocks]

@@ -1,18 +1,17 @@
 """The 6 x 6 Cartesian compliance and stiffness of any frame of a closed-chain mechanism, by condensation.
 
-With the motions of :mod:`pm3dof_pin.elastic.motions`, C = (J Z) (J Z)^T at a frame with Jacobian J, and K = C^-1. It is
-the solution J dq/dw of
+With the motions Z of :mod:`pm3dof_pin.elastic.motions`, C = (J Z) (J Z)^T for a frame with Jacobian J, and K = C^-1. C
+is the solution J dq/dw of
 
     [ K_q  G^T ] [dq    ]   [J^T w]
     [ G     0  ] [lambda] = [0    ]
 
-with all that this system does not say when it is singular. A frame that can move with all springs at rest has free
-directions: no compliance, but a stiffness that is zero there. A frame that the springs cannot move in a direction is
-rigid in it: no stiffness, but a compliance that is zero there. Both are reported by name, never inverted through.
-Motions with the springs and the frame at rest, such as a link that spins about its own axis, do no harm, and neither do
-redundant constraints.
+and also describes singular cases. A frame that can move with all springs at rest has free directions: no compliance
+exists, and the stiffness is zero there. A frame that the springs cannot move in a direction is rigid in it: no
+stiffness exists, and the compliance is zero there. Both are reported by name, never inverted. Motions with the springs
+and the frame at rest, such as a link spinning about its own axis, and redundant constraints have no effect.
 
-For a serial robot with springs k at its joints C = J diag(1/k) J^T comes out, the special case without G.
+For a serial robot with springs k at its joints, C = J diag(1/k) J^T, the special case without G.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from pm3dof_pin.typing import Matrix, Vector
 
 @dataclass(frozen=True, eq=False)
 class _Decomposition:
-    """What singular values say of one frame; the first attributes as those of the report."""
+    """The analysis of one frame by singular values; the first attributes as in the report."""
 
     motions: ElasticMotions
     spring_forces: Matrix
@@ -49,9 +48,9 @@ class _Decomposition:
 class CartesianCompliance:
     """The elastic behaviour of one frame at one configuration. Read-only.
 
-    Made by :func:`~pm3dof_pin.elastic.report.cartesian_compliance`. Twists are [v; omega], wrenches [f; m], at the
-    frame's origin, world axes. "Orthonormal in scaled numbers": with lengths divided by the characteristic length. What
-    is not asked for is not computed.
+    Returned by :func:`~pm3dof_pin.elastic.report.cartesian_compliance`. Twists are [v; omega], wrenches [f; m], at the
+    frame's origin, world axes. "Orthonormal in scaled numbers" means with lengths divided by the characteristic length.
+    Attributes are computed on first use.
 
     Attributes:
         frame: the frame.
@@ -67,16 +66,16 @@ class CartesianCompliance:
         self.frame = frame
         self._model = model
         self._given = configuration
-        self._matrices = matrices  # C and K by the program, where nothing is in doubt
+        self._matrices = matrices  # C and K from the program, if nothing is in doubt
 
     @cached_property
     def configuration(self) -> Configuration:
-        """Where, of the mechanism with virtual joints."""
+        """The configuration, of the mechanism with virtual joints."""
         return self._model.configuration(self._given)
 
     @property
     def motions(self) -> ElasticMotions:
-        """How the mechanism can move, with the rank decisions on its closures."""
+        """The possible motions of the mechanism, with the rank decisions on its closures."""
         return self.decomposition.motions
 
     @property
@@ -86,42 +85,42 @@ class CartesianCompliance:
 
     @property
     def spring_coordinates(self) -> tuple[str, ...]:
-        """Names of the joints that springs are at, in the order of :attr:`spring_forces`."""
+        """Names of the joints with springs, in the order of :attr:`spring_forces`."""
         return self._model.spring_coordinates
 
     @property
     def spring_forces(self) -> Matrix:
         """Generalised forces in the springs for unit wrenches on the frame, shape=(s, 6).
 
-        The map a from wrenches to spring forces. A wrench that would work on a free direction counts without that part.
+        The map a from wrenches to spring forces. The part of a wrench that does work on a free direction is ignored.
         """
         return self.decomposition.spring_forces
 
     @property
     def contributions(self) -> Matrix:
-        """Compliance that each spring adds, a_j K_j^-1 a_j^T, shape=(number of springs, 6, 6); their sum is C."""
+        """Compliance contribution of each spring, a_j K_j^-1 a_j^T, shape=(number of springs, 6, 6); their sum is C."""
         return self.decomposition.contributions
 
     @property
     def free_directions(self) -> Matrix:
-        """Twists that the frame can have with all springs at rest, orthonormal in scaled numbers, shape=(6, f)."""
+        """Possible twists of the frame with all springs at rest, orthonormal in scaled numbers, shape=(6, f)."""
         return self.decomposition.free_directions
 
     @property
     def rigid_directions(self) -> Matrix:
-        """Twists that the frame cannot have at all, orthonormal in scaled numbers, shape=(6, r)."""
+        """Impossible twists of the frame, orthonormal in scaled numbers, shape=(6, r)."""
         return self.decomposition.rigid_directions
 
     @property
     def exists(self) -> bool:
-        """Whether both compliance and stiffness exist, each the inverse of the other."""
+        """Whether compliance and stiffness both exist, each the inverse of the other."""
         if self._matrices is not None and not np.isnan(self._matrices[1, 0, 0]):
             return True
         return not (self.free_directions.size or self.rigid_directions.size)
 
     @cached_property
     def decomposition(self) -> _Decomposition:
-        """The decisions on ranks, and what is computed with them."""
+        """The rank decisions, and what is computed with them."""
         return _decomposed(self._model, self.configuration, self.frame)
 
     @cached_property
@@ -149,7 +148,7 @@ class CartesianCompliance:
             return frozen(self._matrices[1])
         if self.rigid_directions.size:
             raise RigidDirectionError(self._message("is rigid", self.rigid_directions))
-        # (P Z') (P Z')^T inverted by the triangle of an orthogonal decomposition: half the digits of a product are safe
+        # (P Z') (P Z')^T inverted by orthogonal triangularisation: forming the product would lose half the digits
         moved = self.decomposition.moved
         rows = moved.T @ self.decomposition.twists
         size = np.linalg.norm(rows, axis=1)
@@ -158,13 +157,13 @@ class CartesianCompliance:
         return frozen(root.T @ root)
 
     def stiffness_over(self, twists: ArrayLike) -> Matrix:
-        """Return the stiffness of some motions of the frame, all others being held, shape=(p, p).
+        """Return the stiffness of some motions of the frame, with all others held, shape=(p, p).
 
-        With twist = T c, T of shape=(6, p), it is T^T K T, and exists where K does not: for a planar mechanism over its
-        three motions.
+        For twist = T c, with T of shape=(6, p), this is T^T K T. It can exist where K does not, for example over the
+        three motions of a planar mechanism.
 
         Raises:
-            RigidDirectionError: the springs do not allow one of these motions; the message names those they do not.
+            RigidDirectionError: the springs do not permit some of these motions; the message names them.
             FreeDirectionError: the frame has free directions; the message names them.
         """
         if self.free_directions.size:
@@ -189,11 +188,11 @@ def condensed(
 ) -> CartesianCompliance:
     """Compute the elastic behaviour of a frame from Pinocchio's Jacobians and singular values.
 
-    Arguments and errors as for :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
+    Arguments and errors as in :func:`~pm3dof_pin.elastic.report.cartesian_compliance`.
     """
     given = configuration if isinstance(configuration, Configuration) else model.rigid.checked_positions(configuration)
     report = CartesianCompliance(model, given, model.mechanism.frame_name(frame))
-    _ = report.decomposition  # errors come at once
+    _ = report.decomposition  # raise errors immediately
     return report
 
 

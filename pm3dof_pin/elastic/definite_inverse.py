@@ -7,14 +7,14 @@ from numpy.typing import ArrayLike
 
 from pm3dof_pin.typing import Array
 
-_LOST = 1e-14  # a pivot that falls below this times its diagonal entry is rounding
+_LOST = 1e-14  # pivots below this times their diagonal entry are rounding
 
 
 def inverse_definite(matrix: ArrayLike) -> Array:
-    """Return the inverses of symmetric positive definite matrices, of lower triangles, exactly symmetric, by Cholesky.
+    """Return the exactly symmetric inverses of symmetric positive definite matrices by Cholesky; reads lower triangles.
 
-    The method does not mind units: scaling rows and columns alike changes no relative error. What is not positive
-    definite to rounding, or not a number, gives NaN.
+    The relative accuracy is invariant under scaling of rows and columns, such as changes of units. Matrices that are
+    not positive definite to rounding, or contain NaN, give NaN.
     """
     a = np.asarray(matrix, dtype=float)
     size = a.shape[-1]

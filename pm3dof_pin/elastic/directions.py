@@ -1,4 +1,4 @@
-"""Directions of a frame that are free or rigid: found by singular values, and named."""
+"""Free and rigid directions of a frame: found by singular values, and described in words."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ _NO_PART = 1e-6
 
 
 def range_and_complement(columns: Matrix, threshold: float) -> tuple[Matrix, Matrix]:
-    """Return orthonormal bases of what columns span and of its complement."""
+    """Return orthonormal bases of the column space and of its complement."""
     left, values, _ = np.linalg.svd(columns) if columns.size else (np.eye(len(columns)), np.zeros(0), None)
     rank = RankDecision.of(values, threshold).rank
     return left[:, :rank], left[:, rank:]
 
 
 def direction_names(twists: Matrix) -> str:
-    """Say in words which ways twists [v; omega], shape=(6, k), go, in world axes."""
+    """Describe twists [v; omega], shape=(6, k), world axes, in words."""
     return "; ".join(_named(twist) for twist in twists.T)
 
 

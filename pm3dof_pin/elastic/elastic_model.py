@@ -1,4 +1,4 @@
-"""A mechanism with its springs: the tree with virtual joints, and the stiffness of its joints."""
+"""A mechanism with springs: the tree with virtual joints, and their stiffness."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SpringBlock:
-    """The stiffness of one spring over its joints: every entry is a coefficient times a power of the spring's length.
+    """The stiffness of one spring over its joints: each entry is a coefficient times a power of the spring's length.
 
     Attributes:
         indices: entries of v of its joints, in the order of its matrix, shape=(n,).
-        exponents: powers of the length, shape=(n, n); zero where it has no length that changes.
-        bows: by what it gets shorter as it bends, element by element; none if it is rigid along its axis, or no beam.
+        exponents: powers of the length, shape=(n, n); zero if the length is constant.
+        bows: the shortening due to bending of each element; none if it is axially rigid or not a beam.
     """
 
     name: str
@@ -62,10 +62,10 @@ class SpringBlock:
 
 
 class ElasticModel:
-    """A mechanism with its springs. Not to be changed once made.
+    """A mechanism with springs. Immutable by convention.
 
-    Joints are of three kinds. Those of springs are elastic: the virtual joints, and the joints that joint springs are
-    at. Actuated joints without a spring are locked. All others are passive and move freely.
+    Joints are of three kinds. Joints of springs are elastic: the virtual joints, and joints with joint springs.
+    Actuated joints without a spring are locked. All others are passive and move freely.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -78,22 +78,22 @@ class ElasticModel:
 
     Attributes:
         rigid: the mechanism as described.
-        mechanism: the mechanism with virtual joints; the loops of both are closed at the same places.
+        mechanism: the mechanism with virtual joints; its loops close at the same frames.
         springs: the springs.
         blocks: the stiffness of each spring over its joints.
-        spring_indices: entries of v of `mechanism` that springs are at, block after block, shape=(s,).
-        spring_slices: which of these are each block's.
+        spring_indices: entries of v of `mechanism` with springs, block by block, shape=(s,).
+        spring_slices: the slice of these of each block.
         locked_indices: entries of v of actuated joints without a spring.
         passive_indices: all other entries of v.
         rigid_indices: index in q of `mechanism` of each entry of q of `rigid`.
         rigid_velocity_indices: index in v of `mechanism` of each entry of v of `rigid`.
-        programs: compiled programs that were asked for, see :mod:`pm3dof_pin.elastic.compiled`.
+        programs: compiled programs used so far, see :mod:`pm3dof_pin.elastic.compiled`.
 
     Raises:
-        FrameNotFoundError: a spring stands at a joint or frame that is not there.
-        JointNotFoundError: a spring or its length names a joint that is not there.
-        DescriptionError: an entry of the description's springs is wrong, the mechanism has no springs, two of them have
-            one name or are at one joint, or the unit of a joint spring is not that of its joint.
+        FrameNotFoundError: a spring refers to an unknown joint or frame.
+        JointNotFoundError: a spring or its length refers to an unknown joint.
+        DescriptionError: an entry of the description's springs is invalid, the mechanism has no springs, two of them
+            have the same name or joint, or the unit of a joint spring does not match its joint.
     """
 
     def __init__(self, mechanism: Robot, springs: Iterable[Spring] | None = None) -> None:
@@ -125,11 +125,11 @@ class ElasticModel:
         return f"ElasticModel({self.rigid.name}: {len(self.springs)} springs, {self.mechanism.model.nv} velocities)"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.rigid, self.springs)  # compiled programs stay; the copy finds them in the cache
+        return type(self), (self.rigid, self.springs)  # not the programs: the copy finds them in the cache
 
     @property
     def spring_names(self) -> tuple[str, ...]:
-        """Names of the springs, in their order."""
+        """Names of the springs, in order."""
         return tuple(spring.name for spring in self.springs)
 
     @cached_property
@@ -142,7 +142,7 @@ class ElasticModel:
     def embed(self, q: ArrayLike) -> Vector:
         """Return q with all virtual joints at zero, shape=(..., nq of `mechanism`), from shape=(..., nq of `rigid`).
 
-        InvalidValueError for another shape.
+        Raises InvalidValueError for a wrong shape.
         """
         rigid = np.asarray(q, dtype=np.float64)
         if rigid.shape[-1:] != (self.rigid.model.nq,):
@@ -153,7 +153,7 @@ class ElasticModel:
         return positions
 
     def project(self, q: ArrayLike) -> Vector:
-        """Return the rigid mechanism's entries of q, the inverse of :meth:`embed`; errors as there."""
+        """Return the rigid mechanism's entries of q, the inverse of :meth:`embed`; raises as there."""
         elastic = np.asarray(q, dtype=np.float64)
         if elastic.shape[-1:] != (self.mechanism.model.nq,):
             expected = f"shape (..., {self.mechanism.model.nq}), a q of the mechanism with virtual joints"
@@ -165,11 +165,11 @@ class ElasticModel:
         """Return the configuration of the mechanism with virtual joints.
 
         Args:
-            configuration: a configuration of the rigid mechanism or its q, which has its virtual joints at zero; or a
-                configuration of :attr:`mechanism`, which is returned as it is.
+            configuration: a configuration of the rigid mechanism or its q, to be taken with virtual joints at zero; or
+                a configuration of :attr:`mechanism`, which is returned unchanged.
 
         Raises:
-            InvalidValueError: a configuration of another mechanism, or no q of the rigid one.
+            InvalidValueError: the configuration is of another mechanism, or is not a q of the rigid one.
         """
         if not isinstance(configuration, Configuration):
             return self.mechanism.configuration(self.embed(self.rigid.checked_positions(configuration)))
@@ -180,19 +180,19 @@ class ElasticModel:
         raise InvalidValueError("configuration", configuration, f"one of {self.rigid} or its elastic model")
 
     def length(self, block: SpringBlock, configuration: Configuration) -> float:
-        """Return the length of a spring that a joint changes [m], 1 of any other; InvalidValueError unless positive."""
+        """Return the length of a spring if a joint changes it, else 1 [m]; InvalidValueError unless positive."""
         if block.length is None:
             return 1.0
         length = block.length.at_zero + configuration.joint_position(block.length.joint)
         if length <= 0.0:
-            expected = f"a positive length: '{block.length.joint}' is too far down"
+            expected = f"a positive length: '{block.length.joint}' is too low"
             raise InvalidValueError(f"length of spring '{block.name}'", length, expected)
         return length
 
     def joint_stiffness(self, configuration: Configuration | ArrayLike) -> Matrix:
         """Return K_q over all velocities of :attr:`mechanism`, zero for passive and locked joints, shape=(nv, nv).
 
-        Argument and errors are those of :meth:`configuration`; or a length that a joint changes is not positive.
+        Argument and errors as in :meth:`configuration`; also raises if a length changed by a joint is not positive.
         """
         where = self.configuration(configuration)
         stiffness = np.zeros((self.mechanism.model.nv, self.mechanism.model.nv))
@@ -203,12 +203,12 @@ class ElasticModel:
     def energy_derivatives(self, configuration: Configuration, deflections: Vector) -> tuple[Vector, Matrix]:
         """Return the first and second derivatives of the springs' energy U = d^T K_q(q) d / 2.
 
-        A beam that gives along its axis gets shorter as it bends as well, see :class:`~pm3dof_pin.elastic.bow.Bow`. A
-        length that a joint changes loads that joint as well: with d held, U depends on q through K_q.
+        An axially elastic beam also shortens as it bends, see :class:`~pm3dof_pin.elastic.bow.Bow`. A joint that varies
+        a length is loaded too: with d held, U depends on q through K_q.
 
         Args:
             configuration: a configuration of :attr:`mechanism`.
-            deflections: d, by how much each velocity's joint stands off its place at rest, shape=(nv,).
+            deflections: d, the deflection of each velocity's joint from rest, shape=(nv,).
 
         Returns:
             dU/dq, shape=(nv,), and the matrix of second derivatives, shape=(nv, nv).
@@ -236,10 +236,10 @@ class ElasticModel:
 
     @cached_property
     def compliance_root(self) -> tuple[Matrix, Array]:
-        """A root U of the springs' compliance, K^-1 = U U^T over :attr:`spring_indices`, where all lengths are 1 m.
+        """A root U of the springs' compliance, K^-1 = U U^T over :attr:`spring_indices`, with all lengths 1 m.
 
-        At other lengths row i of U is to be multiplied by the spring's length to the power of entry i of the second
-        array: a cantilever's translations go with L^(3/2), its rotations and its elongation with L^(1/2).
+        For other lengths, multiply row i of U by the spring's length to the power of entry i of the second array: a
+        cantilever's translations scale with L^(3/2), its rotations and its elongation with L^(1/2).
 
         Returns:
             U, block diagonal and lower triangular, shape=(s, s); and the powers, shape=(s,).
@@ -262,21 +262,21 @@ class ElasticModel:
         names, at_joints = set(), set()
         for spring in self.springs:
             if spring.name in names:
-                raise self._error(spring.name, "the name is taken, expected another")
+                raise self._error(spring.name, "duplicate name, expected unique names")
             names.add(spring.name)
             if isinstance(spring, JointSpring):
                 if spring.joint in at_joints:
-                    raise self._error(spring.name, f"joint '{spring.joint}' has a spring already, expected one")
+                    raise self._error(spring.name, f"joint '{spring.joint}' already has a spring, expected one")
                 at_joints.add(spring.joint)
                 unit = "N/m" if self._translates(spring.name, spring.joint) else "N m/rad"
                 if spring.unit != unit:
                     raise self._error(spring.name, f"expected the unit {unit} of joint '{spring.joint}'")
             length = spring.length if isinstance(spring, CantileverSpring) else None
             if isinstance(length, JointLength) and not self._translates(spring.name, length.joint):
-                raise self._error(spring.name, f"length: '{length.joint}' turns, expected a joint that slides")
+                raise self._error(spring.name, f"length: '{length.joint}' is revolute, expected a prismatic joint")
 
     def _translates(self, spring: str, name: str) -> bool:
-        """Tell whether a joint, which is to be a single-DoF joint, slides."""
+        """Return whether a joint, which must be single-DoF, is prismatic."""
         model = self.rigid.model
         if not model.existJointName(name):
             raise JointNotFoundError(name, f"{self.rigid.source}: spring '{spring}'", list(model.names)[1:])
@@ -323,7 +323,7 @@ def _bows(spring: CantileverSpring) -> tuple[Bow, ...]:
 
 
 def _cantilever(spring: CantileverSpring) -> tuple[Matrix, NDArray[np.int64]]:
-    """Return coefficients and powers of L of the stiffness of an Euler-Bernoulli cantilever's tip, z along the beam.
+    """Return coefficients and powers of L of the tip stiffness of an Euler-Bernoulli cantilever, z along the beam.
 
     The inverse of the compliance L^3/(3 E I), L^2/(2 E I), L/(E I) of bending in each plane, L/(G J) and L/(E A).
     """
@@ -343,7 +343,7 @@ def _cantilever(spring: CantileverSpring) -> tuple[Matrix, NDArray[np.int64]]:
 
 
 def _compliance_root(stiffness: Matrix) -> Matrix:
-    """Return the lower triangular U with U U^T = K^-1, by way of a unit diagonal."""
+    """Return the lower triangular U with U U^T = K^-1, after scaling to a unit diagonal."""
     scale = 1.0 / np.sqrt(stiffness.diagonal())
     scaled = stiffness * np.outer(scale, scale)
     # K = R R^T with R upper triangular gives K^-1 = R^-T R^-1, and R^-T is lower triangular

@@ -1,4 +1,4 @@
-"""The stiffness of the motions that a mechanism is free to make: p x p, where no 6 x 6 stiffness exists."""
+"""The p x p stiffness of a mechanism's free motions, for which no 6 x 6 stiffness may exist."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pm3dof_pin.typing import Matrix
 
 @dataclass(frozen=True, eq=False)
 class FreeMotionStiffness:
-    """The stiffness of a mechanism's independent motions, the directions that it cannot move in being held."""
+    """The stiffness of a mechanism's independent motions, with all other directions held."""
 
     #: the motions: the robot's declared coordinates; or components x, y, z, rx, ry, rz of the tool's twist, world axes
     names: tuple[str, ...]
-    units: tuple[Unit, ...]  #: "m" or "rad" of each
-    components: tuple[ToolComponent, ...]  #: the names, where the motions are components of the twist; else none
+    units: tuple[Unit, ...]  #: "m" or "rad" for each
+    components: tuple[ToolComponent, ...]  #: the names, if the motions are components of the twist; otherwise empty
     twists: Matrix  #: the tool's twist [v; omega] at unit rates of the motions, world axes, shape=(6, p)
     stiffness: Matrix  #: symmetric, shape=(p, p) [N/m, N, N m/rad]
 
@@ -34,10 +34,10 @@ class FreeMotionStiffness:
 def free_motion_stiffness(
     model: ElasticModel, configuration: Configuration, *, components: Sequence[ToolComponent] = ()
 ) -> FreeMotionStiffness:
-    """Compute the stiffness of the motions that a mechanism is free to make, K = J^T k J with springs k at the drives.
+    """Compute the stiffness of the free motions of a mechanism, K = J^T k J with springs k at the drives.
 
-    The motions are those of the coordinates that the description declares, if there is one for each of the tool's
-    degrees of freedom; else components of the tool's twist, which the others follow.
+    The motions are those of the coordinates declared by the description, if there is one for each of the tool's
+    degrees of freedom; otherwise components of the tool's twist, on which the others depend.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -49,12 +49,12 @@ def free_motion_stiffness(
     Args:
         model: the mechanism with its springs.
         configuration: an assembled configuration of the rigid mechanism.
-        components: the components of the tool's twist that are the motions; chosen by
-            :func:`~pm3dof_pin.kinematics.actuation.motion_components` without.
+        components: the components of the tool's twist to use as motions; by default chosen by
+            :func:`~pm3dof_pin.kinematics.actuation.motion_components`.
 
     Raises:
-        SingularConfigurationError: the motions are not independent there, or the tool moves without them; or it is free
-            or rigid in a direction, which the message names.
+        SingularConfigurationError: the motions are not independent, the tool can move without them, or it is free or
+            rigid in a direction, which the message names.
         DescriptionError: the robot has no tool frame.
         InvalidValueError: the loops are not closed.
     """

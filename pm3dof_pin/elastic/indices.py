@@ -1,7 +1,7 @@
-"""What an engineer reads from a 6 x 6 stiffness: directions, blocks, ellipsoids, eigenvalues, conditioning.
+"""Indices of a 6 x 6 stiffness: directional values, blocks, ellipsoids, eigenvalues, conditioning.
 
-All functions broadcast: K and C have shape (..., 6, 6), order x, y, z, rx, ry, rz. A translation and a rotation can
-only be compared through a length; where one is needed it is an argument, the characteristic length [m].
+All functions broadcast: K and C have shape (..., 6, 6), order x, y, z, rx, ry, rz. Comparing translations with
+rotations requires a length, which is then an argument: the characteristic length [m].
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from pm3dof_pin.typing import MOTIONS, Array, Motion
 OtherMotions = Literal["free", "held"]
 
 RIGID = 1e-12
-"""Part of the greatest compliance of its kind below which a direction is rigid."""
+"""Directions of less compliance than this, relative to the greatest of the same kind, are rigid."""
 
 _BLOCKS = {"translation": slice(0, 3), "rotation": slice(3, 6)}
 
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """Principal values and directions of a symmetric 3 x 3 matrix, the least first."""
+    """Principal values and directions of a symmetric 3 x 3 matrix, ascending."""
 
     values: Array  #: principal stiffnesses or compliances, shape=(..., 3)
     axes: Array  #: their directions as columns, a right-handed frame, shape=(..., 3, 3)
 
 
 def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", others: OtherMotions = "free") -> Array:
-    """Return the 3 x 3 stiffness of the translations or the rotations by themselves [N/m or N m/rad].
+    """Return the 3 x 3 stiffness of the translations or the rotations alone [N/m or N m/rad].
 
-    The other three are "free", no moment (force) acts in them, inv(C_ff); or "held", they stay put, K_ff.
+    The other three are "free", with no moment (force): inv(C_ff); or "held", fixed: K_ff.
     """
     if others == "held":
         return _block(inverse_definite(compliance), motion)
@@ -44,9 +44,9 @@ def condensed_stiffness(compliance: ArrayLike, motion: Motion = "translation", o
 
 
 def axis_stiffness(compliances: ArrayLike) -> Array:
-    """Return the stiffness along and about each axis, all other motions free, shape=(..., 6) [N/m, N m/rad].
+    """Return the stiffness along and about each axis with all other motions free, shape=(..., 6) [N/m, N m/rad].
 
-    Axes that give less than rounding beside the softest of their kind are rigid: infinitely stiff.
+    Axes whose compliance is rounding relative to the greatest of the same kind are rigid: infinitely stiff.
 
     Args:
         compliances: the diagonal of C, shape=(..., 6).
@@ -60,7 +60,7 @@ def axis_stiffness(compliances: ArrayLike) -> Array:
 def principal_axes(matrix: ArrayLike) -> Ellipsoid:
     """Return principal values and axes of a symmetric 3 x 3 block, shape=(..., 3, 3).
 
-    Of a stiffness block, the first axis is the softest direction; of a compliance block, the stiffest.
+    The first axis of a stiffness block is the softest direction; that of a compliance block the stiffest.
     """
     block = np.asarray(matrix, dtype=float)
     finite = np.all(np.isfinite(block), axis=(-1, -2))
@@ -78,12 +78,12 @@ def characteristic_length(stiffness: ArrayLike) -> Array:
 
 
 def eigenvalues(stiffness: ArrayLike, length: ArrayLike) -> Array:
-    """Return the ascending eigenvalues of K with rotations as motions at a length h, shape=(..., 6) [N/m].
+    """Return the ascending eigenvalues of K with rotations as displacements at a length h, shape=(..., 6) [N/m].
 
     With D = diag(1, 1, 1, 1/h, 1/h, 1/h) these are the eigenvalues of D K D.
 
     Raises:
-        InvalidValueError: a length that is not positive.
+        InvalidValueError: a length is not positive.
     """
     h = np.asarray(length, dtype=float)
     if np.any(h <= 0.0):

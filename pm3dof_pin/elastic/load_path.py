@@ -1,15 +1,15 @@
-"""The path of equilibria of an elastic mechanism under loads that grow, followed by its arc length.
+"""The equilibrium path of an elastic mechanism under growing loads, followed by arc length.
 
 Points of the path are equilibria with their load factor f. With T = Z^T H Z and p the growing loads' forces on the
-motions Z, the path's direction (y, df) solves T y - p df = 0; a step goes along it and comes back to the path by the
-shortest way, the least (y, df) with T y - p df = -residual (E. Allgower and K. Georg, Numerical Continuation Methods,
-1990). So it goes through limit points, where the load has a maximum and T is singular. Lengths are measured with f on a
-typical factor and y on the strain that the loads cause at first.
+motions Z, the path's direction (y, df) solves T y - p df = 0. A step follows it and returns to the path by the least
+(y, df) with T y - p df = -residual (E. Allgower and K. Georg, Numerical Continuation Methods, 1990). This passes limit
+points, where the load has a maximum and T is singular. Lengths are measured with f relative to a typical factor and y
+relative to the initial strain due to the loads.
 
-A step is taken for a piece of one path only if nothing happened on it, or one thing: the number of T's negative
-eigenvalues is what it was, or it has changed by one and the load has begun to fall or to grow again. Otherwise the step
-is halved, until it is a piece of one path (which bends sharply, as that of a slightly imperfect structure) or is so
-short that two paths meet within it, at a bifurcation.
+A step is accepted as a piece of one path only if the number of T's negative eigenvalues is unchanged, or has changed by
+one while the load has begun to fall or to grow again. Otherwise the step is halved, until it is a piece of one path
+(which may bend sharply, as for a slightly imperfect structure) or so short that two paths meet within it, at a
+bifurcation.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from pm3dof_pin.mechanism.configuration import Configuration
 from pm3dof_pin.typing import Matrix, Vector
 
 FIRST_STEP = 0.2
-"""Length of the first step along a path, in its measures."""
+"""Length of the first step along a path, in scaled measures."""
 
 _CORRECTIONS = 12
 _SINGULAR = 1e-9
-_BRANCHING = 1e-6  # singular values below leave more than one direction to go
-_SHARPEST_TURN = 0.9  # least cosine of the angle between two points' directions
-_GREATEST_DRIFT = 0.5  # corrections together, as a part of the step
+_BRANCHING = 1e-6  # smaller singular values leave more than one direction
+_SHARPEST_TURN = 0.9  # least cosine of the angle between the directions at two points
+_GREATEST_DRIFT = 0.5  # total corrections, relative to the step
 _LONGEST_MOTION = 0.3  # rad, or characteristic lengths
 _SHORTEST_STEP = 1e-6
-_MEETING = 1e-5  # longest step that counts as one across a bifurcation
+_MEETING = 1e-5  # longest step assumed to cross a bifurcation
 _PUSHED = 1e-9
-_NEARLY_SINGULAR = 1e2  # times the threshold of the rank
-_AT_RANGE = 0.02  # longest step that counts as one out of the springs' range
+_NEARLY_SINGULAR = 1e2  # times the rank threshold
+_AT_RANGE = 0.02  # longest step assumed to leave the springs' range
 _GROWTH = 2.0
 _MOST_POINTS = 1000
 _CRITICAL = 1e-12
@@ -49,9 +49,9 @@ _BRACKETINGS = 60
 _MOST_FALLING = 500
 _LONGEST_FALL = 0.1  # rad, or characteristic lengths
 _HALVINGS = 20
-_LEAST_DAMPING = 1e-3  # of the springs' stiffness
-_AT_REST = 1e-3  # imbalance, as a part of the loads, below which an unstable equilibrium is near
-_PUSH = 1e-2  # as a part of the loads
+_LEAST_DAMPING = 1e-3  # relative to the springs' stiffness
+_AT_REST = 1e-3  # relative to the loads; a smaller imbalance means that an unstable equilibrium is near
+_PUSH = 1e-2  # relative to the loads
 _BRANCH_STEPS = (0.02, 0.05, 0.1, 0.2)
 
 _log = logging.getLogger(__name__)
@@ -59,14 +59,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class _PathPoint:
-    """One equilibrium on the path."""
+    """An equilibrium on the path."""
 
-    factor: float  #: what the growing loads are multiplied by
+    factor: float  #: the factor of the growing loads
     state: LoadedState  #: motions, forces and tangent stiffness
-    #: where the path goes: strains (see :meth:`LoadedState.invariant`) and, last, the load, in the path's measures; of
-    #: length 1
+    #: unit vector along the path: strains (see :meth:`LoadedState.invariant`) and, last, the load, in scaled measures
     direction: Vector
-    steps: int  #: corrections done
+    steps: int  #: number of corrections
 
     @property
     def load_grows(self) -> bool:
@@ -75,11 +74,11 @@ class _PathPoint:
 
     @property
     def stable(self) -> bool:
-        """Whether the equilibrium resists every motion."""
+        """Whether the equilibrium is stable."""
         return self.state.least_eigenvalue > 0.0
 
     def reversed(self) -> _PathPoint:
-        """Return the same point, with the path followed the other way."""
+        """Return the same point with the opposite direction."""
         return replace(self, direction=-self.direction)
 
 
@@ -87,24 +86,24 @@ class _PathPoint:
 class PathStep:
     """One step along the path."""
 
-    start: _PathPoint  #: where it began
-    end: _PathPoint  #: where it ended
-    length: float  #: how long it is
+    start: _PathPoint  #: its start
+    end: _PathPoint  #: its end
+    length: float  #: its length
     bifurcation: bool  #: whether two paths meet within it
 
     @property
     def limit_point(self) -> bool:
-        """Whether the load turned round within it."""
+        """Whether the load has an extremum within it."""
         return self.end.load_grows != self.start.load_grows and not self.bifurcation
 
 
 class LoadPath:
-    """The equilibria under permanent loads and others that grow.
+    """The equilibria under permanent and growing loads.
 
     Args:
         model: the elastic mechanism.
-        configuration: where the springs are at rest.
-        loads: loads, which are multiplied by a factor.
+        configuration: configuration with springs at rest.
+        loads: loads that are multiplied by a factor.
         permanent: loads that always act in full.
 
     Attributes:
@@ -126,16 +125,16 @@ class LoadPath:
         self._typical_factor = self._typical_strain = 1.0
 
     def equilibrium(self, factor: float, guess: Configuration) -> tuple[LoadedState, int]:
-        """Find an equilibrium at a factor from a guess; return it and the number of Newton's steps.
+        """Find an equilibrium at a factor from a guess; return it and the number of Newton steps.
 
         Raises:
-            ConvergenceError: there was none near by.
+            ConvergenceError: there is none nearby.
         """
         start = LoadedState(self._model, self.rest, self._applied(factor), guess)
         return find_equilibrium(start)
 
     def begin(self, state: LoadedState, typical_factor: float) -> _PathPoint:
-        """Return the beginning of the path, at factor 0, in the direction of growing load, by a typical factor."""
+        """Return the start of the path, at factor 0, in the direction of growing load, scaled by a typical factor."""
         self._typical_factor = typical_factor
         self._typical_strain = float(np.linalg.norm(state.force(self.growing))) * typical_factor or 1.0
         towards = np.zeros(len(state.motions.whitened) + len(self.rest.constraint_jacobian.T) + 1)
@@ -143,34 +142,34 @@ class LoadPath:
         return _PathPoint(0.0, state, self._direction(state, towards), 0)
 
     def settle(self) -> tuple[LoadedState, int]:
-        """Find where the mechanism stands under the full growing loads, and the corrections of the last step.
+        """Find the equilibrium under the full growing loads, and the corrections of the last step.
 
-        That is on the path from rest, if that leads there; else where it comes to rest when it is let go under them,
-        which is a stable equilibrium elsewhere.
+        This is on the path from rest, if that reaches the full loads; otherwise it is the stable equilibrium elsewhere
+        to which the mechanism settles when released under them.
 
         Raises:
-            DeflectionRangeError: the path from rest leads out of the springs' range.
+            DeflectionRangeError: the path from rest leaves the springs' range.
             ConvergenceError: no stable equilibrium was found.
         """
         rest = LoadedState(self._model, self.rest, self._applied(0.0), self.rest)
         pushed = rest.motions.unstrained.T @ self.growing.forces(self.rest)
         if np.abs(pushed).max(initial=0.0) > _PUSHED * self.growing.size:
-            return self.equilibrium(1.0, self.rest)  # what no spring holds has no place yet where loads are nothing
+            return self.equilibrium(1.0, self.rest)  # motions without springs have no equilibrium without loads
         try:
             point = self.follow(self.begin(rest, 1.0), 1.0)
         except ConvergenceError as error:
             found = self._let_go(LoadedState(self._model, self.rest, self._applied(1.0), self.rest))
             if found is None:
                 raise
-            _log.warning("the equilibrium is a stable one elsewhere, where the mechanism jumps to: %s", error)
+            _log.warning("the mechanism jumps to a stable equilibrium elsewhere: %s", error)
             return found
         return point.state, point.steps
 
     def _let_go(self, state: LoadedState) -> tuple[LoadedState, int] | None:
-        """Follow the motion from a state under its loads, all damped and without inertia; None if it does not end.
+        """Follow the damped motion without inertia from a state under its loads; None if it does not settle.
 
-        Each step is an implicit one, (T + shift) y = -residual: Newton's where T is positive definite. Where the motion
-        comes to an unstable equilibrium it is pushed off along the softest motion.
+        Steps are implicit, (T + shift) y = -residual: Newton steps where T is positive definite. At an unstable
+        equilibrium the mechanism is pushed off along the softest motion.
         """
         for step in range(_MOST_FALLING):
             if state.out_of_range:
@@ -192,20 +191,20 @@ class LoadPath:
         return None
 
     def unloaded(self) -> LoadedState:
-        """Find where the mechanism stands under the permanent loads alone.
+        """Find the equilibrium under the permanent loads alone.
 
         Raises:
-            PM3DofError: see :meth:`settle`.
+            PM3DofError: as :meth:`settle`.
         """
         path = LoadPath(self._model, self.rest, self._permanent, None)
         state, _ = path.settle()
         return LoadedState(self._model, self.rest, self._applied(0.0), state.configuration, state.deflections)
 
     def straight(self, point: _PathPoint, length: float) -> _PathPoint:
-        """Go on along the path by a length, straight on at bifurcations, and round limit points.
+        """Continue along the path by a length, straight on at bifurcations, and past limit points.
 
         Raises:
-            PM3DofError: see :meth:`advance`.
+            PM3DofError: as :meth:`advance`.
         """
         step = self.advance(point, length)
         if step.bifurcation:
@@ -213,7 +212,7 @@ class LoadPath:
         return step.end
 
     def advance(self, point: _PathPoint, length: float) -> PathStep:
-        """Go on along the path by a length, or less where the path bends or branches.
+        """Continue along the path by a length, or less where the path bends or branches.
 
         Raises:
             DeflectionRangeError: a spring would be deflected further than it can be.
@@ -237,16 +236,16 @@ class LoadPath:
         rank = point.state.motions.passive_rank
         nearly = rank.least(rank.rank) < _NEARLY_SINGULAR * rank.threshold
         self._give_up(
-            point, "it runs into a singular configuration, a dead point of its passive joints" if nearly else ""
+            point, "it reaches a singular configuration, a dead point of its passive joints" if nearly else ""
         )
 
     def follow(self, point: _PathPoint, factor: float) -> _PathPoint:
-        """Follow the path to a factor. Where it stops being stable at a bifurcation, a stable branch is taken.
+        """Follow the path to a factor. If it becomes unstable at a bifurcation, a stable branch is taken.
 
         Raises:
             DeflectionRangeError: a spring would be deflected further than it can be.
-            ConvergenceError: the path turns round before, at a limit point or at a bifurcation without a stable branch
-                that goes on, or could not be followed.
+            ConvergenceError: the path turns back before that factor, at a limit point or at a bifurcation without a
+                stable branch that continues, or could not be followed.
         """
         grows = factor > point.factor
         if point.load_grows != grows:
@@ -267,14 +266,14 @@ class LoadPath:
                 length = FIRST_STEP
                 continue
             if step.limit_point:
-                self._give_up(self.critical_point(step), "it turns round there, at a limit point")
+                self._give_up(self.critical_point(step), "it turns back there, at a limit point")
             point, length = step.end, _GROWTH * step.length
-        self._give_up(point, f"after {_MOST_POINTS} points a factor of {factor:.6g} is still not reached")
+        self._give_up(point, f"a factor of {factor:.6g} is not reached after {_MOST_POINTS} points")
 
     def critical_point(self, step: PathStep) -> _PathPoint:
-        """Return the point within a step where an eigenvalue of the tangent changes its sign.
+        """Return the point within a step where an eigenvalue of the tangent changes sign.
 
-        The bracket closes in from the nearest point found so far, so that every search begins next to the path.
+        The bracket is narrowed from the nearest point found so far, so that every search starts next to the path.
         """
         near, far, width = step.start, step.end, step.length
         index = min(near.state.instability, far.state.instability)
@@ -291,7 +290,7 @@ class LoadPath:
             if found is None:
                 break
             if (value(found) > 0.0) == (value(near) > 0.0):
-                # the end is as far as it was, or a little further where the path is curved
+                # the end is at the same distance, or slightly further if the path is curved
                 near, width = found, 1.2 * (1.0 - fraction) * width
             else:
                 far, width = found, fraction * width
@@ -299,7 +298,7 @@ class LoadPath:
         return best
 
     def _past_bifurcation(self, step: PathStep, *, grows: bool) -> _PathPoint:
-        """Go on past a bifurcation: on a stable branch if the path was stable, else straight on."""
+        """Continue past a bifurcation: on a stable branch if the path was stable, else straight on."""
         if not step.start.stable:
             _log.warning("bifurcation at a factor of %.6g, branch followed: straight on, unstable", step.start.factor)
             return step.end
@@ -312,15 +311,15 @@ class LoadPath:
                 found = self.point_at(replace(critical, direction=sideways), length)
                 if found is not None and found.stable and found.load_grows == grows:
                     _log.warning(
-                        "bifurcation at a factor of %.6g, branch followed: a stable one of those that bend away, %s",
+                        "bifurcation at a factor of %.6g, branch followed: a stable one that bends away, %s",
                         critical.factor,
                         self._mode(sign * critical.state.softest, critical.state),
                     )
                     return found
-        self._give_up(critical, "it loses its stability there, at a bifurcation that no stable branch leaves")
+        self._give_up(critical, "it becomes unstable there, at a bifurcation without a stable branch")
 
     def _mode(self, motion: Vector, state: LoadedState) -> str:
-        """Say in words which way a motion goes: the joint that moves most."""
+        """Describe a motion in words by the joint that moves most."""
         mechanism = self._model.mechanism
         velocity = state.bearing_motions @ motion / mechanism.velocity_scale
         most = int(np.argmax(np.abs(velocity)))
@@ -334,9 +333,9 @@ class LoadPath:
         raise ConvergenceError(task, residual, "N or N m", point.steps, why)
 
     def point_at(self, point: _PathPoint, length: float, target: float | None = None) -> _PathPoint | None:
-        """Return the point of the path at a distance from another; None if not found, or if the path turns sharply.
+        """Return the point of the path at a distance from another; None if not found or if the path turns sharply.
 
-        The path is come back to the shortest way, or at a target factor if one is given.
+        Corrections return to the path by the least move, or at a target factor if given.
         """
         y, rise = self._split(point.state, length * point.direction)
         factor, velocity = point.factor + rise, point.state.bearing_motions @ y
@@ -368,17 +367,17 @@ class LoadPath:
         return AppliedLoads(self._model.mechanism, [(factor, self._loads), (1.0, self._permanent)])
 
     def _equations(self, state: LoadedState) -> Matrix:
-        """T y - p df as a matrix over (y, df) in the path's measures."""
+        """T y - p df as a matrix over (y, df) in scaled measures."""
         load = self._typical_factor * state.force(self.growing)
         return np.hstack([self._typical_strain * state.tangent, -load[:, None]])
 
     def _split(self, state: LoadedState, direction: Vector) -> tuple[Vector, float]:
-        """Return y and df of a direction in the path's measures."""
+        """Return y and df of a direction in scaled measures."""
         y = self._typical_strain * state.coordinates(direction[:-1])
         return y, self._typical_factor * float(direction[-1])
 
     def _correction(self, state: LoadedState, *, factor_fixed: bool) -> Vector:
-        """Return the least (y, df), in the path's measures, that takes away what is out of balance."""
+        """Return the least (y, df), in scaled measures, that removes the imbalance."""
         equations = self._equations(state)
         if factor_fixed:
             equations[:, -1] = 0.0
@@ -386,23 +385,23 @@ class LoadPath:
         return np.asarray(solved, dtype=np.float64)
 
     def _direction(self, state: LoadedState, before: Vector) -> Vector:
-        """Return the direction of the path that turns least from the one before."""
+        """Return the direction of the path nearest to the previous one."""
         equations = self._equations(state)
         previous = np.append(state.coordinates(before[:-1]), before[-1])
-        # what the equations leave free of the direction before; where they leave more than one, what is nearest to it
+        # the previous direction projected onto the null space, which may have more than one dimension
         nearest = previous - np.linalg.lstsq(equations, equations @ previous, rcond=_BRANCHING)[0]
         nearest /= np.linalg.norm(nearest)
         return np.append(state.invariant(nearest[:-1]), nearest[-1])
 
 
 def _one_piece(start: _PathPoint, end: _PathPoint) -> bool:
-    """Tell whether nothing happens between two points of a path, or one limit point."""
+    """Return whether at most one limit point lies between two points of a path, and nothing else."""
     changed = abs(end.state.instability - start.state.instability)
     return changed == (end.load_grows != start.load_grows)
 
 
 def _crossing(start: _PathPoint, end: _PathPoint) -> float:
-    """Estimate where between two points an eigenvalue vanishes, as a part of their distance."""
+    """Estimate where between two points an eigenvalue vanishes, relative to their distance."""
     index = min(start.state.instability, end.state.instability)
     near, far = float(start.state.eigenvalues[index]), float(end.state.eigenvalues[index])
     return near / (near - far) if near * far < 0.0 else 0.5

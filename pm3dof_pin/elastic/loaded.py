@@ -1,28 +1,27 @@
-"""Elastic mechanisms under load: the equilibrium, and the tangent stiffness there.
+"""Elastic mechanisms under load: equilibrium and tangent stiffness.
 
-The springs are at rest in a given configuration. Under loads the mechanism stands where
+The springs are at rest in a given configuration. The equilibrium under loads satisfies
 
     dU/dq = forces(q) + G^T lambda   and   closure error = 0,
 
-U being the springs' energy and lambda the forces in the closures. A small wrench dw more meets the tangent stiffness:
-in
+with the springs' energy U and the closure forces lambda. The tangent stiffness is the response to a small additional
+wrench dw: in
 
     [ H  -G^T ] [dq     ]   [J^T dw]
     [ G    0  ] [dlambda] = [0     ],    H = d^2U/dq^2 - d(forces + G^T lambda)/dq,
 
-the compliance is J dq/dw. On the motions Z of :mod:`pm3dof_pin.elastic.motions`, on which Z^T K_q Z = 1, Z^T H Z is 1
-plus the stiffness that the loads add or take away; where its least eigenvalue comes down to zero the mechanism buckles.
-Motions that no spring holds but a load does, as gravity does a pendulum, take part.
+the compliance is J dq/dw. On the motions Z of :mod:`pm3dof_pin.elastic.motions`, with Z^T K_q Z = 1, Z^T H Z is 1 plus
+the stiffness that the loads add or remove; the mechanism buckles where its least eigenvalue becomes zero. Motions held
+by loads but not by springs, such as a pendulum under gravity, are included.
 
-Deflections within one beam or cantilever spring are to be small: its stiffness is that of its tip. A cantilever that
-gives along its axis gets shorter as it bends (:mod:`pm3dof_pin.elastic.bow`), so that one alone buckles within 1 % of
-Euler's load. One that is rigid along its axis, and a beam given by a matrix, keep their length: cut such a one into
-several elements where an axial force comes near its own E I / L^2; the error of a column's buckling load then falls
-with the square of their number.
+Deflections within one beam or cantilever spring must be small: its stiffness is that of its tip. An axially elastic
+cantilever shortens as it bends (:mod:`pm3dof_pin.elastic.bow`), so that a single one buckles within 1 % of Euler's
+load. An axially rigid one, and a beam given by a matrix, keep their length: cut these into several elements if an axial
+force approaches E I / L^2; the error of a column's buckling load then falls with the square of their number.
 
-H is symmetric if the loads have a potential. A moment that keeps its direction in the world has none, unless the body
-turns about one axis only: the tangent stiffness is not symmetric then (J. Kovecses and J. Angeles, Multibody System
-Dynamics 18, 2007).
+H is symmetric if the loads have a potential. A moment of fixed direction in the world has none, unless the body turns
+about one axis only: the tangent stiffness is then asymmetric (J. Kovecses and J. Angeles, Multibody System Dynamics 18,
+2007).
 """
 
 from __future__ import annotations
@@ -51,10 +50,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class LoadedEquilibrium:
-    """Where an elastic mechanism stands under loads."""
+    """The equilibrium of an elastic mechanism under loads."""
 
-    factor: float  #: what the loads were multiplied by
-    steps: int  #: Newton steps done
+    factor: float  #: the load factor
+    steps: int  #: number of Newton steps
     state: LoadedState  #: motions, forces and tangent stiffness there
 
     @property
@@ -64,42 +63,42 @@ class LoadedEquilibrium:
 
     @property
     def residual(self) -> float:
-        """Greatest generalised force out of balance [N or N m]."""
+        """Greatest unbalanced generalised force [N or N m]."""
         return float(np.abs(self.state.unbalanced).max(initial=0.0))
 
     @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of Z^T H Z (of its symmetric part, if the loads have no potential).
 
-        1 without loads, or less if some motions are held by loads alone; zero where it buckles, negative beyond.
+        1 without loads, or less if some motions are held by loads alone; zero at buckling, negative beyond.
         """
         return self.state.least_eigenvalue
 
     @property
     def stable(self) -> bool:
-        """Whether the equilibrium resists every motion."""
+        """Whether the equilibrium is stable."""
         return self.state.least_eigenvalue > 0.0
 
     @property
     def closure_forces(self) -> Vector:
-        """Force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the axes of frame a.
+        """Force (6d: wrench) on frame b of each closure, opposite to that on frame a, in the axes of frame a.
 
-        One closure after the other, shape=(m,) [N, N m]. Where constraints are redundant, one of many solutions.
+        Closure by closure, shape=(m,) [N, N m]. If constraints are redundant, one of many solutions.
         """
         return frozen(self.state.closure_forces.copy())
 
     @property
     def spring_deflections(self) -> Vector:
-        """By how much each joint with a spring stands off its place at rest, shape=(s,) [m, rad].
+        """Deflection of each joint with a spring from rest, shape=(s,) [m, rad].
 
         In the order of :attr:`ElasticModel.spring_coordinates`.
         """
         return frozen(self.state.deflections[self.state.model.spring_indices])
 
     def displacement(self, frame: str | None = None) -> Vector:
-        """Return how far a frame, by default the tool, has moved from where it is with the springs at rest.
+        """Return the displacement of a frame, by default the tool, relative to the configuration with springs at rest.
 
-        Displacement of its origin and rotation vector, world axes, shape=(6,) [m, rad].
+        Translation of its origin and rotation vector, world axes, shape=(6,) [m, rad].
 
         Raises:
             FrameNotFoundError: the model has no such frame.
@@ -111,13 +110,13 @@ class LoadedEquilibrium:
         return frozen(np.concatenate([after.translation - before.translation, turned]))
 
     def tangent_compliance(self, frame: str | None = None) -> Matrix:
-        """Return the tangent compliance of a frame: its twist for a small wrench more at its origin, world axes.
+        """Return the tangent compliance of a frame: its twist for a small additional wrench at its origin, world axes.
 
         Shape=(6, 6) [m/N, 1/N, rad/(N m)], symmetric if the loads have a potential.
 
         Raises:
             FreeDirectionError: the frame moves freely in some direction.
-            PM3DofError: there is no such frame, see :meth:`displacement`.
+            PM3DofError: there is no such frame, as for :meth:`displacement`.
         """
         name, unit = self._mechanism.frame_name(frame), self._mechanism.twist_scale[:, None]
         jacobian = self.configuration.frame_jacobian(name)
@@ -132,8 +131,8 @@ class LoadedEquilibrium:
         """Return the inverse of :meth:`tangent_compliance`, shape=(6, 6) [N/m, N, N m/rad].
 
         Raises:
-            RigidDirectionError: no spring gives in some direction.
-            PM3DofError: see :meth:`tangent_compliance`.
+            RigidDirectionError: the frame is rigid in some direction.
+            PM3DofError: as :meth:`tangent_compliance`.
         """
         name, unit = self._mechanism.frame_name(frame), self._mechanism.twist_scale[:, None]
         jacobian = self.configuration.frame_jacobian(name)
@@ -164,16 +163,16 @@ def loaded_equilibrium(
     *,
     guess: Configuration | None = None,
 ) -> LoadedEquilibrium:
-    """Find where an elastic mechanism stands under loads.
+    """Find the equilibrium of an elastic mechanism under loads.
 
-    The loads grow from nothing to what they are, and the equilibrium is followed with the exact tangent stiffness, in
-    one step where they are small. Where it stops being stable at a bifurcation, a stable branch is followed. The loops
-    are closed after each step. Actuated joints hold their place, through their springs if they have such.
+    The loads grow from zero to full, and the equilibrium is followed with the exact tangent stiffness, in one step if
+    they are small. If it becomes unstable at a bifurcation, a stable branch is followed. The loops are closed after
+    each step. Actuated joints hold their positions, through their springs if they have any.
 
-    Where the path ends before the whole load is on, at a limit point, the mechanism jumps: the result is the stable
-    equilibrium that it comes to when it is let go at rest under the whole load, all motions damped. A warning is logged
-    then, and where a bifurcation was passed. Only what a load alone holds, and what Newton's method finds from a guess,
-    may be unstable, with a warning.
+    If the path ends before full load, at a limit point, the mechanism jumps: the result is the stable equilibrium to
+    which it settles when released under full load with damping. This is logged as a warning, as are bifurcations passed
+    on the way. Only equilibria held by loads alone, and those found by Newton's method from a guess, may be unstable;
+    this too is logged as a warning.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -186,18 +185,18 @@ def loaded_equilibrium(
 
     Args:
         model: the elastic mechanism.
-        configuration: where the springs are at rest: an assembled configuration of the rigid mechanism, or its q.
-        loads: what acts on it.
-        guess: configuration to start Newton's method from, of the mechanism with virtual joints, instead of following
-            the equilibrium from rest.
+        configuration: configuration with springs at rest: an assembled one of the rigid mechanism, or its q.
+        loads: the loads.
+        guess: configuration of the mechanism with virtual joints from which to start Newton's method, instead of
+            following the equilibrium from rest.
 
     Raises:
-        ConvergenceError: no stable equilibrium was found: the loads may be more than the mechanism bears.
-        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
+        ConvergenceError: no stable equilibrium was found: the loads may exceed what the mechanism can bear.
+        DeflectionRangeError: a spring that represents a body is deflected further than a body can be.
         FrameNotFoundError: a load acts on a frame that the model does not have.
-        InvalidValueError: a load is not finite or of the wrong shape, the loops are not closed, or a length that a
-            joint changes is not positive.
-        DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
+        InvalidValueError: a load is not finite or of the wrong shape, the loops are not closed, or a length changed by
+            a joint is not positive.
+        DescriptionError: the model has joints for which Pinocchio's derivatives are wrong.
     """
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
     path = LoadPath(model, configuration, loads, None)
@@ -220,18 +219,18 @@ def load_deflection(
     *,
     permanent: Loads | None = None,
 ) -> tuple[LoadedEquilibrium, ...]:
-    """Follow the equilibrium while the loads grow: the load-deflection curve at given factors of the loads, shape=(n,).
+    """Follow the equilibrium under growing loads: the load-deflection curve at given load factors, shape=(n,).
 
-    The path from one factor to the next is followed by its arc length, so that no equilibrium is taken for one that
-    only looks near. It ends at a limit point: see :func:`equilibrium_path` for what comes after it. At a bifurcation it
-    goes on along a stable branch, and a warning is logged with the factor and the branch. Other arguments and errors
-    are those of :func:`loaded_equilibrium`, `permanent` loads always acting in full.
+    The path between factors is followed by arc length, so that it cannot jump to another nearby equilibrium. It ends at
+    a limit point: see :func:`equilibrium_path` for the rest. At a bifurcation it continues along a stable branch, and a
+    warning with the factor and the branch is logged. Other arguments and errors as in :func:`loaded_equilibrium`;
+    `permanent` loads always act in full.
 
     Raises:
-        ConvergenceError: the path turns round before a factor is reached, or no stable branch leaves a bifurcation; the
+        ConvergenceError: the path turns back before a factor is reached, or a bifurcation has no stable branch; the
             message says where.
-        DeflectionRangeError: a spring that stands for a body is deflected further than a body can be.
-        InvalidValueError: the factors are not finite or no list.
+        DeflectionRangeError: a spring that represents a body is deflected further than a body can be.
+        InvalidValueError: the factors are not finite or not a list.
     """
     targets = finite_array("factors", factors, (np.size(factors),))
     path = LoadPath(model, configuration, loads, permanent)
@@ -254,9 +253,9 @@ def equilibrium_path(
 ) -> tuple[LoadedEquilibrium, ...]:
     """Follow the equilibrium by arc length, through limit points: the load-deflection curve with its falling branches.
 
-    At a bifurcation it goes straight on, and a warning is logged with the factor. `increment` is the factor that the
-    first step would go to if the mechanism were linear and the load alone counted; all `count` steps have the same
-    length, or less where the path bends. Other arguments and errors are those of :func:`load_deflection`.
+    At a bifurcation it continues straight on, and a warning with the factor is logged. `increment` is the factor that
+    the first step would reach if the mechanism were linear and only the load were measured; all `count` steps have the
+    same length, or less where the path bends. Other arguments and errors as in :func:`load_deflection`.
 
     Raises:
         ConvergenceError: the path could not be followed; the message says from where.

@@ -1,4 +1,4 @@
-"""An elastic mechanism at one configuration under loads, and Newton's way from one to the next."""
+"""An elastic mechanism in one configuration under loads, and Newton's method on such states."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ CLOSED = 1e-11
 """Closure residual of an equilibrium [characteristic lengths, or rad]."""
 
 EQUILIBRIUM_TOLERANCE = 1e-10
-"""Imbalance of an equilibrium, relative to the size of the loads."""
+"""Equilibrium tolerance, relative to the loads."""
 
 LARGEST_BEND = 1.0
-"""Rotation, in one spring that stands for a body, up to which small-deflection stiffness is used at all [rad]."""
+"""Largest rotation, in one spring that represents a body, for small-deflection stiffness [rad]."""
 
-_IDLE = 1e-9  # stiffness of a motion with the springs at rest, as a part of the loads or of the greatest stiffness
+_IDLE = 1e-9  # stiffness of a motion with the springs at rest, relative to the loads or the greatest stiffness
 _SYMMETRY = 1e-6
-_MOST_STEPS = 60  # of Newton's method
+_MOST_STEPS = 60  # Newton steps
 _CLOSING_STEPS = 20
 _CLOSING_ROUNDS = 4
 _LONGEST_STEP = 0.3  # rad, or characteristic lengths
@@ -35,23 +35,23 @@ _LEAST_GAIN = 1e-4
 
 
 class LoadedState:
-    """What is out of balance at a configuration, and the tangent stiffness there.
+    """The imbalance and the tangent stiffness at a configuration.
 
     Args:
         model: the elastic mechanism.
         rest: configuration with the springs at rest, of `model.mechanism`.
         loads: the loads.
         configuration: an assembled configuration of `model.mechanism`.
-        near: deflections that those of continuous joints are near to, shape=(nv,): they count whole turns. Those within
-            half a turn by default.
+        near: deflections nearest to which those of continuous joints are chosen, shape=(nv,), to count whole turns; by
+            default those within half a turn.
 
     Attributes:
-        motions: how the mechanism can move.
-        deflections: by how much each joint stands off its place with the springs at rest, shape=(nv,).
-        closure_forces: lambda, force (6d: wrench) on frame b of each closure, its opposite being on frame a, in the
-            axes of frame a, shape=(m,).
-        unbalanced: generalised forces out of balance, shape=(nv,).
-        basis: motions Z: those of the springs with Z^T K_q Z = 1, then those with the springs at rest, measured on the
+        motions: the possible motions of the mechanism.
+        deflections: deflection of each joint from the configuration with springs at rest, shape=(nv,).
+        closure_forces: lambda, force (6d: wrench) on frame b of each closure, opposite to that on frame a, in the axes
+            of frame a, shape=(m,).
+        unbalanced: unbalanced generalised forces, shape=(nv,).
+        basis: motions Z: those of the springs with Z^T K_q Z = 1, then those with the springs at rest, scaled by the
             size of the loads, shape=(nv, k).
         residual: unbalanced forces on these motions, shape=(k,).
     """
@@ -85,14 +85,14 @@ class LoadedState:
         self.imbalance = float(np.linalg.norm(self.residual))
         """Size of the residual; its square is twice the energy that Newton's step would release."""
         self.load_size = float(np.linalg.norm(np.abs(self.basis).T @ np.abs(forces)))
-        """What the loads alone would put out of balance, signs apart."""
+        """The imbalance due to the loads alone, in absolute values."""
         rounding = np.finfo(float).eps * np.abs(self._springs_hessian) @ model.mechanism.velocity_scale
         self.rounding = float(np.linalg.norm(np.abs(self.basis).T @ rounding))
-        """What the last digits of q put out of balance."""
+        """The imbalance due to rounding of q."""
 
     @property
     def balanced(self) -> bool:
-        """Whether the imbalance is within a part of the loads, or of what can be told from rounding."""
+        """Whether the imbalance is within tolerance, relative to the loads or to rounding."""
         return self.imbalance <= EQUILIBRIUM_TOLERANCE * self.load_size + self.rounding
 
     @cached_property
@@ -103,29 +103,29 @@ class LoadedState:
 
     @cached_property
     def bearing_motions(self) -> Matrix:
-        """Motions of the basis that springs or loads resist, as velocities, shape=(nv, k)."""
+        """Motions of the basis resisted by springs or loads, as velocities, shape=(nv, k)."""
         return self.basis @ self._combinations[0]
 
     @cached_property
     def idle_motions(self) -> Matrix:
-        """Motions of the basis that nothing resists, as velocities, shape=(nv, k)."""
+        """Motions of the basis resisted by nothing, as velocities, shape=(nv, k)."""
         return self.basis @ self._combinations[1]
 
     @cached_property
     def tangent(self) -> Matrix:
-        """Z^T H Z on the bearing motions; the unit matrix where there are no loads."""
+        """Z^T H Z on the bearing motions; the identity without loads."""
         tangent: Matrix = self.bearing_motions.T @ self.hessian @ self.bearing_motions
         return tangent
 
     @cached_property
     def symmetric(self) -> bool:
-        """Whether the tangent is symmetric, as it is where the loads have a potential."""
+        """Whether the tangent is symmetric, as it is if the loads have a potential."""
         asymmetry = np.abs(self.tangent - self.tangent.T).max(initial=0.0)
         return bool(asymmetry <= _SYMMETRY * np.abs(self.tangent).max(initial=0.0))
 
     @cached_property
     def eigenvalues(self) -> Vector:
-        """Eigenvalues of the symmetric part of the tangent, rising, shape=(k,)."""
+        """Eigenvalues of the symmetric part of the tangent, ascending, shape=(k,)."""
         return np.asarray(np.linalg.eigvalsh(0.5 * (self.tangent + self.tangent.T)), dtype=np.float64)
 
     @property
@@ -135,24 +135,24 @@ class LoadedState:
 
     @cached_property
     def instability(self) -> int:
-        """Number of negative eigenvalues of the tangent; whether it is odd (1) or even (0) if it is not symmetric."""
+        """Number of negative eigenvalues of the tangent; only its parity (0 or 1) if the tangent is asymmetric."""
         if self.symmetric:
             return int(np.count_nonzero(self.eigenvalues < 0.0))
         return int(np.linalg.slogdet(self.tangent)[0] < 0.0)
 
     @cached_property
     def softest(self) -> Vector:
-        """The sum of bearing motions that meets the least resistance, of length 1, shape=(k,)."""
+        """The combination of bearing motions with the least resistance, a unit vector, shape=(k,)."""
         vector: Vector = np.linalg.eigh(0.5 * (self.tangent + self.tangent.T))[1][:, 0]
         return vector
 
     @cached_property
     def out_of_range(self) -> str:
-        """Which spring is deflected further than any body of this size could be, and by how much; empty if none is."""
+        """Which spring is deflected further than a body of its size can be, and by how much; "" if none is."""
         return _deflection_out_of_range(self.model, self.configuration, self.deflections)
 
     def force(self, loads: AppliedLoads) -> Vector:
-        """Return what loads do on the bearing motions, shape=(k,)."""
+        """Return the forces of loads on the bearing motions, shape=(k,)."""
         force: Vector = self.bearing_motions.T @ loads.forces(self.configuration)
         return force
 
@@ -163,10 +163,10 @@ class LoadedState:
         return residual
 
     def invariant(self, coordinates: Vector) -> Vector:
-        """Express a sum of bearing motions, shape=(k,), independently of the basis, to compare it with others.
+        """Express a combination of bearing motions, shape=(k,), independently of the basis, to compare it with others.
 
-        Strains in units of the springs, then motions with the springs at rest in scaled numbers, shape=(s + nv,); as
-        long as the argument.
+        Strains in units of the springs, then motions with the springs at rest in scaled numbers, shape=(s + nv,); has
+        the norm of the argument.
         """
         count = self.motions.elastic.shape[1]
         combination = self._combinations[0] @ coordinates
@@ -174,7 +174,7 @@ class LoadedState:
         return np.concatenate([self.motions.whitened @ combination[:count], idle @ combination[count:]])
 
     def coordinates(self, invariant: Vector) -> Vector:
-        """Return the sum of bearing motions that comes nearest to a motion given by its :meth:`invariant`."""
+        """Return the combination of bearing motions nearest to a motion given by its :meth:`invariant`."""
         springs = len(self.motions.whitened)
         idle = self.motions.unstrained / self.model.mechanism.velocity_scale[:, None]
         combination = np.concatenate([self.motions.whitened.T @ invariant[:springs], idle.T @ invariant[springs:]])
@@ -182,7 +182,7 @@ class LoadedState:
         return coordinates
 
     def moved(self, velocity: Vector, loads: AppliedLoads | None = None) -> LoadedState | None:
-        """Return the state that a velocity leads to, loops closed again, under the same loads or others; or None."""
+        """Return the state reached by a velocity, loops closed again, under the same or other loads; or None."""
         mechanism = self.model.mechanism
         configuration = Configuration(
             mechanism, pin.integrate(mechanism.model, np.array(self.configuration.q), velocity)
@@ -195,13 +195,13 @@ class LoadedState:
                 if configuration.closure_residual <= tolerance:
                     return LoadedState(self.model, self.rest, loads or self._loads, configuration, near)
                 motions = elastic_motions(self.model, configuration)
-        except InvalidValueError:  # loops far from closed, or a spring whose length is gone
+        except InvalidValueError:  # loops far from closed, or a spring of nonpositive length
             return None
         return None
 
     @cached_property
     def _combinations(self) -> tuple[Matrix, Matrix]:
-        """Sums of the basis that springs or loads resist, and those that nothing resists."""
+        """Combinations of the basis resisted by springs or loads, and those resisted by nothing."""
         count, springs = self.basis.shape[1], self.motions.elastic.shape[1]
         whole = self.basis.T @ self.hessian @ self.basis
         both = np.vstack([whole[:, springs:], whole[springs:].T])
@@ -215,10 +215,10 @@ class LoadedState:
 
 
 def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, deflections: Vector) -> str:
-    """Say which spring is deflected further than a body of its size can be; empty if none is.
+    """Describe which spring is deflected further than a body of its size can be; "" if none is.
 
-    Springs at joints that turn may turn as they like, others that turn by :data:`LARGEST_BEND`. What slides may give by
-    the length of the spring, or where it has none by the characteristic length of the mechanism.
+    Springs at revolute joints may turn freely, other rotations reach at most :data:`LARGEST_BEND`. Translations reach
+    at most the length of the spring, or else the characteristic length of the mechanism.
     """
     scale = model.mechanism.characteristic_length
     for spring, block in zip(model.springs, model.blocks, strict=True):
@@ -232,20 +232,20 @@ def _deflection_out_of_range(model: ElasticModel, configuration: Configuration, 
             length = spring.length if isinstance(spring.length, float) else model.length(block, configuration)
         give, bend = by[:slides].max(initial=0.0), by[slides:].max(initial=0.0)
         if give > length:
-            return f"spring '{spring.name}' gives by {give:.3g} m, more than {length:.3g} m"
+            return f"spring '{spring.name}' deflects by {give:.3g} m, more than {length:.3g} m"
         if bend > LARGEST_BEND:
-            return f"spring '{spring.name}' turns by {bend:.3g} rad, more than {LARGEST_BEND:g} rad"
+            return f"spring '{spring.name}' deflects by {bend:.3g} rad, more than {LARGEST_BEND:g} rad"
     return ""
 
 
 def _continuous(model: pin.Model) -> Indices:
-    """Return the entries of v of joints that turn without end, and whose angle q does not count."""
+    """Return the entries of v of continuous joints, whose q does not count turns."""
     joints = [joint for joint in list(model.joints)[1:] if joint.nv == 1 and joint.nq == 2]
     return np.array([joint.idx_v for joint in joints], dtype=np.intp)
 
 
 def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
-    """Close loops by simplified Newton steps, as long as they help."""
+    """Close loops by simplified Newton steps, as long as these help."""
     mechanism = configuration.mechanism
     for _ in range(_CLOSING_STEPS):
         residual = configuration.closure_residual
@@ -260,9 +260,9 @@ def _closed(configuration: Configuration, closing: Matrix) -> Configuration:
 
 
 def find_equilibrium(state: LoadedState) -> tuple[LoadedState, int]:
-    """Go from a state to the equilibrium by Newton's method, with a line search on the imbalance; return the steps too.
+    """Find the equilibrium from a state by Newton's method with a line search on the imbalance; also return the steps.
 
-    One more step is tried beyond :data:`EQUILIBRIUM_TOLERANCE`.
+    One more step is tried after reaching :data:`EQUILIBRIUM_TOLERANCE`.
 
     Raises:
         ConvergenceError: no equilibrium was found.
@@ -282,12 +282,12 @@ def find_equilibrium(state: LoadedState) -> tuple[LoadedState, int]:
         residual,
         "N or N m",
         _MOST_STEPS,
-        "the loads may be more than the mechanism bears, or want to be applied in steps",
+        "the loads may exceed what the mechanism can bear, or need to be applied in steps",
     )
 
 
 def _line_search(state: LoadedState) -> LoadedState | None:
-    """Return a state with less imbalance, along Newton's step; None if there is none."""
+    """Return a state with less imbalance along the Newton step; None if there is none."""
     velocity = -state.bearing_motions @ np.linalg.lstsq(state.tangent, state.bearing_residual, rcond=None)[0]
     longest = float(np.abs(velocity / state.model.mechanism.velocity_scale).max(initial=0.0))
     fraction = min(1.0, _LONGEST_STEP / longest) if longest > 0.0 else 1.0

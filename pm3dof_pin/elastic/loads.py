@@ -1,4 +1,4 @@
-"""Loads on an elastic mechanism: dead wrenches, payloads, its own weight; their forces and how these change with q."""
+"""Loads on an elastic mechanism: dead wrenches, payloads, its own weight; their forces and derivatives by q."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _WITHOUT_DERIVATIVES = ("JointModelComposite", "JointModelSphericalZYX", "JointM
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """What acts on a mechanism from outside.
+    """External loads on a mechanism.
 
     Example:
         >>> import pm3dof_pin as pm
         >>> loads = pm.Loads(wrenches={"O_e": [0.0, 0.0, -500.0, 0.0, 0.0, 0.0]}, payloads={"O_e": 2.0})
 
     Attributes:
-        wrenches: dead wrenches [f; m] on frames, at their origins, by frame: they move with the point and keep their
-            direction in the world, shape=(6,) [N, N m].
+        wrenches: dead wrenches [f; m] by frame, at its origin: they move with the point and keep their direction in
+            the world, shape=(6,) [N, N m].
         payloads: bodies fixed to frames, by frame, which add their weight: a point mass at the frame's origin [kg], or
             a `pin.Inertia` in the axes of the frame.
-        own_weight: whether the mechanism's bodies have their weight, in the model's gravity.
+        own_weight: whether the mechanism's bodies have weight, in the model's gravity.
     """
 
     wrenches: Mapping[str, ArrayLike] = field(default_factory=dict)
@@ -41,12 +41,12 @@ class Loads:
 
 
 class AppliedLoads:
-    """Loads on one mechanism, each times a factor; their `size` is the sum of forces times length and of moments [N m].
+    """Loads on one mechanism, each with a factor; their `size` is the sum of forces times length and of moments [N m].
 
     Raises:
         FrameNotFoundError: the model has no such frame.
         InvalidValueError: a wrench or mass is not finite or of the wrong shape, or a mass is negative.
-        DescriptionError: the model has joints whose derivatives Pinocchio does not get right.
+        DescriptionError: the model has joints for which Pinocchio's derivatives are wrong.
     """
 
     def __init__(self, mechanism: Robot, loads: Iterable[tuple[float, Loads]]) -> None:
@@ -81,11 +81,11 @@ class AppliedLoads:
         return forces
 
     def resistance(self, configuration: Configuration, closure_forces: Vector) -> Matrix:
-        """Return what the loads add to the tangent stiffness, -d(forces + G^T lambda)/dq, shape=(nv, nv).
+        """Return the loads' contribution to the tangent stiffness, -d(forces + G^T lambda)/dq, shape=(nv, nv).
 
-        The forces in the closures, lambda of :class:`~pm3dof_pin.elastic.loaded_state.LoadedState`, are taken as dead
-        too. On motions that keep the loops closed it makes no difference: G' = A(q) G has the same null space, and what
-        dA adds is in the range of G^T.
+        The closure forces, lambda of :class:`~pm3dof_pin.elastic.loaded_state.LoadedState`, are also treated as dead.
+        For motions that keep the loops closed this makes no difference: G' = A(q) G has the same null space, and the
+        contribution of dA is in the range of G^T.
         """
         q = np.array(configuration.q)
         model, data = self._weightless
@@ -98,7 +98,7 @@ class AppliedLoads:
             turn = data.oMi[joint].rotation
             force, moment = turn.T @ wrench[:3], turn.T @ wrench[3:]
             external[joint] = external[joint] + pin.Force(force, moment + np.cross(point, force))
-            # a wrench that keeps its direction in the world turns, seen from the joint
+            # a wrench of fixed direction in the world turns relative to the joint
             jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL).reshape(6, model.nv)
             skew = pin.skew(force)
             turning += jacobian.T @ np.vstack([skew, pin.skew(point) @ skew + pin.skew(moment)]) @ jacobian[3:]
@@ -121,7 +121,7 @@ class AppliedLoads:
 
 
 def _weight_model(mechanism: Robot, loads: Loads, factor: float) -> pin.Model:
-    """Return a model of what has weight, in gravity times a factor."""
+    """Return a model of everything that has weight, with gravity times a factor."""
     model = mechanism.model.copy()
     model.gravity = pin.Motion(factor * mechanism.model.gravity.vector)
     if not loads.own_weight:

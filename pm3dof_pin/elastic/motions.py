@@ -1,14 +1,14 @@
-"""How an elastic mechanism can move: the motions that its springs allow, and those that leave all springs at rest.
+"""The possible motions of an elastic mechanism: those that strain springs, and those with all springs at rest.
 
-The loops closed to first order, G v = 0, with v split into passive joints p and springs s, says
+With v split into passive joints p and springs s, the loops stay closed to first order, G v = 0, if
 
     G_p v_p + G_s v_s = 0.
 
-The null space of G_p are the motions with all springs at rest. What is left of the equations when v_p is eliminated,
-E v_s = 0 with E = L^T G_s and L the left null space of G_p, are the relations that a statically indeterminate mechanism
-puts on its springs; rows that follow from others (redundant constraints) fall out there. All ranks are decided by
-singular value decompositions of scaled kinematic matrices, see :mod:`pm3dof_pin.kinematics.degrees_of_freedom`: how
-stiff the springs are has no say in them, and a spring of 1e15 N/m does no harm beside one of 1 N m/rad.
+The null space of G_p contains the motions with all springs at rest. Eliminating v_p leaves E v_s = 0, with E = L^T G_s
+and L the left null space of G_p: the relations that a statically indeterminate mechanism imposes on its springs, free
+of dependent rows (redundant constraints). All ranks are decided by singular value decompositions of scaled kinematic
+matrices, see :mod:`pm3dof_pin.kinematics.degrees_of_freedom`: they do not depend on stiffness, and a spring of 1e15 N/m
+is harmless next to one of 1 N m/rad.
 
 With K^-1 = U U^T the springs' compliance, v_s = U x and the energy is x^T x / 2. An orthonormal basis of the x with
 E U x = 0 gives the motions Z, Z^T K_q Z = 1, and the compliance of any frame is C = (J Z) (J Z)^T.
@@ -32,32 +32,31 @@ from pm3dof_pin.typing import Matrix
 class ElasticMotions:
     """The possible motions of an elastic mechanism at one configuration, as velocities of all its joints."""
 
-    configuration: Configuration  #: where, of the mechanism with virtual joints
+    configuration: Configuration  #: the configuration, of the mechanism with virtual joints
     elastic: Matrix  #: basis Z of the motions that strain springs, Z^T K_q Z = 1, shape=(nv, e)
-    whitened: Matrix  #: their springs' part in units of the springs, x of v_s = U x; orthonormal, shape=(s, e)
-    #: basis of the same motions that the springs' stiffness has no part in: orthonormal in scaled numbers at the
-    #: springs, shape=(nv, e)
+    whitened: Matrix  #: their spring strains in units of the springs, x of v_s = U x; orthonormal, shape=(s, e)
+    #: basis of the same motions, independent of stiffness: orthonormal in scaled numbers at the springs, shape=(nv, e)
     kinematic: Matrix
     unstrained: Matrix  #: basis of the motions with all springs at rest, orthonormal in scaled numbers, shape=(nv, u)
-    #: velocity that changes the closure error by the least strain of the springs, shape=(nv, m): a step `-closing @
+    #: velocity that changes the closure error with the least strain of the springs, shape=(nv, m): a step `-closing @
     #: closure_error` closes the loops to first order
     closing: Matrix
-    passive_rank: RankDecision  #: the decision on G_p
-    relation_rank: RankDecision  #: the decision on E
+    passive_rank: RankDecision  #: the rank decision on G_p
+    relation_rank: RankDecision  #: the rank decision on E
 
     @property
     def redundant_constraints(self) -> int:
-        """Number of closure equations that follow from the others."""
+        """Number of dependent closure equations."""
         return len(self.closing.T) - self.passive_rank.rank - self.relation_rank.rank
 
 
 def elastic_motions(model: ElasticModel, configuration: Configuration) -> ElasticMotions:
-    """Compute how an elastic mechanism can move at an assembled configuration of its `mechanism`.
+    """Compute the possible motions of an elastic mechanism at an assembled configuration of its `mechanism`.
 
-    Singular values below RANK_TOLERANCE times the greatest one of the scaled constraint Jacobian count as zero.
+    Singular values below RANK_TOLERANCE times the greatest of the scaled constraint Jacobian are treated as zero.
 
     Raises:
-        InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
+        InvalidValueError: the loops are not closed, or a length changed by a joint is not positive.
     """
     mechanism = model.mechanism
     require_assembled(configuration)
@@ -76,7 +75,7 @@ def elastic_motions(model: ElasticModel, configuration: Configuration) -> Elasti
     root = model.scaled_compliance_root(configuration) / scale[springs, None]
     whitened_relations = relation_right[:, :kept].T @ root
     span, whitened = _row_space_and_complement(whitened_relations)
-    # x of least length with relations @ root @ x equal to what is left of the closure error
+    # x of least norm with relations @ root @ x equal to the remaining closure error
     remainder = (relation_left[:, :kept] / relation_rank.singular_values[:kept]).T @ left[:, passive_rank.rank :].T
     restoring = (
         span @ np.linalg.solve(whitened_relations @ span, remainder) if kept else np.zeros((len(root), len(rows)))
@@ -112,10 +111,10 @@ def _decompose(matrix: Matrix, threshold: float) -> tuple[Matrix, Matrix, RankDe
 
 
 def _row_space_and_complement(rows: Matrix) -> tuple[Matrix, Matrix]:
-    """Return orthonormal bases of the space that independent rows span and of its complement, as columns.
+    """Return orthonormal bases of the space spanned by independent rows and of its complement, as columns.
 
-    Householder's QR of rows^T with its rows sorted by size and columns pivoted: the rows of its result are exact
-    relative to their own size (A. Cox and N. Higham, 1998), so soft and stiff springs keep their digits.
+    Householder QR of rows^T with rows sorted by size and column pivoting: the rows of its result are accurate relative
+    to their own size (A. Cox and N. Higham, 1998), for soft and stiff springs alike.
     """
     count, size = rows.shape
     order = np.argsort(-np.abs(rows).max(axis=0, initial=0.0), kind="stable")

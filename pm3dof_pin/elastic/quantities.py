@@ -1,7 +1,7 @@
-"""What maps read from an elastic mechanism, reduced inside its program: a pose costs a few numbers instead of a matrix.
+"""Elastic quantities for maps, reduced within the program: a few numbers per pose instead of a matrix.
 
-Every quantity is given twice: traced, from a root of the compliance or the stiffness, and in NumPy, from the report of
-one pose, for poses at which a program is in doubt.
+Each quantity is defined twice: traced, from a root of the compliance or the stiffness, and in NumPy, from the report of
+one pose, for poses at which the program is in doubt.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from pm3dof_pin.typing import Array, Matrix, Objects, Vector
 
 @dataclass(frozen=True)
 class ElasticQuantity:
-    """A quantity of the elastic behaviour of a frame."""
+    """An elastic quantity of a frame."""
 
     name: str  #: its name
     shape: tuple[int, ...]  #: shape of its value
-    traced: Callable[[Roots], Objects]  #: from roots to numbers of that shape
-    computed: Callable[[CartesianCompliance], Array]  #: from the careful report of one pose to its value
+    traced: Callable[[Roots], Objects]  #: maps roots to numbers of that shape
+    computed: Callable[[CartesianCompliance], Array]  #: maps the report of one pose to the value
 
 
 def _matrix(columns: Objects) -> Objects:
@@ -117,15 +117,15 @@ COMPLIANCE = ElasticQuantity(
 """C, twist = C wrench [m/N, 1/N, rad/(N m)]."""
 
 STIFFNESS = ElasticQuantity("stiffness", (6, 6), lambda roots: _matrix(roots.stiffness), _computed_stiffness)
-"""K, wrench = K twist [N/m, N, N m/rad]; NaN where a direction is rigid."""
+"""K, wrench = K twist [N/m, N, N m/rad]; NaN if a direction is rigid."""
 
 COMPLIANCE_AND_STIFFNESS = ElasticQuantity("compliance_and_stiffness", (2, 6, 6), _both, _computed_both)
-"""C and K; K is NaN where a direction is rigid."""
+"""C and K; K is NaN if a direction is rigid."""
 
 AXIS_COMPLIANCE = ElasticQuantity(
     "axis_compliance", (6,), _axis_compliance, lambda report: report.compliance.diagonal()
 )
-"""What each axis gives under a unit force or moment along it, all else free [m/N, rad/(N m)]."""
+"""Deflection along each axis under a unit force or moment along it, all else free [m/N, rad/(N m)]."""
 
 PRINCIPAL_STIFFNESS = ElasticQuantity("principal_stiffness", (2, 3), _principal, _computed_principal)
 """Principal stiffnesses of the translations, then of the rotations, all else free, ascending [N/m], [N m/rad]."""
@@ -155,7 +155,7 @@ def spring_shares(model: ElasticModel) -> ElasticQuantity:
 
 
 def compliance_by_spring(model: ElasticModel) -> ElasticQuantity:
-    """Return the compliance that each spring adds, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
+    """Return the compliance contribution of each spring, shape=(springs, 6, 6) [m/N, 1/N, rad/(N m)]."""
     return ElasticQuantity(
         "contributions",
         (len(model.blocks), 6, 6),
@@ -167,7 +167,7 @@ def compliance_by_spring(model: ElasticModel) -> ElasticQuantity:
 def free_stiffness(model: ElasticModel, components: tuple[ToolComponent, ...] = ()) -> ElasticQuantity:
     """Return the stiffness of components of the tool's twist, or of the declared coordinates, shape=(p, p).
 
-    In N/m, N and N m/rad; NaN where the robot's free motions are not these.
+    In N/m, N and N m/rad; NaN where these are not the robot's free motions.
     """
     names: tuple[str, ...] = components or tuple(c.name for c in model.rigid.declared_coordinates)
 

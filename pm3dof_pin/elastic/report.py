@@ -1,4 +1,4 @@
-"""The report on the elastic behaviour of one frame at one configuration: by program where nothing is in doubt."""
+"""The elastic behaviour of one frame at one configuration, by program if nothing is in doubt."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def cartesian_compliance(
     frame: str | None = None,
     engine: Engine = "program",
 ) -> CartesianCompliance:
-    """Compute the elastic behaviour of a frame, unloaded but for the wrenches that probe it.
+    """Compute the elastic behaviour of an unloaded frame.
 
-    Compliance and stiffness of the tool come from its compiled program, where that leaves nothing in doubt; all else,
-    and other frames, from Pinocchio's Jacobians and singular values.
+    Compliance and stiffness of the tool come from its compiled program, if nothing is in doubt; all else, and other
+    frames, from Pinocchio's Jacobians and singular values.
 
     Example:
         >>> import pm3dof_pin as pm
@@ -38,12 +38,12 @@ def cartesian_compliance(
         configuration: an assembled configuration of the rigid mechanism, or its q, shape=(nq,) [m, rad]; or a
             configuration of the mechanism with virtual joints.
         frame: the frame; the tool by default.
-        engine: "program", or "pinocchio" for singular values in any case.
+        engine: "program", or "pinocchio" to use singular values always.
 
     Raises:
         FrameNotFoundError: the model has no such frame.
         DescriptionError: no frame is given, and the mechanism has no tool frame.
-        InvalidValueError: the loops are not closed, or a length that a joint changes is not positive.
+        InvalidValueError: the loops are not closed, or a length changed by a joint is not positive.
     """
     require_choice("engine", engine, Engine)
     require_kind("model", model, ElasticModel, "pm.ElasticModel.load")
@@ -62,7 +62,7 @@ def cartesian_compliance(
 
 
 def _from_program(model: ElasticModel, q: Vector) -> Matrix | None:
-    """Return C and K of the tool, shape=(2, 6, 6); None where there is no program or a rank is in doubt."""
+    """Return C and K of the tool, shape=(2, 6, 6); None if there is no program or a rank is in doubt."""
     tool = model.mechanism.tool_frame
     assert tool is not None
     try:

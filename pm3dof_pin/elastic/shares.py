@@ -1,8 +1,8 @@
-"""Which spring gives most: the share of each spring in the compliance, for a load or along a direction.
+"""The share of each spring in the compliance, for a load or along a direction.
 
-Compliances of springs add: C = sum_j C_j with C_j = a_j a_j^T / k_j, a_j the force in spring j against a wrench at the
-tool. The displacement of the point of load along a wrench W is W^T C W, and each spring's part of it is W^T C_j W. The
-same parts are the derivatives: dC / dk_j = -C_j / k_j.
+Compliances of springs add: C = sum_j C_j with C_j = a_j a_j^T / k_j, where a_j is the force in spring j per wrench at
+the tool. The displacement of the point of load along a wrench W is W^T C W, and each spring's part of it is W^T C_j W.
+The same parts give the derivatives: dC / dk_j = -C_j / k_j.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pm3dof_pin.typing import Array
 
 
 def shares(contributions: ArrayLike, wrench: ArrayLike) -> Array:
-    """Return the share of each spring in the deflection along a wrench W at the tool, shape=(..., s), adding up to 1.
+    """Return the share of each spring in the deflection along a wrench W at the tool, shape=(..., s); the sum is 1.
 
-    NaN where the contributions C_j, shape=(..., s, 6, 6), are NaN, and where no spring gives.
+    NaN where the contributions C_j, shape=(..., s, 6, 6), are NaN or all zero along W.
 
     Raises:
         InvalidValueError: the wrench is not of shape (..., 6), not finite or zero.

@@ -1,17 +1,16 @@
-"""The springs of a mechanism: what they are, and reading them from the `springs` of a closures file.
+"""The springs of a mechanism, and reading them from the `springs` of a closures file.
 
 An entry is a mapping with a `name`, a `type` and the keys of that type:
 
 - joint: a spring at a single-DoF joint; `joint`, `stiffness`, `unit` (N/m, or N m/rad).
-- axial: give along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
+- axial: elastic along an axis; `at`, `axis`, `stiffness`, `unit: N/m`.
 - cantilever: the tip of an Euler-Bernoulli cantilever; `at`, `axis`, `bending_stiffness` (E I), `torsional_stiffness`
   (G J), `unit: N m^2`, `length`, a number [m] or {joint, at_zero}; axially rigid unless there is `axial_stiffness` [N],
-  its E A; `elements`, the number of equal pieces it is cut into, 1 if not given.
+  its E A; `elements`, the number of equal elements it is divided into, 1 by default.
 - beam: any 6 x 6 stiffness of a tip; `at`, `matrix`.
-- closure: a loop closure that is not rigid; `closure`, its position in the list of closures, counted from 0; `matrix`,
-  3 x 3 or 6 x 6.
+- closure: an elastic loop closure; `closure`, its index in the list of closures, from 0; `matrix`, 3 x 3 or 6 x 6.
 
-`at` is a joint or frame; what hangs on it, itself included, moves when the spring gives. Axes and matrices are in the
+`at` is a joint or frame; it and everything attached to it move when the spring deflects. Axes and matrices are in the
 axes of `at` (of the closure's first frame), in the order x, y, z, rx, ry, rz [N/m, N, N m/rad].
 """
 
@@ -35,7 +34,7 @@ from pm3dof_pin.typing import Matrix
 JointSpringUnit = Literal["N/m", "N m/rad"]
 
 MOST_ELEMENTS = 100
-"""Largest number of pieces of one cantilever."""
+"""Largest number of elements of one cantilever."""
 
 _SYMMETRY = 1e-9
 _DEFINITENESS = 1e-12
@@ -43,12 +42,12 @@ _DEFINITENESS = 1e-12
 
 @dataclass(frozen=True)
 class JointSpring:
-    """A spring at a single-DoF joint: an actuator's or a bearing's, at rest in the configuration examined."""
+    """A spring at a single-DoF joint, such as an actuator or a bearing, at rest in the given configuration."""
 
     name: str  #: its name
     joint: str  #: the joint
     stiffness: float  #: k [N/m or N m/rad]
-    unit: JointSpringUnit  #: "N/m" for a joint that translates, "N m/rad" for one that turns
+    unit: JointSpringUnit  #: "N/m" for a prismatic joint, "N m/rad" for a revolute one
 
     def __post_init__(self) -> None:
         """Check the number."""
@@ -57,11 +56,11 @@ class JointSpring:
 
 @dataclass(frozen=True)
 class AxialSpring:
-    """A body that gives along one axis: a link, a ball screw."""
+    """A body that is elastic along one axis: a link, a ball screw."""
 
     name: str  #: its name
-    at: str  #: joint or frame that moves when the spring gives, with all that hangs on it
-    axis: tuple[float, float, float]  #: direction in the axes of `at`, made a unit vector
+    at: str  #: joint or frame that moves when the spring deflects, with everything attached to it
+    axis: tuple[float, float, float]  #: direction in the axes of `at`, normalised
     stiffness: float  #: k [N/m]
 
     def __post_init__(self) -> None:
@@ -71,7 +70,7 @@ class AxialSpring:
 
 
 class JointLength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A length that a prismatic joint changes, L = at_zero + q [m]."""
+    """A length changed by a prismatic joint, L = at_zero + q [m]."""
 
     joint: Name
     at_zero: Length
@@ -88,14 +87,14 @@ class CantileverSpring:
 
     name: str  #: its name
     at: str  #: joint or frame at the tip
-    #: direction of the beam, from clamp to tip, in the axes of `at`; made a unit vector
+    #: direction of the beam, from clamp to tip, in the axes of `at`; normalised
     axis: tuple[float, float, float]
-    bending_stiffness: float  #: E I, the same about every axis across [N m^2]
+    bending_stiffness: float  #: E I, equal about all transverse axes [N m^2]
     torsional_stiffness: float  #: G J [N m^2]
     length: float | JointLength  #: L [m], or the joint that changes it
-    #: E A [N]; None for a beam that is rigid (or held by something else) along its axis
+    #: E A [N]; None for a beam that is axially rigid (or held axially by something else)
     axial_stiffness: float | None = None
-    elements: int = 1  #: number of equal pieces in a row that it is cut into, for large deflections and for buckling
+    elements: int = 1  #: number of equal elements it is divided into, for large deflections and buckling
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -109,7 +108,7 @@ class CantileverSpring:
         if not 1 <= self.elements <= MOST_ELEMENTS:
             raise InvalidValueError("elements", self.elements, f"a number from 1 to {MOST_ELEMENTS}")
         if self.elements > 1 and isinstance(self.length, JointLength):
-            raise InvalidValueError("elements", self.elements, "1, as a joint changes the length")
+            raise InvalidValueError("elements", self.elements, "1, since a joint changes the length")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +126,10 @@ class BeamSpring:
 
 @dataclass(frozen=True, eq=False)
 class ClosureSpring:
-    """A loop closure that gives: a bushing, a bearing."""
+    """An elastic loop closure: a bushing, a bearing."""
 
     name: str  #: its name
-    closure: int  #: position of the closure in the mechanism's list
+    closure: int  #: index of the closure in the mechanism's list
     matrix: Matrix  #: stiffness, shape=(3, 3) for a 3d closure, (6, 6) for a 6d one [N/m, N, N m/rad]; read-only
 
     def __post_init__(self) -> None:
@@ -197,14 +196,14 @@ SPRING_SCHEMAS: dict[str, type[_Entry]] = {
     "beam": _Beam,
     "closure": _Closure,
 }
-"""The forms of an entry of `springs`, by type."""
+"""The schemas of an entry of `springs`, by type."""
 
 
 def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tuple[Spring, ...]:
-    """Read the `springs` of a closures file. Whether the joints and frames exist is for the mechanism to say.
+    """Read the `springs` of a closures file. Whether the joints and frames exist is checked by the mechanism.
 
     Raises:
-        DescriptionError: an entry has no name or one that is taken, an unknown type, a key missing or too many, a wrong
+        DescriptionError: an entry has no name or a duplicate one, an unknown type, a missing or unknown key, a wrong
             unit, a number that is not finite and positive, or a matrix that is not symmetric and positive definite.
     """
     springs: list[Spring] = []
@@ -212,7 +211,7 @@ def read_springs(entries: Iterable[Mapping[str, Any]], source: Path | str) -> tu
         element = f"springs[{index}]"
         name, kind = checked(entry.get("name"), Name, source, f"{element}.name"), entry.get("type")
         if name in {other.name for other in springs}:
-            raise DescriptionError(source, element, f"the name '{name}' is taken, expected another")
+            raise DescriptionError(source, element, f"duplicate name '{name}', expected unique names")
         element += f" '{name}'"
         if not isinstance(kind, str) or kind not in SPRING_SCHEMAS:
             raise DescriptionError(
@@ -242,7 +241,7 @@ def _unit_vector(axis: ArrayLike) -> tuple[float, float, float]:
 
 
 def _positive_definite(name: str, matrix: ArrayLike, sizes: tuple[int, ...]) -> Matrix:
-    """Return a read-only, exactly symmetric copy. Judged at a unit diagonal: N/m stands beside N m/rad."""
+    """Return a read-only, exactly symmetric copy. Checked after scaling to a unit diagonal, since units are mixed."""
     array = finite_array(name, matrix, *((size, size) for size in sizes))
     diagonal = array.diagonal()
     if (diagonal < STIFFNESS.least).any() or (np.abs(array) > STIFFNESS.greatest).any():

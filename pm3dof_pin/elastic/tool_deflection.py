@@ -1,7 +1,7 @@
-"""How far wrenches move the tool at many poses, spring by spring, and what stiffer springs change of it.
+"""Tool deflection under wrenches at many poses, spring by spring, and the effect of stiffer springs.
 
-Small deflections: dx = C w with C the sum of what the springs add, C = sum_j C_j. Scaling all of spring j by a factor
-k_j changes C by dC / d ln k_j = -C_j, whether the mechanism is statically determinate or not.
+For small deflections dx = C w, where C is the sum of the springs' contributions, C = sum_j C_j. Scaling spring j by a
+factor k_j changes C by dC / d ln k_j = -C_j, whether or not the mechanism is statically determinate.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _STIFFNESSES = ("stiffness", "bending_stiffness", "torsional_stiffness", "axial_
 
 
 def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None = None) -> Array:
-    """Return how far each spring lets wrenches move the tool at n poses, shape=(n, springs, 6) [m, rad].
+    """Return the tool deflection under wrenches due to each spring at n poses, shape=(n, springs, 6) [m, rad].
 
-    Their sum over the springs is the tool's displacement, minus each of them its derivative by the logarithm of that
-    spring's stiffness. Wrenches are at the tool's point, world axes, shape=(n, 6) [N, N m].
+    The sum over the springs is the tool's displacement; the derivative of the displacement by the logarithm of a
+    spring's stiffness is minus its part. Wrenches are at the tool point, world axes, shape=(n, 6) [N, N m].
 
     Raises:
         DescriptionError: the robot has no springs, or no tool frame.
         FreeDirectionError: the tool can move with all springs at rest.
-        InvalidValueError: wrenches of another shape or not finite, or a pose that is not solved.
+        InvalidValueError: wrenches have the wrong shape or are not finite, or a pose is unsolved.
     """
     checked = finite_array("wrenches", wrenches, (len(poses), 6))
     model = elastic_model(poses.robot)
@@ -42,10 +42,10 @@ def spring_deflections(poses: Poses, wrenches: Array, *, engine: Engine | None =
 
 
 def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
-    """Return a robot with all stiffness of some springs, by name, multiplied by factors.
+    """Return a robot with the stiffness of springs multiplied by factors, by name.
 
     Raises:
-        InvalidValueError: there is no spring of a name, or a factor is not positive.
+        InvalidValueError: there is no spring of this name, or a factor is not positive.
     """
     names = [str(entry.get("name")) for entry in robot.springs]
     for name, factor in factors.items():
@@ -57,7 +57,7 @@ def stiffened(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
 
 def stiffened_entries(springs: Iterable[Mapping[str, Any]], factors: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return the entries of springs, as in a closures file, with those named stiffer by factors."""
+    """Return entries of springs, as in a closures file, with the stiffness of those named multiplied by factors."""
     return [
         {
             key: (factor * np.asarray(value, dtype=float)).tolist() if key in _STIFFNESSES else value

@@ -1,16 +1,16 @@
-"""The Cartesian compliance of a frame on recorded numbers: C = X X^T, X its twist for normalised spring strains.
+"""The Cartesian compliance of a frame on recorded numbers: C = X X^T, X being its twist per normalised spring strain.
 
-With the springs' compliance c = U U^T and v_s = U y, y is what the springs strain in units of them: the energy is
-y^T y / 2, and a wrench on the frame makes y as short as the closures allow. The equations of
-:mod:`pm3dof_pin.programs.tool_motion`, made triangular once more, are
+With the springs' compliance c = U U^T and v_s = U y, y are normalised spring strains: the energy is y^T y / 2, and
+under a wrench on the frame y has the least norm the closures permit. The equations of
+:mod:`pm3dof_pin.programs.tool_motion`, triangularised again, are
 
     [R; 0] x = [A1; A2] y,
 
-and with A1 projected onto the null space of A2, X = R^-1 A1. Stiff and soft springs meet in orthogonal transformations
-only; rigid directions and serial arms need no special treatment. Where the strains of a branch are more than its
-equations, they are turned into as many first.
+and with A1 projected onto the null space of A2, X = R^-1 A1. Stiff and soft springs are only combined by orthogonal
+transformations; rigid directions and serial arms need no special treatment. If a branch has more strains than
+equations, they are first reduced to as many.
 
-Ranks are decided on the equations before the springs enter: how stiff they are has no say.
+Ranks are decided on the equations without the springs, independently of their stiffness.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from pm3dof_pin.programs.tree import Tree
 from pm3dof_pin.programs.verification import verify
 from pm3dof_pin.typing import Objects
 
-_LIKE = 1e4  # ratio of roots of compliances that takes as many digits from the doubt's pivots
+_LIKE = 1e4  # ratio of roots of compliances, by which the pivots of doubt lose accuracy
 
 
 def _component_rows(rotation: Objects) -> Objects:
-    """Return the rates of x, y, z, rx, ry, rz, R = Rx Ry Rz, as functions of the twist, shape=(6, 6)."""
+    """Return the rates of x, y, z, rx, ry, rz, R = Rx Ry Rz, as a linear function of the twist, shape=(6, 6)."""
     rows = identity(6)
     cosine = sqrt(rotation[1, 2] * rotation[1, 2] + rotation[2, 2] * rotation[2, 2])
     inverse = 1.0 / cosine
@@ -59,10 +59,10 @@ def _component_rows(rotation: Objects) -> Objects:
 
 
 def elastic_tree(graph: Graph, model: ElasticModel, frame: str) -> Tree:
-    """Record the tree of an elastic mechanism at q of the rigid one, its virtual joints at zero.
+    """Record the tree of an elastic mechanism at q of the rigid one, with virtual joints at zero.
 
     Raises:
-        ProgramError: there are no samples, or traced Jacobians are not Pinocchio's.
+        ProgramError: there are no samples, or traced Jacobians differ from Pinocchio's.
     """
     samples = samples_near_home(model.rigid)
     verify(model.mechanism, model.embed(samples))
@@ -72,10 +72,10 @@ def elastic_tree(graph: Graph, model: ElasticModel, frame: str) -> Tree:
 
 
 class Roots:
-    """Roots of the compliance and the stiffness of a frame, recorded when they are asked for.
+    """Roots of the compliance and the stiffness of a frame, recorded on first use.
 
     Attributes:
-        is_sound: whether nothing is in doubt of those that were asked for.
+        is_sound: whether nothing is in doubt in the roots used so far.
     """
 
     def __init__(self, graph: Graph, model: ElasticModel, tree: Tree, frame: str) -> None:
@@ -101,14 +101,14 @@ class Roots:
         held = _held(self._model, self._tree, self._frame, self._spring_root, doubt)
         rows = _whitened([_branch_rows(branch, doubt) for branch in held], doubt)
         if rows is None:
-            raise RigidDirectionError("the springs of a branch do not give in some direction")
+            raise RigidDirectionError("the springs of a branch are rigid in some direction")
         rows[:, :3] = rows[:, :3] * (1.0 / self._unit)
         return self._noted(rows.T, doubt)
 
     def coordinate_stiffness(self, components: Sequence[ToolComponent] = ()) -> Objects:
         """X with X X^T the stiffness of components of the twist, or of the declared coordinates, shape=(p, n).
 
-        Directions in which the frame is rigid do not count: it is not to move there.
+        Directions in which the frame is rigid are excluded: it does not move there.
 
         Raises:
             ProgramError: the frame does not follow the coordinates alone, at the sample poses.
@@ -165,7 +165,7 @@ class Roots:
 
 
 def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Doubt) -> list[Branch]:
-    """Record how branches hold a frame; sources are the springs' rates, weighted their strains, as few as possible."""
+    """Record how branches hold a frame; sources are spring rates, `weighted` as few spring strains as possible."""
 
     def strains(sources: tuple[int, ...], motion: Objects) -> Objects:
         own = product(motion, root[np.ix_(sources, sources)])
@@ -193,7 +193,7 @@ def _held(model: ElasticModel, tree: Tree, frame: str, root: Objects, doubt: Dou
 
 
 def spring_root(graph: Graph, model: ElasticModel, tree: Tree) -> Objects:
-    """Record the root U of the springs' compliance, v_s = U y, slides in units of length, shape=(s, s)."""
+    """Record the root U of the springs' compliance, v_s = U y, translations in units of length, shape=(s, s)."""
     values = spring_parameters(model)
     root = zeros(len(model.spring_indices), len(model.spring_indices))
     _, powers = model.compliance_root
@@ -230,13 +230,13 @@ def _root_entries(block: SpringBlock) -> dict[tuple[int, int], str]:
 
 
 def has_like_springs(model: ElasticModel) -> bool:
-    """Tell whether the springs are like enough in stiffness to appear in pivots, lengths and angles scaled."""
+    """Return whether the springs are similar enough in stiffness, in scaled units, to appear in pivots."""
     sizes = np.abs([value for name, value in spring_parameters(model).items() if not name.endswith("/length")])
     return bool(sizes.max() < _LIKE * sizes.min())
 
 
 def _power(length: Scalar, power: float) -> Scalar:
-    """Return a power with a multiple of 1/2 as its exponent."""
+    """Return a power whose exponent is a multiple of 1/2."""
     halves = round(2.0 * power)
     result: Scalar = sqrt(length) if halves % 2 else 1.0
     for _ in range(abs(halves) // 2):
@@ -246,7 +246,7 @@ def _power(length: Scalar, power: float) -> Scalar:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Equations twist @ x + strain @ y = 0, and the springs' rates in them before they were strains."""
+    """Equations twist @ x + strain @ y = 0, and their coefficients of the spring rates."""
 
     twist: Objects
     strain: Objects
@@ -254,7 +254,7 @@ class _Rows:
 
 
 def _branch_rows(branch: Branch, doubt: Doubt) -> _Rows:
-    """Bring the springs into a branch: its relations taken into account, no more strains than equations."""
+    """Insert the springs into a branch: with its relations, and no more strains than equations."""
     relations = branch.weighted_relations
     if rank(branch.relations) < len(relations):
         relations = _independent(relations, branch.relations, doubt)
@@ -267,8 +267,8 @@ def _condensed(
 ) -> tuple[Objects, Objects, list[int]]:
     """Return R and the projected A1 of the frame, and the order of its twist's entries in both.
 
-    Where springs are alike and those of every branch give in all its directions, their strains are brought to stand
-    alone in its equations first, which is less work; A1 then is 1. The springs' stiffness is in the pivots then.
+    If springs are similar and those of each branch are elastic in all its directions, the equations are first solved
+    for the strains, which is less work: A1 is then 1, and the pivots depend on the springs' stiffness.
     """
     rows = [_branch_rows(branch, doubt) for branch in held]
     if like and (whitened := _whitened(rows, doubt)) is not None:
@@ -289,7 +289,7 @@ def _condensed(
 
 
 def _condensed_as_one(held: Sequence[Branch], root: Objects, doubt: Doubt) -> tuple[Objects, Objects, list[int]]:
-    """Do the same with all springs at once: where relations depend on each other, or springs are asked for singly."""
+    """Do the same with all springs at once: for dependent relations, or if springs are needed individually."""
     twists, motions = (
         np.vstack([zeros(0, 6), *(b.twist for b in held)]),
         np.vstack([zeros(0, len(root)), *(widened(b.motion, b.sources, len(root)) for b in held)]),
@@ -313,15 +313,15 @@ def _triangle(result: Elimination) -> tuple[Objects, list[int]]:
 
 
 def _independent(relations: Objects, rates: Objects, doubt: Doubt) -> Objects:
-    """Return independent relations with the same solutions; which depend on others is seen by the springs' rates."""
+    """Return independent relations with the same solutions; dependence is decided by the spring rates."""
     width = relations.shape[1]
     return eliminate(np.hstack([relations, rates]), range(width, width + rates.shape[1]), doubt).pivot_rows[:, :width]
 
 
 def _whitened(branches_rows: Sequence[_Rows], doubt: Doubt, *, without_rigid: bool = False) -> Objects | None:
-    """Return the equations in which each strain stands alone, shape=(n, 6).
+    """Return the equations solved for the strains, shape=(n, 6).
 
-    Equations in which no spring has a part are left out, or the result is None.
+    Equations without springs are omitted, or the result is None.
     """
     blocks = []
     for rows in branches_rows:

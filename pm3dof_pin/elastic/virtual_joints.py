@@ -1,10 +1,10 @@
-"""Virtual joints: where a body gives, single-DoF joints are put into the tree, never by hand.
+"""Virtual joints: single-DoF joints are inserted into the tree automatically where a body is elastic.
 
-The tree is rebuilt on Pinocchio's level. Bodies keep their inertias, frames their names and indices, joints their
-names, limits and constants, and with all virtual joints at zero the mechanism is the rigid one. A spring's joints stand
-before its joint or frame `at`, translations first, in the axes of `at`; several springs at one place stand in the order
-of their list, in series. A loop closure that gives gets virtual joints between its first frame and a new frame, which
-is closed rigidly in its stead.
+The tree is rebuilt as a Pinocchio model. Bodies keep their inertias, frames their names and indices, joints their
+names, limits and constants, and with all virtual joints at zero the mechanism is the rigid one. A spring's joints
+precede its joint or frame `at`, translations first, in the axes of `at`; several springs at one place are in series, in
+the order of their list. An elastic loop closure gets virtual joints between its first frame and a new frame, which is
+closed rigidly instead.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ _JOINT_MODELS = {
     "rz": pin.JointModelRZ,
 }
 _POSITION_CONSTANTS = {"lowerPositionLimit": -np.inf, "upperPositionLimit": np.inf, "positionLimitMargin": 0.0}
-"""With their values for virtual joints."""
+"""With the values for virtual joints."""
 
 _NO_MASS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class _VirtualJoints:
-    """A mechanism with virtual joints, and where the joints of the rigid one stand in it."""
+    """A mechanism with virtual joints, and the indices of the rigid one's joints in it."""
 
-    mechanism: Robot  #: the mechanism with virtual joints; it names no springs any more
+    mechanism: Robot  #: the mechanism with virtual joints; it has no springs in its description
     joints: Mapping[str, tuple[str, ...]]  #: names of the virtual joints of each spring, in the order of its stiffness
     q_indices: Indices  #: index in its q of each entry of the rigid mechanism's q, shape=(nq,)
     v_indices: Indices  #: index in its v of each entry of the rigid mechanism's v, shape=(nv,)
 
 
 def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> _VirtualJoints:
-    """Put the virtual joints of springs into a copy of a mechanism. Springs at joints need none.
+    """Insert the virtual joints of springs into a copy of a mechanism. Joint springs need none.
 
     Raises:
-        FrameNotFoundError: a spring stands at a joint or frame that the mechanism does not have.
-        DescriptionError: a spring stands at the root of the world, at a closure that does not exist or has another
-            size, at a closure that gives already, or has the name of a frame or joint.
+        FrameNotFoundError: a spring refers to a joint or frame that the mechanism does not have.
+        DescriptionError: a spring is at the root of the world, or at a closure that does not exist, has another size or
+            already has a spring, or has the name of a frame or joint.
     """
     bodies = (spring for spring in springs if not isinstance(spring, JointSpring))
     return _Builder(mechanism, [chain for spring in bodies for chain in _chains(mechanism, spring)]).result()
@@ -71,7 +71,7 @@ def insert_virtual_joints(mechanism: Robot, springs: Sequence[Spring]) -> _Virtu
 class _Chain:
     """The virtual joints of one spring: before the frame or joint `place`, or from that frame to a closure's anchor.
 
-    They stand at `axes` in the place. A beam cut into elements has a chain for each, named `<spring>.<number>`.
+    They are at `axes` in the place. A beam divided into elements has a chain for each, named `<spring>.<number>`.
     """
 
     spring: str
@@ -130,10 +130,10 @@ def _axes_with_z_along(axis: tuple[float, float, float]) -> pin.SE3:
 
 @dataclass(eq=False)
 class _Piece:
-    """Part of a rigid body of the tree: all of it, or what moves when a spring inside it gives.
+    """Part of a rigid body of the tree: all of it, or what moves when a spring inside it deflects.
 
     `body` is the body's joint in the old tree, `joint` the joint in the new one that carries the piece, and `placement`
-    the place of that joint in the old body. A piece cut out of a body hangs on `chains`.
+    the placement of that joint in the old body. A piece cut out of a body is attached by `chains`.
     """
 
     body: int
@@ -147,7 +147,7 @@ class _Piece:
 
 
 class _Builder:
-    """Cuts the bodies of a tree into pieces, and grows the new tree out of them, depth first."""
+    """Cuts the bodies of a tree into pieces, and builds the new tree from them, depth first."""
 
     def __init__(self, mechanism: Robot, chains: Sequence[_Chain]) -> None:
         self._mechanism = mechanism
@@ -161,12 +161,12 @@ class _Builder:
         parents, joint = list(self._old.parents), pin.FrameType.JOINT
         self._frames: list[pin.Frame] = list(self._old.frames)
         self._is_joint = [frame.type == joint for frame in self._frames]
-        #: the body that carries each frame; for the frame of a joint that moves, the body before the joint
+        #: the body that carries each frame; for the frame of a movable joint, the body before the joint
         self._carriers: list[int] = [
             parents[frame.parentJoint] if moves else frame.parentJoint
             for frame, moves in zip(self._frames, self._is_joint, strict=True)
         ]
-        #: the frame that carries each one, if it is known and on the same body
+        #: the parent frame of each frame, if known and on the same body
         self._above: list[int | None] = [
             above
             if (above := frame.parentFrame) != index and self._frames[above].parentJoint == self._carriers[index]
@@ -193,12 +193,12 @@ class _Builder:
         for chain in self._chains:
             for name in (*chain.joints, chain.anchor):
                 if self._old.existFrame(name) or self._old.existJointName(name):
-                    raise self._error(chain, f"'{name}' is a frame or joint already, expected another name")
+                    raise self._error(chain, f"'{name}' is already a frame or joint, expected another name")
             if chain.closure is not None and closures.count(chain.closure) > 1:
                 raise self._error(chain, f"closure {chain.closure} has two springs, expected one")
 
     def _place(self, chain: _Chain) -> None:
-        """Find the joint that a chain stands before, or cut a body at the frame it stands before."""
+        """Find the joint that a chain precedes, or cut a body at the frame it precedes."""
         frame = self._frame_of(chain)
         if chain.closure is not None:
             return
@@ -206,12 +206,12 @@ class _Builder:
             self._joint_chains.setdefault(self._old.getJointId(chain.place), []).append(chain)
             return
         if frame == 0:
-            raise self._error(chain, "stands at the root of the world, expected a joint or frame on it")
+            raise self._error(chain, "is at the root of the world, expected a joint or frame attached to it")
         cut = self._cuts.setdefault(frame, _Piece(self._frames[frame].parentJoint, self._frames[frame].placement))
         cut.chains.append(chain)
 
     def _frame_of(self, chain: _Chain) -> int | None:
-        """Return the frame a chain stands before, or None if that is a joint that moves."""
+        """Return the frame that a chain precedes, or None if it precedes a movable joint."""
         try:
             index = self._mechanism.frame_id(chain.place)
         except FrameNotFoundError as error:
@@ -230,7 +230,7 @@ class _Builder:
         return index
 
     def _piece(self, index: int) -> _Piece:
-        """Return the piece that carries a frame, or that the frame itself is the beginning of."""
+        """Return the piece that carries a frame, or that starts at it."""
         above: int | None = index
         while above is not None:
             if above in self._cuts:
@@ -241,14 +241,14 @@ class _Builder:
         return self._bodies[self._carriers[index]]
 
     def _piece_above(self, index: int) -> _Piece:
-        """Return the piece that a cut is made in."""
+        """Return the piece in which a cut is made."""
         above = self._above[index]
         if above is None or self._is_joint[above]:
             return self._bodies[self._carriers[index]]
         return self._piece(above)
 
     def _share_out_inertias(self) -> None:
-        """Give every piece the inertias of its frames, and the rest of a body to the piece of the link on its joint."""
+        """Give each piece the inertias of its frames, and the rest of a body to the piece of the link on its joint."""
         rest = list(self._old.inertias)
         links: dict[int, _Piece] = {}
         for index, frame in enumerate(self._frames):
@@ -279,7 +279,7 @@ class _Builder:
                 self._piece(self._mechanism.frame_id(chain.place)).anchors.append(chain)
 
     def _grow(self, piece: _Piece) -> None:
-        """Add what hangs on a piece, depth first, as Pinocchio's algorithms need it."""
+        """Add everything attached to a piece, depth first, as Pinocchio's algorithms require."""
         if piece.joint > 0:
             inertia = piece.placement.actInv(piece.inertia)
             self._new.appendBodyToJoint(piece.joint, inertia, pin.SE3.Identity())
@@ -299,7 +299,7 @@ class _Builder:
             self._anchor_frames.append(pin.Frame(chain.anchor, joint, end, pin.FrameType.OP_FRAME))
 
     def _add(self, chains: Sequence[_Chain], parent: int, placement: pin.SE3) -> tuple[int, pin.SE3]:
-        """Add virtual joints; return the last one, and the placement in it of what they carry."""
+        """Add virtual joints; return the last one, and the placement of their load in it."""
         for chain in chains:
             placement = placement * chain.axes
             for name, motion in zip(chain.joints, chain.motions, strict=True):
@@ -309,7 +309,7 @@ class _Builder:
         return parent, placement
 
     def _copy_frames(self) -> None:
-        """Add all frames under their old indices, which those of parent frames rely on, and then the anchors."""
+        """Add all frames under their old indices, to which parent frames refer, and then the anchors."""
         for index, frame in list(enumerate(self._frames))[1:]:
             copy = pin.Frame(frame)
             if self._is_joint[index]:
@@ -322,7 +322,7 @@ class _Builder:
             self._new.addFrame(anchor, False)
 
     def _copy_constants(self) -> tuple[Indices, Indices]:
-        """Copy what is kept joint by joint; return where the entries of the old q and v stand in the new ones."""
+        """Copy per-joint data; return the indices of the old entries of q and v in the new ones."""
         q_indices, v_indices = np.empty(self._old.nq, dtype=np.intp), np.empty(self._old.nv, dtype=np.intp)
         for body in self._bodies[1:]:
             old, new = self._old.joints[body.body], self._new.joints[body.joint]

@@ -294,7 +294,7 @@ def test_broken_limit_is_answered_named_and_fails(run: Run, command: str) -> Non
         (["fk", "0.24", "0.24"], 2, "takes u1 0.1553 .. 0.3253 [m], u2"),
         (["fk", "-2", "0.24", "3"], 1, "u1 = -2 m, u2 = 0.24 m, u3 = 3 m is out of reach"),
         (["stiffness", "0", "0", "0.5", "--model", "magic"], 2, "magic"),
-        (["stiffness", "0", "0", "0.35"], 1, "'passive_slider_joint' is too far down"),
+        (["stiffness", "0", "0", "0.35"], 1, "'passive_slider_joint' is too low"),
         (["info", "--robot", "nobody"], 1, "no robot 'nobody'"),
         (["atlas", "-q", "colour"], 2, "no quantity 'colour'"),
         (["atlas", "--out", "atlas.txt"], 2, "ending in .nc or .zarr"),

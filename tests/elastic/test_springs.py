@@ -139,7 +139,7 @@ def test_a_matrix_with_other_units_on_its_diagonal_is_judged_by_its_numbers_not_
         (
             CantileverSpring("a", "P", (0, 0, 1), 1.0, 1.0, JointLength("platform_x_joint", 1.0)),
             DescriptionError,
-            "turns",
+            "is revolute",
         ),
         (JointSpring("a", "slider1_joint", 1.0, "N m/rad"), DescriptionError, "N/m"),
         (JointSpring("a", "platform_x_joint", 1.0, "N/m"), DescriptionError, "N m/rad"),
@@ -159,13 +159,13 @@ def test_a_spring_that_does_not_fit_the_mechanism(
 
 def test_two_springs_at_one_place(mechanism: Robot) -> None:
     at_joint = [JointSpring(name, "slider1_joint", 1.0, "N/m") for name in "ab"]
-    with pytest.raises(DescriptionError, match="spring already"):
+    with pytest.raises(DescriptionError, match="already has a spring"):
         ElasticModel(mechanism, at_joint)
     at_closure = [ClosureSpring(name, 1, np.eye(3)) for name in "ab"]
     with pytest.raises(DescriptionError, match="two springs"):
         ElasticModel(mechanism, at_closure)
     same_name = [AxialSpring("a", "link1_tip", (0, 0, 1), 1.0), AxialSpring("a", "link2_tip", (0, 0, 1), 1.0)]
-    with pytest.raises(DescriptionError, match="name is taken"):
+    with pytest.raises(DescriptionError, match="duplicate name"):
         ElasticModel(mechanism, same_name)
 
 
