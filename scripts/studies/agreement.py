@@ -329,14 +329,14 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=POSES, help="poses of each robot")
     arguments = parser.parse_args()
     closed: dict[str, Matrix] = {}
-    print("| closing | solved | only one finds | other mode | won | lost | limits differ | difference | one step on |")
+    print("| closing | solved | only one finds | other mode | won | lost | limits differ | difference | one more step |")
     print("|---|---|---|---|---|---|---|---|---|")
     for title, row in closing_rows(arguments.names, arguments.poses):
         closed.setdefault(title.split(",")[0], row.q)
         differing = f"{row.found_otherwise} | {row.other_mode} | {row.won} | {row.lost}"
         sizes = f"{row.difference:.0e} | {row.refined:.0e}"
         print(f"| {title} | {row.solved} | {differing} | {row.limits} | {sizes} |", flush=True)
-    print("\n| matrices | poses | in doubt, redone | NaNs differ | $C$ | $K$ | sensitivities |")
+    print("\n| matrices | poses | doubtful, recomputed | NaNs differ | $C$ | $K$ | sensitivities |")
     print("|---|---|---|---|---|---|---|")
     for name, q in closed.items():
         if load(name).tool_frame is None:

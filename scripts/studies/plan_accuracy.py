@@ -1,7 +1,7 @@
 """Predicted accuracy of plans by strategy: a printed table, and the picture of the documentation.
 
 Predicted tip error of the tripod after a calibration, with four targets of 15 µm noise: the mean over ten sets of
-2,000 candidates, and over ten seeds for the random ways. Some minutes on one processor; smaller with --sets.
+2,000 candidates, and over ten seeds for the random strategies. Some minutes on one processor; smaller with --sets.
 """
 
 from __future__ import annotations
