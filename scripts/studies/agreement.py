@@ -329,7 +329,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=POSES, help="poses of each robot")
     arguments = parser.parse_args()
     closed: dict[str, Matrix] = {}
-    print("| closing | solved | only one finds | other mode | won | lost | limits differ | difference | one step more |")
+    print("| closing | solved | only one finds | other mode | won | lost | limits differ | difference | a step later |")
     print("|---|---|---|---|---|---|---|---|---|")
     for title, row in closing_rows(arguments.names, arguments.poses):
         closed.setdefault(title.split(",")[0], row.q)
