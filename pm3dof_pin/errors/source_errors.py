@@ -1,7 +1,7 @@
-"""What each source of errors does to the tool, to first order, in the classes of Table 8.4.
+"""Effect of each source of error on the tool, to first order, in the classes of Table 8.4.
 
-A source is a shift that is known (a deflection under a given wrench) and independent random numbers of known standard
-deviation, each of which moves the tool along some twist. All sources are of this form, so they add.
+A source is a known shift (a deflection under a given wrench) plus independent random numbers of known standard
+deviation, each of which moves the tool along some twist. All sources have this form, so they add.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ from pm3dof_pin.kinematics.robot import Robot
 from pm3dof_pin.typing import Array
 
 ErrorClass = Literal["kinematic parameters", "thermal", "stiffness", "drives", "vibration"]
-"""Classes of Table 8.4; "drives" are the clearance and the other factors that the chapter's text adds."""
+"""Classes of Table 8.4; "drives" are clearance and the other factors that the chapter's text adds."""
 
 CLASSES: tuple[ErrorClass, ...] = get_args(ErrorClass)
 """All classes, in their order."""
 
 GREATEST_VIBRATION = 3.0
-"""Greatest value of a vibration that counts in worst cases, in standard deviations: normal numbers have none."""
+"""Greatest vibration assumed in worst cases, in standard deviations, since normal numbers are unbounded."""
 
 LINKS_SHARE = 0.5
-"""Temperature rise of the links, as a part of the screws'."""
+"""Temperature rise of the links, as a fraction of the screws'."""
 
-_ROUNDING = 1e-12  # of a bend, below which what it does to the tool is nothing
+_ROUNDING = 1e-12  # of a bend, below which its effect on the tool is treated as zero
 
 
 @dataclass(frozen=True, eq=False)
 class SourceErrors:
-    """What one source does to the tool at n poses."""
+    """Effect of one source on the tool at n poses."""
 
     name: str  #: the source, unique; words joined by underscores
     error_class: ErrorClass  #: its class
-    long_name: str  #: what it is, for a person
-    repeats: bool  #: whether it is the same whenever a pose is taken again, so that commands may undo it
-    shift: Array  #: what it does for certain, [translation; rotation vector], world axes, shape=(n, 6) [m, rad]
-    effects: Array  #: what each of its independent numbers does at one standard deviation, shape=(n, 6, k) [m, rad]
+    long_name: str  #: its description
+    repeats: bool  #: whether it is the same at every visit to a pose, so that commands can undo it
+    shift: Array  #: known effect, [translation; rotation vector], world axes, shape=(n, 6) [m, rad]
+    effects: Array  #: effect of each independent number at one standard deviation, shape=(n, 6, k) [m, rad]
     greatest: Array  #: the greatest value of each number, in standard deviations, shape=(k,)
 
 
@@ -69,23 +69,23 @@ class SourceErrors:
 class _KinematicNumbers:
     """The independent numbers of class "kinematic parameters", whose effects are columns of constant sensitivities."""
 
-    errors: GeometricErrors  #: errors of the geometry, then waves beside guideways
-    deviations: Array  #: standard deviation of each, then of each drive's joint, which waves along it [m, rad]
-    greatest: Array  #: the greatest value of each, in standard deviations
+    errors: GeometricErrors  #: geometric errors, then waves across guideways
+    deviations: Array  #: standard deviation of each, then of each drive's waviness along its joint [m, rad]
+    greatest: Array  #: greatest value of each, in standard deviations
 
 
 class ErrorSources:
-    """The sources of error of one robot, with their numbers.
+    """The sources of error of one robot, with their magnitudes.
 
     Args:
         errors: its geometric errors, with their tolerances.
-        numbers: of the other sources; by default those of the robot's error file, or the documented defaults.
-        wrench: force and moment on the tool at work instead of the file's, world axes, shape=(6,) [N, N m].
-        rise: how much colder or warmer the machine may be than when it was as described, instead of the file's [K].
-        large: whether deflections are those of the loaded equilibrium, not linear.
-        distribution: what the tolerances of the geometry are.
+        numbers: magnitudes of the other sources; by default those of the robot's error file or documented defaults.
+        wrench: force and moment on the tool at work, instead of the file's, world axes, shape=(6,) [N, N m].
+        rise: greatest temperature difference, colder or warmer, from the described state, instead of the file's [K].
+        large: whether deflections are those of the loaded equilibrium instead of linear.
+        distribution: meaning of the geometric tolerances.
 
-    Attributes are `errors`, the `numbers` that are used, `wrench`, `rise`, `large` and `distribution`.
+    Attributes are `errors`, the `numbers` used, `wrench`, `rise`, `large` and `distribution`.
 
     Raises:
         DescriptionError: the error file is unreadable or malformed.
@@ -117,7 +117,7 @@ class ErrorSources:
 
     @cached_property
     def thermal_growth(self) -> ThermalGrowth:
-        """How the robot grows; the same for simulated machines."""
+        """Thermal growth of the robot, as in simulated machines."""
         numbers, robot = self.numbers.thermal, self.robot
         links = {loop.frame_a: LINKS_SHARE for loop in robot.closures}
         shares = links if numbers.members is None else numbers.members
@@ -133,7 +133,7 @@ class ErrorSources:
 
     @cached_property
     def vibration(self) -> Vibration | None:
-        """How the robot vibrates; None without springs, which alone have modes."""
+        """Vibration of the robot; None without springs, as it has no modes."""
         if not self.robot.springs:
             return None
         payload, tool = self.numbers.load.payload_kg, self.robot.tool_frame
@@ -142,23 +142,23 @@ class ErrorSources:
         )
 
     def at(self, poses: Poses, classes: Collection[ErrorClass] = CLASSES) -> tuple[SourceErrors, ...]:
-        """Return what each source, or those of some classes, does at poses of the robot as described, of shape (n,).
+        """Return the effects of the sources, or of some classes, at poses of the robot as described, of shape (n,).
 
-        Sources that a robot cannot have are left out: those of springs without springs, of screws without sliding
+        Sources that a robot cannot have are left out: those of springs without springs, of screws without linear
         drives.
 
         Raises:
             InvalidValueError: the loops cannot close with a geometric error.
-            SingularConfigurationError: at a pose the tool can move while all drives stand still, or with all springs at
+            SingularConfigurationError: at some pose the tool can move with all drives locked, or with all springs at
                 rest.
-            ConvergenceError: no equilibrium was found where deflections are large.
+            ConvergenceError: no equilibrium was found, for large deflections.
         """
         at_poses = _SourcesAtPoses(self, poses)
         return tuple(source for error_class in CLASSES if error_class in classes for source in at_poses.of(error_class))
 
     @cached_property
     def others(self) -> GeometricErrors:
-        """Displacements that sources beside the geometry bring about: beside guideways, by heat, within a play."""
+        """Displacements by sources other than geometry: across guideways, by heat, within clearances."""
         robot, numbers = self.robot, self.numbers
         parameters = displacement_errors(robot, self.thermal_growth.members, "thermal", ["translation"])
         parameters += displacement_errors(robot, self.thermal_growth.bending, "bending")
@@ -171,7 +171,7 @@ class ErrorSources:
 
     @cached_property
     def kinematic(self) -> _KinematicNumbers:
-        """The numbers of class "kinematic parameters", without the poses."""
+        """The numbers of class "kinematic parameters", without poses."""
         errors, numbers = self.errors, self.numbers.waviness
         beside = [parameter for parameter in self.others.parameters if parameter.group == "waviness"]
         counts = (len(errors), len(beside), len(self.slides))
@@ -187,17 +187,17 @@ class ErrorSources:
 
     @property
     def geometry_factor(self) -> float:
-        """How many standard deviations a tolerance of the geometry is."""
+        """Number of standard deviations in a geometric tolerance."""
         return HALF_WIDTH if self.distribution == "uniform" else 1.0
 
     @cached_property
     def slides(self) -> Array:
-        """Which drives slide, shape=(number of drives,)."""
+        """Mask of the linear drives, shape=(number of drives,)."""
         return np.array([self.robot.single_joint(name).translates for name in self.robot.actuated_joints])
 
 
 class _SourcesAtPoses:
-    """The sources of one robot at some poses; what several of them need is computed once."""
+    """The sources of one robot at some poses; shared quantities are computed once."""
 
     def __init__(self, sources: ErrorSources, poses: Poses) -> None:
         self._sources, self._poses = sources, poses
@@ -234,11 +234,11 @@ class _SourcesAtPoses:
         return SourceErrors(name, CLASSES[0], long_name, repeats, shift, effects, sizes)
 
     def _uniform(self, name: str, long_name: str, reach: Array, *, repeats: bool = True) -> SourceErrors:
-        """A source of uniform numbers, `reach` being what each does at its greatest value."""
+        """A source of uniform numbers; `reach` is the effect of each at its greatest value."""
         return self._source(name, long_name, reach / HALF_WIDTH, greatest=HALF_WIDTH, repeats=repeats)
 
     def _drift(self, name: str, long_name: str, per_hour: Array) -> SourceErrors:
-        """A source that grows with time at a rate, either of which is anywhere up to its greatest value."""
+        """A source that grows with time; rate and time are uniform up to their greatest values."""
         effects = per_hour * (self._numbers.drift.hours / 3.0)
         return self._source(name, long_name, effects, greatest=3.0, repeats=False)
 
@@ -275,7 +275,7 @@ class _SourcesAtPoses:
             yield self._drift("thermal_drift", "warming in the course of the job", rates)
         between, count = self._numbers.thermal.between_drives_K, by_screw.shape[2]
         if between and by_screw.any() and count > 1:
-            # independent rises less their mean, which is the source above
+            # independent rises minus their mean, which is the source above
             differences = by_screw @ (np.eye(count) - 1.0 / count) * between
             yield self._uniform("thermal_gradient", "screws warmer or colder than their mean", differences)
         bent = self._bent() * (growth.expansion * self._numbers.thermal.across_K)
@@ -283,7 +283,7 @@ class _SourcesAtPoses:
             yield self._uniform("thermal_bending", "members bent by gradients across them", bent)
 
     def _bent(self) -> Array:
-        """What each kelvin across each member does, over its expansion, shape=(n, 6, 2 members that bend)."""
+        """Effect of each kelvin across each member, over its expansion, shape=(n, 6, 2 members that bend)."""
         moved = dict(zip(self._names("bending"), np.moveaxis(self._others("bending"), 2, 0), strict=True))
         columns = []
         for place, member in self._sources.thermal_growth.bending.items():
@@ -291,10 +291,10 @@ class _SourcesAtPoses:
             for bend in bends.T:
                 parts = zip(displacement_names(place), bend, strict=True)
                 named = {f"bending {name}": amount for name, amount in parts if amount}
-                if named.keys() <= moved.keys():  # else it would strain the loops
+                if named.keys() <= moved.keys():  # otherwise it would strain the loops
                     terms = np.array([amount * moved[name] for name, amount in named.items()])
                     column = terms.sum(axis=0)
-                    # a link between two joints turns about them, which does not move the tool
+                    # a link between two joints rotates about them, which does not move the tool
                     if np.abs(column).max() > _ROUNDING * np.abs(bend).max():
                         columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((len(self._poses), 6, 0))
@@ -335,7 +335,7 @@ class _SourcesAtPoses:
             yield self._drift("drift", "zeros of the drives drifting during the job", self._by_drives * rates)
 
     def _servo(self) -> Iterator[SourceErrors]:
-        """Drives that follow with an error as large as their load over the servo's stiffness."""
+        """Following errors of the drives: their load over the servo's stiffness."""
         numbers, slides = self._numbers.drives, self._sources.slides
         linear, angular = numbers.servo_stiffness_N_per_m, numbers.servo_stiffness_Nm_per_rad
         stiffness = np.where(slides, linear or np.inf, angular or np.inf)
@@ -365,12 +365,12 @@ class _SourcesAtPoses:
 
 
 def _of_waves(count: int) -> tuple[float, float]:
-    """Return by how many amplitudes waves of random phase scatter, and how far they reach together in deviations."""
+    """Return the standard deviation of waves of random phase in amplitudes, and their total reach in deviations."""
     return float(np.sqrt(0.5 * count)), float(np.sqrt(2.0 * count))
 
 
 def _declared_numbers(robot: Robot) -> SourceNumbers:
-    """Return the numbers of a robot's sources, of its error file, or the defaults; DescriptionError if it is bad."""
+    """Return the magnitudes of a robot's sources, from its error file or defaults; DescriptionError if malformed."""
     if robot.files is None or not robot.files.errors.is_file():
         return SourceNumbers()
     return read_error_file(robot.files.errors).sources

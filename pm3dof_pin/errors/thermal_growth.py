@@ -1,4 +1,4 @@
-"""Growth with temperature: of screws from their fixed bearings, and of members between joints, which may bend."""
+"""Thermal growth: of screws from their fixed bearings, and of members between joints, which may also bend."""
 
 from __future__ import annotations
 
@@ -21,44 +21,44 @@ STEEL_EXPANSION = 11.5e-6
 
 @dataclass(frozen=True)
 class Bending:
-    """A member that bends with the temperature."""
+    """A member that bends with temperature."""
 
-    #: of the temperature in both directions across it, for each kelvin of the mean rise [1/m]
+    #: temperature gradient in both directions across it, per kelvin of mean rise [1/m]
     gradients: tuple[float, float]
-    #: from its beginning to its end, axes of the body that it ends on [m]; from the joint before by default
+    #: vector from its start to its end, in axes of the body that it ends on [m]; from the previous joint by default
     along: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ThermalGrowth:
-    """Growth of the screws from their fixed bearings, and of members between joints, which bend where it is uneven.
+    """Growth of screws from their fixed bearings, and of members between joints, which bend if it is uneven.
 
-    The travel of a drive is too long by the growth of its screw between the fixed bearing and the nut,
+    The travel of a drive exceeds its nominal value by the growth of its screw from the fixed bearing to the nut,
     du = a * integral of the temperature rise from the bearing to u.
 
-    A member of length L with a gradient g of the temperature across it, warmer on the side of the unit vector n, bends
-    with the curvature a g: to first order its end moves by -a g L^2 / 2 n and turns by a g L n x t, t along the member.
+    A member of length L with a temperature gradient g across it, warmer on the side of the unit vector n, bends with
+    the curvature a g: to first order its end moves by -a g L^2 / 2 n and turns by a g L n x t, with t along the member.
     """
 
     #: coordinate of each actuated joint at the fixed bearing of its screw, shape=(number of actuated joints,) [m]
     bearings: Vector
-    #: temperature along each screw as multiples of the rise that is measured, at growing distances from the bearing
-    #: [m]: linear between these, constant beyond the ends. The same everywhere by default
+    #: temperature along each screw as multiples of the measured rise, at increasing distances from the bearing [m]:
+    #: interpolated linearly, constant beyond the ends. Uniform by default
     profile: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
-    #: joints or frames whose distance from the joint before grows, by their temperature's share of the rise measured: 1
-    #: for links as warm as the screws, 0.2 for cooler ones
+    #: joints or frames whose distance from the previous joint grows, with their temperature rise relative to the
+    #: measured one: 1 for links as warm as the screws, 0.2 for cooler ones
     members: Mapping[str, float] = field(default_factory=dict)
     expansion: float = STEEL_EXPANSION  #: a [1/K]
     #: members that bend, by the joint or frame at which they end
     bending: Mapping[str, Bending] = field(default_factory=dict)
 
     def travel_errors(self, travels: Array, temperature_rises: Array) -> Array:
-        """Return how much too far drives go, shape=(n, drives) [m], at coordinates [m] and screws' rises [K]."""
+        """Return the excess travel of drives, shape=(n, drives) [m], at coordinates [m] and temperature rises [K]."""
         distance = travels - finite_array("bearings", self.bearings, (travels.shape[1],))
         return self.expansion * temperature_rises * self._integral(distance)
 
     def growth(self, robot: Robot) -> tuple[list[GeometricParameter], Vector]:
-        """Return how the ends of members move as error parameters, and by how much for each kelvin [m/K, rad/K]."""
+        """Return the motions of member ends as error parameters, and their size per kelvin [m/K, rad/K]."""
         moved = self.growth_per_kelvin(robot)
         for place, member in self.bending.items():
             bent = self.expansion * bend_per_curvature(robot, place, member.along) @ member.gradients
@@ -68,7 +68,7 @@ class ThermalGrowth:
         return parameters, np.array([moved.get(parameter.name, 0.0) for parameter in parameters])
 
     def growth_per_kelvin(self, robot: Robot) -> dict[str, float]:
-        """Return how far the end of each member moves, by the names of :func:`displacement_names` [m/K]."""
+        """Return the motion of each member's end, by the names of :func:`displacement_names` [m/K]."""
         growth: dict[str, float] = {}
         for place, share in self.members.items():
             placement = _placement_on_body(robot, place)
@@ -80,8 +80,8 @@ class ThermalGrowth:
         """Integrate the profile from the bearing to a distance."""
         places, shares = np.array(self.profile, dtype=float).T
         if np.any(np.diff(places) <= 0.0):
-            raise InvalidValueError("profile", self.profile, "growing distances from the bearing")
-        # from the first place of the profile on, then back to the bearing
+            raise InvalidValueError("profile", self.profile, "increasing distances from the bearing")
+        # from the first point of the profile on, then back to the bearing
         knots = np.concatenate([[0.0], np.cumsum(0.5 * (shares[1:] + shares[:-1]) * np.diff(places))])
 
         def from_first(x: Array) -> Array:
@@ -95,7 +95,7 @@ class ThermalGrowth:
 
 
 def displacement_names(place: str) -> list[str]:
-    """Return the names of the displacements of a place along its own axes, then about them."""
+    """Return the names of a place's displacements along its own axes, then about them."""
     return [f"{place}.{kind}{axis}" for kind in "tr" for axis in AXES]
 
 
@@ -114,11 +114,11 @@ def displacement_errors(
 
 
 def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, float] | None = None) -> Array:
-    """Return how the end of a member moves when it bends, to first order, in the axes of the place where it ends.
+    """Return the motion of a member's end as it bends, to first order, in the axes of the place where it ends.
 
-    The warmer side lies in one of two directions across the member: that of the axis of its body which is most across
-    it, made square to it, and that at right angles to both. For each, [translation; rotation vector], shape=(6, 2)
-    [m^2, m]. The member lies `along` [m], in the axes of its body; from the joint before by default.
+    The warmer side is in one of two directions across the member: that of the body axis most nearly perpendicular to
+    it, made perpendicular, and that perpendicular to both. For each, [translation; rotation vector], shape=(6, 2)
+    [m^2, m]. The member lies `along` [m], in the axes of its body; from the previous joint by default.
 
     Raises:
         InvalidValueError: the member has no length.
@@ -127,7 +127,7 @@ def bend_per_curvature(robot: Robot, place: str, along: tuple[float, float, floa
     arm = finite_array(f"member at {place}", placement.translation if along is None else along, (3,))
     length = float(np.linalg.norm(arm))
     if length == 0.0:
-        raise InvalidValueError(f"member at {place}", "no length", "along_m, as it ends where the joint before is")
+        raise InvalidValueError(f"member at {place}", "no length", "along_m, because it ends at the previous joint")
     tangent = arm / length
     first = np.cross(np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent).round(9)))]), tangent)
     first /= np.linalg.norm(first)

@@ -1,10 +1,10 @@
-"""Tolerance allocation: how exact each class of parts has to be made for a wanted accuracy of the tool.
+"""Tolerance allocation: how accurately each class of parts must be made for a wanted accuracy of the tool.
 
-With independent errors of standard deviation t, the tip error at pose j is, root mean square over machines,
-sqrt(sum_i a_ij t_i^2), a_ij what parameter i does to the squared tip error there. Errors of one class and unit share
-one tolerance. A class that does nothing to the tip gets an infinite one. With a coverage all tolerances are then made
-so much narrower that this part of the machines, drawn at random, stays within the target at every pose of the map.
-Tolerances are what those of the map are: standard deviations, or half widths of uniform distributions.
+With independent errors of standard deviation t, the rms tip error at pose j over machines is sqrt(sum_i a_ij t_i^2),
+where a_ij is the effect of parameter i on the squared tip error there. Errors of one class and unit share one
+tolerance; a class without effect on the tip gets an infinite one. With a coverage, all tolerances are then scaled down
+so that this fraction of the machines, drawn at random, stays within the target at every pose of the map. Tolerances
+have the same meaning as those of the map: standard deviations, or half widths of uniform distributions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pm3dof_pin.typing import Array
 
 _MACHINES = 2000
 _CHUNK = 200  # machines at a time
-_LINEAR = 0.05  # of the machine's size: errors beyond are no small ones
+_LINEAR = 0.05  # of the machine's size: larger errors are not small
 
 _ROUNDS = 50
 _RELATIVE_TOLERANCE = 1e-9
@@ -36,7 +36,7 @@ class _Allocation:
     """Tolerances that keep the tip error within a target at every pose of a map."""
 
     tolerances: dict[str, float]  #: of each class of parts and unit, by "class [unit]" [m, rad]
-    shares: dict[str, float]  #: part of each in the mean squared tip error over the map; they add up to 1
+    shares: dict[str, float]  #: share of each in the mean squared tip error over the map; they sum to 1
     cost: float  #: sum over the parameters of (tolerance in the map) / tolerance
     tip_rms: Array  #: tip error with these tolerances, root mean square over machines, shape=(n,) [m]
 
@@ -48,15 +48,15 @@ def allocate_tolerances(
 
     Args:
         error_map: sensitivities over the workspace.
-        target: greatest tip error allowed at any pose [m].
-        rule: "equal_contributions", every class adds the same to the mean squared tip error over the map; or
-            "least_cost", the cost of a part being inversely proportional to its tolerance.
-        compensated: whether commands are corrected, so that only what they cannot undo counts.
-        coverage: part of the machines that stay within the target at every pose, such as 0.95; by default it is met by
-            the root mean square over machines, which more than half of them exceed somewhere.
+        target: greatest allowed tip error at any pose [m].
+        rule: "equal_contributions", every class contributes equally to the mean squared tip error over the map; or
+            "least_cost", with the cost of a part inversely proportional to its tolerance.
+        compensated: whether commands are corrected, so that only the rest counts.
+        coverage: fraction of the machines that stay within the target at every pose, such as 0.95; by default the
+            target applies to the rms over machines, which more than half of them exceed somewhere.
 
     Raises:
-        InvalidValueError: the target is not positive or no small error, or the coverage is not between 0 and 1.
+        InvalidValueError: the target is not positive or not small, or the coverage is not between 0 and 1.
         ConvergenceError: the optimisation failed.
     """
     if not (np.isfinite(target) and target > 0.0):
@@ -69,7 +69,7 @@ def allocate_tolerances(
     labels = [f"{parameter.group} [{parameter.unit}]" for parameter in error_map.errors.parameters]
     names = list(dict.fromkeys(labels))
     members = np.equal.outer(names, labels).astype(float)
-    # what unit tolerances of each class do to the squared tip error at each pose
+    # effect of unit tolerances of each class on the squared tip error at each pose
     squares = np.sum(effects**2, axis=1) @ members.T
     squares[squares < _RELATIVE_TOLERANCE * squares.max()] = 0.0
     costs = members @ error_map.errors.tolerances
@@ -80,7 +80,7 @@ def allocate_tolerances(
     sigmas /= np.sqrt((scaled @ sigmas**2).max())
     if coverage is not None:
         if not 0.0 < coverage < 1.0:
-            raise InvalidValueError("coverage", coverage, "a part of the machines between 0 and 1, such as 0.95")
+            raise InvalidValueError("coverage", coverage, "a fraction of the machines between 0 and 1, such as 0.95")
         greatest = _greatest_tips(effects * (sigmas @ members[active]), error_map.distribution)
         sigmas *= target / float(np.quantile(greatest, coverage))
     parts = squares[:, active] * sigmas**2
@@ -96,9 +96,9 @@ def allocate_tolerances(
 
 
 def _cheap(scaled: Array, costs: Array) -> Array:
-    """Return the cheapest sigmas: a convex problem in their logarithms, poses added until none is beyond the target."""
+    """Return the cheapest sigmas: a convex problem in their logarithms, adding poses until all meet the target."""
     pose = int(np.argmax(scaled.sum(axis=1)))
-    # exact for one pose: cost c / t under sum a t^2 = 1 is least where t^3 is proportional to c / a
+    # exact for one pose: cost c / t under sum a t^2 = 1 is least if t^3 is proportional to c / a
     cubes = costs / np.maximum(scaled[pose], 1e-6 * scaled.max(axis=0))
     logarithms = np.log(cubes) / 3.0
     logarithms -= 0.5 * np.log((scaled @ np.exp(2.0 * logarithms)).max())
@@ -134,9 +134,9 @@ def _cheapest(costs: Array, rows: Array, start: Array, step: int) -> Array:
 
 
 def _greatest_tips(effects: Array, distribution: Distribution) -> Array:
-    """Return the greatest tip error over the poses of machines drawn at random, to first order, shape=(machines,).
+    """Return the greatest tip error over the poses for random machines, to first order, shape=(machines,).
 
-    Effects are tip-weighted, of each parameter at one standard deviation, shape=(n, 6, parameters) [m].
+    `effects` are tip-weighted, of each parameter at one standard deviation, shape=(n, 6, parameters) [m].
     """
     flat = effects.reshape(-1, effects.shape[2])
     generator, greatest = np.random.default_rng(0), []

@@ -1,12 +1,12 @@
-"""Errors of the tool to first order, by independent errors of any origin: how large they are on average and at most.
+"""Tool errors to first order, from independent errors of any origin: averages and bounds.
 
-The tool moves by dx = shift + sum of E_k x_k, x_k independent, of mean 0 and deviation 1, |x_k| at most g_k. With
+The tool moves by dx = shift + sum of E_k x_k, with x_k independent, of mean 0 and deviation 1, |x_k| at most g_k. With
 W = diag(1, 1, 1, eta, eta, eta), the tip error is, root mean square over machines,
 
     sqrt(|W shift|^2 + sum_k |W E_k|^2),
 
-and at most the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k |W E_k|. Known shifts add as
-vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W dx, C the tool's motion by commands.
+and at most the smaller of |W (|shift| + sum_k g_k |E_k|)| and |W shift| + sum_k g_k |W E_k|. Known shifts are added
+as vectors before they are squared. Corrected commands leave (1 - W C (W C)^+) W dx, C the tool's motion by commands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.typing import Array, Mask
 
 LEAST_SENSITIVE_PART = 0.2
-"""Part of the poses that counts as the least sensitive region."""
+"""Fraction of the poses that form the least sensitive region."""
 
 
 class ToolErrors(ABC):
@@ -35,17 +35,17 @@ class ToolErrors(ABC):
     @property
     @abstractmethod
     def shift(self) -> Array:
-        """What is known for certain, shape=(n, 6) [m, rad]."""
+        """The known error, shape=(n, 6) [m, rad]."""
 
     @property
     @abstractmethod
     def effects(self) -> Array:
-        """What each independent number does at one standard deviation, shape=(n, 6, k) [m, rad]."""
+        """Effect of each independent number at one standard deviation, shape=(n, 6, k) [m, rad]."""
 
     @property
     @abstractmethod
     def greatest(self) -> Array:
-        """The greatest value of each number in standard deviations, shape=(k,)."""
+        """Greatest value of each number in standard deviations, shape=(k,)."""
 
     @property
     def tip_rms(self) -> Array:
@@ -56,7 +56,7 @@ class ToolErrors(ABC):
 
     @property
     def worst_tip(self) -> Array:
-        """A tip error that is not exceeded while every number stays within its greatest value, shape=(n,) [m]."""
+        """Bound of the tip error with every number within its greatest value, shape=(n,) [m]."""
         weights = tip_weights(self.eta)
         effects, greatest = self.effects, self.greatest
         components = np.abs(self.shift) + np.abs(effects) @ greatest
@@ -79,19 +79,19 @@ class ToolErrors(ABC):
         return np.asarray(effects @ np.swapaxes(effects, 1, 2))
 
     def least_sensitive(self, part: float = LEAST_SENSITIVE_PART) -> Mask:
-        """Tell which poses are among the part with the smallest tip error, shape=(n,).
+        """Tell which poses are in the fraction with the smallest tip error, shape=(n,).
 
         Raises:
-            InvalidValueError: the part is not in (0, 1].
+            InvalidValueError: the fraction is not in (0, 1].
         """
         if not 0.0 < part <= 1.0:
-            raise InvalidValueError("part", part, "a part of the poses, more than 0 and at most 1")
+            raise InvalidValueError("part", part, "a fraction of the poses, more than 0 and at most 1")
         sizes = self.tip_rms
         return np.asarray(sizes <= np.sort(sizes)[max(1, round(part * len(sizes))) - 1])
 
 
 def control_basis(control: Array) -> Array:
-    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); columns of 0 beyond it."""
+    """Return an orthonormal basis of tip-weighted motions by the commands, shape=(n, 6, k); zero-padded."""
     left, values, _ = np.linalg.svd(control, full_matrices=False)
     return np.asarray(left * (values > CONTROL_TOLERANCE * values.max(axis=1, keepdims=True))[:, None, :])
 

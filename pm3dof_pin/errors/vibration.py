@@ -1,15 +1,15 @@
-r"""Vibration at a standing pose: how far the tool shakes under random forces and under a shaking base.
+r"""Vibration at a fixed pose: motion of the tool under random forces and random motion of the base.
 
 The natural modes, of unit modal mass, move as q_r'' + 2 zeta omega_r q_r' + omega_r^2 q_r = phi_r . f(t): one after the
 other, with H_r = 1 / (omega_r^2 - omega^2 + 2 i zeta omega_r omega). Independent inputs with a power spectral density
-G(f), which force the modes by the columns of F, let the tool shake with the covariance
+G(f), which force the modes through the columns of F, give the tool's motion the covariance
 
     sum_rs t_r t_s^T (F F^T)_rs  integral of G Re(H_r H_s*) df,
 
-t_r being the tool's twist in mode r. Where G is constant between two frequencies the integral has a closed form, by
-partial fractions: each pole p adds its residue times log((b - p) / (a - p)). Forces act on the tool, or on each drive
-along its travel. A base that is accelerated by a acts on the modes as gravity -a does, and what counts is how the tool
-moves against the base, with the workpiece on it. A white density G over all frequencies gives one mode alone
+where t_r is the tool's twist in mode r. If G is constant between two frequencies, the integral has a closed form by
+partial fractions: each pole p contributes its residue times log((b - p) / (a - p)). Forces act on the tool, or on each
+drive along its travel. A base acceleration a acts on the modes like gravity -a, and the relevant motion is that of the
+tool relative to the base, with the workpiece on it. A white density G over all frequencies gives a single mode
 G / (8 zeta omega^3).
 """
 
@@ -32,24 +32,24 @@ from pm3dof_pin.mechanism.loads import Payloads, model_with_payloads
 from pm3dof_pin.typing import Array, Matrix, Vector
 
 CAUSES = ("tool", "motors", "axes")
-"""What shakes: a force on the tool, the forces of the drives, the base that carries the machine's axes."""
+"""Causes of vibration: a force on the tool, the drives' forces, motion of the base that carries the axes."""
 
-_FREE = 1e-9  # [m, rad] of the tool for a unit of a motion that no spring holds
+_FREE = 1e-9  # [m, rad] of the tool per unit of a motion that no spring resists
 
 
 @dataclass(frozen=True, eq=False)
 class Vibration:
-    """What a pose scatters by while it is measured or worked at: of the tool, and of the drives with their motors."""
+    """Scatter of a pose while measuring or working: of the tool, and of the drives with their motors."""
 
     #: covariance of the tool's displacement, the same at all poses, [translation; rotation vector], world axes,
     #: shape=(6, 6) [m^2, m rad, rad^2]
     tool_covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
     drive_sigma: float = 0.0  #: standard deviation of each drive's coordinate [m, rad]
-    spectra: VibrationNumbers | None = None  #: what shakes the natural modes besides, at each pose; None for nothing
+    spectra: VibrationNumbers | None = None  #: spectra that also excite the natural modes at each pose; None for none
     payloads: Payloads | None = None  #: bodies fixed to frames that vibrate with the machine
 
     def tool_displacements(self, poses: Poses, generator: np.random.Generator) -> Matrix:
-        """Draw displacements of the tool at n poses, those of the drives left out, shape=(n, 6) [m, rad]."""
+        """Draw displacements of the tool at n poses, without those of the drives, shape=(n, 6) [m, rad]."""
         drawn = correlated_normal(self.tool_covariance, len(poses), generator)
         if self.spectra is not None:
             by_cause = self.covariances_by_cause(poses)
@@ -63,11 +63,11 @@ class Vibration:
         return self.drive_sigma * generator.standard_normal((count, drives))
 
     def covariances_by_cause(self, poses: Poses) -> dict[str, Array]:
-        """Return the covariance of the tool at n poses by each cause that has a spectrum, shape=(n, 6, 6).
+        """Return the covariance of the tool at n poses by each cause with a spectrum, shape=(n, 6, 6).
 
         Raises:
             DescriptionError: the robot has no springs, or no tool frame.
-            FreeDirectionError: the tool can move with all springs at rest, so that nothing bounds its vibration.
+            FreeDirectionError: the tool can move with all springs at rest, so its vibration is unbounded.
             InvalidValueError: see :func:`~pm3dof_pin.dynamics.modes.natural_modes`.
         """
         numbers = self.spectra or VibrationNumbers(tool=None, motors=None, axes=None)
@@ -101,17 +101,17 @@ def _response_products(omegas: Vector, damping: float, spectrum: Spectrum) -> Ma
     turn = np.sqrt(1.0 - damping**2)
     poles = np.stack([omegas * (1j * damping + turn), omegas * (1j * damping - turn)])  # of H, shape=(2, k)
     logarithms = np.log(2.0 * np.pi * np.asarray(spectrum.edges_Hz)[:, None, None] - poles)
-    # the logarithms of a pole differ by what the band holds of it: its imaginary part keeps them off the cut
+    # the logarithms of a pole differ by its share in the band: its imaginary part keeps them off the branch cut
     bands = np.tensordot(spectrum.levels, np.diff(logarithms, axis=0), axes=1)
     products = np.zeros((len(omegas), len(omegas)))
     for pole, other, band in zip(poles, poles[::-1], bands, strict=True):
         residue = 1.0 / ((pole - other)[:, None] * np.prod(pole[:, None] - poles.conj()[:, None, :], axis=0))
         products += (residue * band[:, None]).real
-    return (products + products.T) / (2.0 * np.pi)  # the poles of H_s* give the same with r and s exchanged
+    return (products + products.T) / (2.0 * np.pi)  # the poles of H_s* give the same with r and s swapped
 
 
 class _Forcing:
-    """How unit inputs of each cause force the modes of a mechanism."""
+    """Forcing of a mechanism's modes by unit inputs of each cause."""
 
     def __init__(self, mechanism: Robot, payloads: Payloads | None) -> None:
         self._model = model_with_payloads(mechanism, payloads).copy()

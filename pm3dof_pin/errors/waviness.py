@@ -1,4 +1,4 @@
-"""Errors of drives that wave along their travel: of a screw's pitch, and of a guideway's straightness."""
+"""Drive errors that vary along the travel: of a screw's pitch, and of a guideway's straightness."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Wave:
 
 @dataclass(frozen=True, eq=False)
 class GuideWaviness:
-    """Errors of each drive that change along its travel: of the screw's pitch, and of the guideway's straightness.
+    """Errors of each drive that vary along its travel: of the screw's pitch, and of the guideway's straightness.
 
     No constant parameter of a robot describes them.
     """
@@ -40,7 +40,7 @@ class GuideWaviness:
     straightness: tuple[tuple[tuple[Wave, ...], tuple[Wave, ...]], ...] = ()
 
     def travel_errors(self, travels: Array) -> Array:
-        """Return how much farther drives stand than their joint coordinates say, shape=(n, drives) [m]."""
+        """Return the position errors of drives along their travel, shape=(n, drives) [m]."""
         _check_count("pitch", self.pitch, travels.shape[1])
         errors = np.zeros_like(travels)
         for drive, waves in enumerate(self.pitch):
@@ -48,7 +48,7 @@ class GuideWaviness:
         return errors
 
     def offsets(self, travels: Array) -> Array:
-        """Return how far carriages stand beside their lines at joint coordinates, shape=(n, drives, 2) [m]."""
+        """Return the offsets of carriages from their lines at joint coordinates, shape=(n, drives, 2) [m]."""
         offsets = np.zeros((*travels.shape, 2))
         if self.straightness:
             _check_count("straightness", self.straightness, travels.shape[1])
@@ -59,7 +59,7 @@ class GuideWaviness:
 
     @classmethod
     def random(cls, drives: int, generator: np.random.Generator) -> GuideWaviness:
-        """Draw waves with random phases, of the lengths and amplitudes that an error file has by default."""
+        """Draw waves with random phases, with the default lengths and amplitudes of error files."""
         numbers = Waviness()
 
         def waves(amplitude: float) -> tuple[Wave, ...]:
@@ -75,7 +75,7 @@ class GuideWaviness:
 
 
 def beside_guideways(robot: Robot) -> tuple[GeometricParameter, ...]:
-    """Return two error parameters of unit tolerance a drive: its carriage beside the guideway, in both directions."""
+    """Return two error parameters of unit tolerance per drive: offsets of its carriage across the guideway."""
     return tuple(
         GeometricParameter(f"{joint}.beside{k}", joint, "translation", direction, "waviness", 1.0)
         for joint in robot.actuated_joints
