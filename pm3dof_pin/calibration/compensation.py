@@ -321,7 +321,7 @@ class Compensation:
         """
         if self.learned is not None:
             return None
-        nearest = self._nearest(wanted, self.model_poses(wanted), {})
+        nearest = self._nearest(wanted, self.model_poses(wanted), {}, "nan")
         left, _ = self._left_over(wanted, nearest, {})
         return rms_interval(left, self.standard_effects(nearest), self.scatter, weighted_control(nearest, self.eta))
 

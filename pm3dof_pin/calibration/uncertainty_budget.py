@@ -32,7 +32,7 @@ def uncertainty_budget(calibration: Calibration, poses: Poses) -> dict[str, floa
     model = compensation.model_poses(poses)
     parts = dict.fromkeys(("floor", "instrument", "frame", "targets", "parameters", "learned"), 0.0)
     if compensation.values is not None:
-        nearest = nearest_poses(model, poses.transforms, compensation.eta)
+        nearest = nearest_poses(model, poses.transforms, compensation.eta, on_failure="nan")
         left = pose_difference(poses.transforms, nearest.transforms) * weights
         parts["floor"] = float(np.mean(np.sum(left**2, axis=1)))
         motions = np.concatenate(
