@@ -27,8 +27,9 @@ from pm3dof_pin.kinematics.degrees_of_freedom import RANK_TOLERANCE
 from pm3dof_pin.kinematics.poses import Poses
 from pm3dof_pin.kinematics.reachable_poses import reachable_poses
 from pm3dof_pin.programs.geometry import frame_names
-from pm3dof_pin.typing import Array, Engine, Mask
+from pm3dof_pin.typing import Array, Engine, Mask, Vector
 
+_POSES_TO_CLOSE_TOGETHER = 3
 _POSES_TO_CLOSE_AT = 20  # at a single pose, such as a symmetric home, more errors let the loops close than elsewhere
 logger = logging.getLogger(__name__)
 
@@ -128,24 +129,35 @@ def closable(errors: GeometricErrors, poses: Poses | None = None) -> GeometricEr
     """Return the errors with which the loops can close, at assembled poses of the robot as described.
 
     The poses are random by default. A planar four-bar with parallel axes cannot close when one axis is tilted: it
-    would bend or bind, so such an error is not kinematic. Each parameter is judged by itself; one that moves no loop by
-    itself, such as the rotation of a rod about its own axis, is also judged together with the others.
+    would bend or bind, so such an error is not kinematic. Each parameter is first judged by itself, to first order. If
+    the loops do not close with all that remain, these are added in turn, and those that keep the loops open are left
+    out: rotations after lengths, and last what moves no loop by itself, such as the rotation of a rod about its own
+    axis.
     """
     if not len(errors) or not errors.robot.closures:
         return errors
     if poses is None:
         poses = reachable_poses(errors.robot, _POSES_TO_CLOSE_AT, np.random.default_rng(0))
     loops = _Loops(errors, poses, errors.zeros)
-    fitting = errors.without(_names(errors, loops.strains() > RANK_TOLERANCE))
-    idle = set(_names(errors, loops.idle()))
-    if not idle.intersection(fitting.names):
-        return fitting
-    beside = np.array(
-        [0.0 if name in idle else p.tolerance for name, p in zip(fitting.names, fitting.parameters, strict=True)]
-    )
-    crooked = _Loops(fitting, Poses(fitting.apply(beside), poses.q), beside)
-    strained = crooked.strains(tool_at_rest=False) > RANK_TOLERANCE  # its loops are slightly open
-    return fitting.without(idle.intersection(_names(fitting, strained)))
+    turning = np.array([parameter.motion == "rotation" for parameter in errors.parameters])
+    order = np.lexsort((turning, loops.idle()))
+    fitting = order[loops.strains()[order] <= RANK_TOLERANCE]
+    kept = np.zeros(len(errors), dtype=bool)
+    _keep_closable(errors, errors.sample(np.random.default_rng(0)), fitting, kept, poses[:_POSES_TO_CLOSE_TOGETHER])
+    return errors.select(_names(errors, kept))
+
+
+def _keep_closable(errors: GeometricErrors, values: Vector, more: NDArray[np.intp], kept: Mask, poses: Poses) -> None:
+    """Add to the parameters kept, in place, more with which the loops close at these values; in halves if not all."""
+    trial = kept.copy()
+    trial[more] = True
+    crooked = errors.apply(np.where(trial, values, 0.0))
+    # one pose is enough, others may be out of the reach of such a machine
+    if crooked.forward(poses.commands, guess=poses.q, on_failure="nan", engine="pinocchio").solved.any():
+        kept[:] = trial
+    elif len(more) > 1:
+        for half in np.array_split(more, 2):
+            _keep_closable(errors, values, half, kept, poses)
 
 
 def _names(errors: GeometricErrors, chosen: Mask) -> list[str]:
@@ -166,9 +178,9 @@ class _Loops:
         self._joints, twists = _tree(self._model, poses.q, self._carriers())
         self._columns = np.concatenate([twists, self._error_twists(errors.local_twists(values))], axis=2)
 
-    def strains(self, *, tool_at_rest: bool = True) -> Array:
+    def strains(self) -> Array:
         """Return the scaled closure error that each error leaves at the worst pose, shape=(errors,)."""
-        _, strain = self.followed_rates(tool_at_rest=tool_at_rest)
+        _, strain = self.followed_rates()
         return np.asarray(strain[:, len(self._robot.actuated_joints) :].max(axis=0, initial=0.0))
 
     def idle(self) -> Mask:
@@ -176,11 +188,11 @@ class _Loops:
         moved = self._closures()[:, :, self._model.nv :]
         return np.asarray(np.abs(moved).max(axis=(0, 1), initial=0.0) < RANK_TOLERANCE)
 
-    def followed_rates(self, *, tool_at_rest: bool = True) -> tuple[Array, Array]:
+    def followed_rates(self) -> tuple[Array, Array]:
         """Return the velocities that result from one unit of each drive and error, and the remaining closure error.
 
-        Shapes are (n, nv, drives + errors) and (n, drives + errors). With `tool_at_rest`, SingularConfigurationError is
-        raised if the tool can move with all drives locked, or if a drive cannot move without others.
+        Shapes are (n, nv, drives + errors) and (n, drives + errors). SingularConfigurationError is raised if the tool
+        can move with all drives locked, or if a drive cannot move without others.
         """
         robot, nv = self._robot, self._model.nv
         driven, free = robot.actuated_indices, robot.passive_indices
@@ -188,8 +200,7 @@ class _Loops:
         rates = np.zeros((len(self._columns), nv, len(inputs)))
         rates[:, driven, np.arange(len(driven))] = 1.0
         if not robot.closures:
-            if tool_at_rest:
-                self._require_tool_at_rest(free, np.eye(len(free)))
+            self._require_tool_at_rest(free, np.eye(len(free)))
             return rates, np.zeros((len(rates), len(inputs)))
         closures = self._closures() / robot.closure_scale[:, None]
         velocity_scale = robot.velocity_scale[free]
@@ -201,8 +212,7 @@ class _Loops:
         noise = RANK_TOLERANCE * values.max(axis=1, initial=0.0, keepdims=True)
         inverse = np.where(values > noise, 1.0 / np.where(values > noise, values, 1.0), 0.0)
         kept = np.where(values > noise, 1.0, 0.0)[:, :, None] * right
-        if tool_at_rest:
-            self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
+        self._require_tool_at_rest(free, np.eye(len(free)) - np.swapaxes(kept, 1, 2) @ kept)
         pushed = closures[:, :, inputs]
         in_range = np.swapaxes(left, 1, 2) @ pushed
         followed = np.swapaxes(right, 1, 2) @ (inverse[:, :, None] * in_range)
@@ -211,7 +221,7 @@ class _Loops:
         unit = np.abs(pushed).max(axis=1) + 1.0
         strain = np.abs(strain).max(axis=1) / unit
         bound = np.flatnonzero(strain[:, : len(driven)].max(axis=0, initial=0.0) > RANK_TOLERANCE)
-        if tool_at_rest and bound.size:
+        if bound.size:
             raise SingularConfigurationError(
                 f"{robot.name}: drives {', '.join(robot.actuated_joints[k] for k in bound)} cannot move one by one: "
                 "there are more of them than degrees of freedom, or a pose is singular. Held at their commands, they "

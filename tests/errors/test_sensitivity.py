@@ -163,3 +163,34 @@ def test_drives_that_depend_on_each_other_are_refused() -> None:
     robot = Robot.load(MACHINES / "four_rrr")
     with pytest.raises(SingularConfigurationError, match="m0, m1, m2, m3 cannot move one by one"):
         closable(GeometricErrors(robot), robot.at([robot.home.q]))
+
+
+def test_a_sarrus_linkage_closes_with_all_errors_that_are_kept(tmp_path: Path) -> None:
+    """Two legs of three parallel hinges, across each other: a turn of a hinge lets it close to first order at most.
+
+    What is kept are the errors that leave the hinges of each leg parallel, for which any three do.
+    """
+    legs = [("0.1 0 0", "0.1 0 0.1", "-0.1 0 0.1", "0 1 0"), ("0 0.1 0", "0 0.1 0.1", "0 -0.1 0.1", "1 0 0")]
+    parts = ['<link name="base"/>']
+    for leg, (*places, axis) in enumerate(legs):
+        for k, place in enumerate(places):
+            parent, child = "base" if k == 0 else f"l{leg}{k - 1}", f"l{leg}{k}"
+            parts.append(
+                f'<link name="{child}"/><joint name="{child}" type="continuous"><parent link="{parent}"/>'
+                f'<child link="{child}"/><origin xyz="{place}"/><axis xyz="{axis}"/></joint>'
+            )
+        offset = "-0.1 0 0" if leg == 0 else "0 -0.1 0"
+        parts.append(
+            f'<link name="top{leg}"/><joint name="f{leg}" type="fixed"><parent link="l{leg}2"/>'
+            f'<child link="top{leg}"/><origin xyz="{offset}"/></joint>'
+        )
+    (tmp_path / "sarrus.urdf").write_text(f'<robot name="sarrus">{"".join(parts)}</robot>')
+    (tmp_path / "sarrus.closures.yaml").write_text(
+        "closed_loop: [[top0, top1]]\ntype: [6d]\nname_mot: [l00]\ntool_frame: top0\n"
+    )
+    robot = Robot.load(tmp_path)
+    errors = closable(GeometricErrors(robot))
+    assert {"l00.tx", "l01.tz", "l02.tx", "l10.ty", "l12.tz"} <= set(errors.names)
+    for seed in range(3):
+        crooked = errors.apply(errors.sample(np.random.default_rng(seed)))
+        assert crooked.forward([[0.05], [-0.05], [0.1]], on_failure="nan").solved.all()
