@@ -18,7 +18,7 @@ SCRIPTS = Path(__file__).parents[2] / "scripts"
 ELSEWHERE = {"gallery", "generate_description"}
 """Those that need a browser, or that other tests run."""
 
-IN_FULL = ("figure_8_1", "figure_8_3")
+IN_FULL = ("figure_8_1", "figure_8_4")
 """Those that are painted as everybody does; the others with fewer dots and triangles."""
 
 VECTORS = ("pdf", "png", "svg")

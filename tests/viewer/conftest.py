@@ -13,9 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pm3dof_pin.description.robots import robots_directory
+from pm3dof_pin.elastic.elastic_model import ElasticModel
 from pm3dof_pin.exceptions import BrowserError
 from pm3dof_pin.kinematics.robot import Robot
+from pm3dof_pin.viewer import page_programs, viewer
 from pm3dof_pin.viewer.browser import Browser, find_browser
+from pm3dof_pin.viewer.page_programs import PagePrograms
 
 Array = NDArray[np.float64]
 
@@ -172,6 +176,27 @@ class Page:
 def load() -> Callable[[str], Robot]:
     """Robots of the package, loaded once: what a page computes is traced once for each."""
     return cache(Robot.load)
+
+
+@pytest.fixture(scope="session")
+def traced() -> dict[tuple[str, str], PagePrograms | None]:
+    """What :func:`_traced_once` keeps."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def _traced_once(traced: dict[tuple[str, str], PagePrograms | None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trace the programs of a page once for each robot of the package, however often tests and commands load it."""
+
+    def programs_of(robot: Robot, model: ElasticModel | None = None) -> PagePrograms | None:
+        key = str(robot.source), str(robot.tool_frame)
+        if model is not None or not key[0].startswith(str(robots_directory())):
+            return page_programs.programs_of(robot, model)
+        if key not in traced:
+            traced[key] = page_programs.programs_of(robot)
+        return traced[key]
+
+    monkeypatch.setattr(viewer, "programs_of", programs_of)
 
 
 @pytest.fixture(scope="session")

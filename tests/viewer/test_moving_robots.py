@@ -133,10 +133,10 @@ def test_sliders_place_every_body_where_pinocchio_does(name: str, number: int) -
     reached = np.array([answer is not None for answer in answers])
     assert reached.sum() >= 0.9 * solve(values, on_failure="nan").solved.sum()
     assert reached.sum() >= 12
-    # poses out of reach take the careful engine longest
-    expected = solve(values[reached], on_failure="nan", engine="pinocchio")
-    assert expected.solved.sum() >= 0.9 * reached.sum()
-    for place, index in enumerate(np.flatnonzero(reached)):
+    places = np.flatnonzero(reached)[:16]  # poses take the careful engine long, those out of reach longest
+    expected = solve(values[places], on_failure="nan", engine="pinocchio")
+    assert expected.solved.sum() >= 0.9 * len(places)
+    for place, index in enumerate(places):
         answer, pose = answers[index], expected[place]
         if not pose.solved:
             continue

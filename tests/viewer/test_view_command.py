@@ -8,9 +8,11 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,9 +36,9 @@ def run(run: Run) -> Run:
 
 
 @contextmanager
-def served(*arguments: str, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command while it serves, and what it has said until then."""
-    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True, env=environment or None)
+    process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:
         said = ""
@@ -66,17 +68,33 @@ def test_serves_until_it_is_told_to_end() -> None:
             pass
 
 
-def test_limits_strangers_and_no_screen_are_named_and_the_page_still_served() -> None:
+def test_limits_strangers_and_no_screen_are_named_and_the_page_still_served(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A pose beyond a limit, on every interface, where no browser can be opened; it ends by SIGTERM."""
-    screenless = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    with served("0", "0", "0.59", "--host", "0.0.0.0", **screenless) as (process, said):
-        assert said.count("joint limit broken: slider") == 3
-        assert process.stderr is not None
-        after = process.stderr.readline() + process.stderr.readline()
-        assert "anyone who can reach this machine can see the page" in after
-        assert "no browser could be opened: open the address yourself" in after
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(timeout=20) == 0
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+
+    def end_when_served() -> None:
+        for _ in range(2000):
+            with suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/") as answer:
+                answer.read()
+                os.kill(os.getpid(), signal.SIGTERM)
+                return
+            time.sleep(0.02)
+
+    ending = threading.Thread(target=end_when_served, daemon=True)
+    ending.start()
+    result = run("0", "0", "0.59", "--host", "0.0.0.0", "--port", str(port))
+    ending.join()
+    assert result.returncode == 0
+    said, _, after = result.stderr.partition("until Ctrl-C")
+    assert said.count("joint limit broken: slider") == 3
+    assert "anyone who can reach this machine can see the page" in after
+    assert "no browser could be opened: open the address yourself" in after
+    assert after.endswith("closed\n")
 
 
 def test_a_taken_port(run: Run) -> None:
@@ -205,9 +223,19 @@ def test_the_path_it_plays(run: Run, page: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_the_picture_it_takes(run: Run, browser: Any, tmp_path: Path) -> None:
+def test_the_picture_it_takes(run: Run, page: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Taken by the browser of the tests; that of the viewer starts one of its own for its picture."""
     from matplotlib.image import imread
 
+    from pm3dof_pin.viewer import browser
+
+    @contextmanager
+    def lent(width: int, height: int) -> Iterator[Any]:
+        page.browser.resize(width, height)
+        yield page.browser
+        page.browser.resize(800, 600)
+
+    monkeypatch.setattr(browser, "Browser", lent)
     result = run("--robot", "hexapod", "--picture", "picture.png", "--size", "320", "240", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert imread(tmp_path / "picture.png").shape[:2] == (240, 320)
