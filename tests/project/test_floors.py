@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -57,9 +57,17 @@ def _imports(nodes: Iterable[ast.AST]) -> set[str]:
     return names
 
 
+def _statements(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Return statements and those inside them, where alone an import can be: most nodes are of expressions."""
+    for node in nodes:
+        yield node
+        for block in ("body", "orelse", "handlers", "finalbody", "cases"):
+            yield from _statements(getattr(node, block, ()))
+
+
 @cache
 def _everything(module: str) -> set[str]:
-    return _imports(ast.walk(_parsed(module)))
+    return _imports(_statements(_parsed(module).body))
 
 
 def _anywhere(module: str) -> set[str]:
