@@ -16,12 +16,12 @@ def main() -> None:
     from distributed import Client
 
     robot = pm.load("pm3dof")
-    grid = robot.grid(z_e=(0.42, 0.55, 14), theta_x=(-0.7, 0.7, 41), theta_y=(-0.7, 0.7, 41))
+    grid = robot.grid(z_e=(0.42, 0.55, 7), theta_x=(-0.7, 0.7, 31), theta_y=(-0.7, 0.7, 31))
     atlas = pm.Atlas(robot, grid, ("felt_stiffness",), Path("atlas.nc"))
     with Client(n_workers=2, threads_per_worker=1, dashboard_address=None) as client:
         pm.compute_atlas(atlas, scheduler=client.scheduler.address)
     with pm.open_atlas("atlas.nc") as data:
-        felt = 1e-3 * data.felt_stiffness.sel(axis="ry").isel(z_e=7)
+        felt = 1e-3 * data.felt_stiffness.sel(axis="ry").isel(z_e=3)
         print(dict(data.sizes), f"felt about y: {float(felt.min()):.1f} to {float(felt.max()):.1f} kN m/rad")
         save_figure(atlas_pictures(data.sel(axis=["ry"]), robot)["felt_stiffness_ry"], "atlas.png")
 
