@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -398,6 +398,12 @@ class Robot(Mechanism):
             reason = "the loops close there only beyond a singular pose or in another assembly mode"
         message = f"{self.name}: no assembled configuration found at {pose}{which}: {reason}"
         return UnreachablePoseError(message, result.residual, reason)
+
+    def displaced(self, model: pin.Model) -> Self:
+        """See :meth:`Mechanism.displaced`; the same drives place it."""
+        variant = super().displaced(model)
+        variant._placing_drives = self._placing_drives
+        return variant
 
     @cached_property
     def _placing_drives(self) -> list[int]:
